@@ -1,0 +1,31 @@
+"""rtee: command any robotic hand or gripper by grasping actions.
+
+    async with rtee.connect("schunk_svh") as hand:
+        result = await hand.do("pinch_tight", "index", "thumb", intensity=0.6)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rtee.hand.load import load_hand
+    from rtee.remote.blocking import connect_blocking
+    from rtee.remote.client import connect
+
+__all__ = ["connect", "connect_blocking", "load_hand"]
+
+_HOME = {
+    "connect": "rtee.remote.client",
+    "connect_blocking": "rtee.remote.blocking",
+    "load_hand": "rtee.hand.load",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when first used: a client needs no Pinocchio, the extraction no network.
+    if name in _HOME:
+        import importlib
+
+        return getattr(importlib.import_module(_HOME[name]), name)
+    raise AttributeError(f"module 'rtee' has no attribute '{name}'")

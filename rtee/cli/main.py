@@ -1,0 +1,109 @@
+"""Entry point: a group of commands, each imported only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import Any
+
+
+import typer
+from typer import Context
+from typer.core import TyperCommand, TyperGroup
+
+from rtee.errors import RteeError
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    # offline
+    "hands": ("rtee.cli.hands", "List the hands there are."),
+    "new": ("rtee.cli.new", "Make a hand's folder from a URDF."),
+    "extract": ("rtee.cli.extract", "Find the primitive grasping actions of a hand."),
+    "actions": ("rtee.cli.actions", "List the grasping actions of a hand."),
+    "compose": ("rtee.cli.compose", "Define a composed action."),
+    "time": ("rtee.cli.time", "Define a timed action."),
+    "generic": ("rtee.cli.generic", "Define a generic action."),
+    "import": ("rtee.cli.import_", "Import action files of ROS End-Effector."),
+    # online
+    "run": ("rtee.cli.run", "Run one hand or several."),
+    "do": ("rtee.cli.do", "Execute a grasping action."),
+    "open": ("rtee.cli.open", "Open the hand."),
+    "stop": ("rtee.cli.stop", "Stop the hand."),
+    "recover": ("rtee.cli.recover", "Bring devices out of a fault."),
+    "state": ("rtee.cli.state", "Show the hand's state, live."),
+    "status": ("rtee.cli.status", "Show the loop and the devices."),
+    "gui": ("rtee.cli.gui", "Open the hand in the browser."),
+    "log": ("rtee.cli.log", "Look at recordings, replay and repair them."),
+    # devices
+    "emulate": ("rtee.cli.emulate", "Play a device for other software."),
+    "scan": ("rtee.cli.scan", "Find devices on all buses."),
+    "doctor": ("rtee.cli.doctor", "Say what is wrong and what to type."),
+    "locate": ("rtee.cli.locate", "Twitch a hand to see which one it is."),
+    "calibrate": ("rtee.cli.calibrate", "Calibrate a device that has offsets."),
+    "new-driver": ("rtee.cli.new_driver", "Write the skeleton of a driver package."),
+    # dynamics
+    "try": ("rtee.cli.try_", "Try an action on an object in simulation."),
+}
+"""Command to its module and its one-line help. The module holds a typer app or function `app`."""
+
+
+class LazyGroup(TyperGroup):
+    """Lists commands without importing them."""
+
+    def list_commands(self, ctx: Context) -> list[str]:
+        """Return the commands in the order of `COMMANDS`."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Context, cmd_name: str) -> TyperCommand | None:
+        """Import one command; while listing or completing names, stand in for it by its help."""
+        entry = COMMANDS.get(cmd_name)
+        if entry is None:
+            return None
+        if cmd_name not in sys.argv and "_RTEE_COMPLETE" not in os.environ:
+            return TyperCommand(cmd_name, callback=None, help=entry[1], short_help=entry[1])
+        module = importlib.import_module(entry[0])
+        app: Any = module.app
+        command: TyperCommand = typer.main.get_command(app)
+        command.name = cmd_name
+        command.short_help = entry[1]
+        return command
+
+
+cli = typer.Typer(
+    cls=LazyGroup,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        from importlib.metadata import version
+
+        typer.echo(f"rtee {version('rtee')}")
+        raise typer.Exit
+
+
+@cli.callback()
+def root(
+    version: bool = typer.Option(
+        False, "--version", help="Print the version and leave.", callback=_show_version, is_eager=True
+    ),
+) -> None:
+    """Command any robotic hand or gripper by grasping actions."""
+
+
+def main() -> None:
+    """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
+    try:
+        cli()
+    except RteeError as error:
+        print(f"rtee: {error}", file=sys.stderr)
+        sys.exit(error.exit_status)
+    except BrokenPipeError:
+        # The reader of our output left (`rtee … | head`); nothing is wrong.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,95 @@
+"""The contract of a driver (the paper's EEHal): only `sense` and `move` must be written."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, ClassVar
+
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from rtee.buses.pool import BusPool
+
+
+class Driver(ABC):
+    """The code that talks to one device.
+
+    A driver converts between SI units and the device's own at its edge. It holds no timing, no
+    accounting of retries and no reconnect logic: the supervisor in `rtee.loop` adds those, and calls the
+    methods of one driver one after the other, never two at once.
+
+    Attributes:
+        Options: The pydantic model of its options in hand.yaml, or ``None`` to take any.
+        spec: The device as configured.
+        buses: The buses of this process; a driver asks it for the bus it needs.
+        capabilities: What the device measures and accepts; may be refined by `configure`.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = None
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        self.spec = spec
+        self.buses = buses
+        self.capabilities = Capabilities()
+
+    async def configure(self) -> None:
+        """Open the bus and identify the device; never moves anything.
+
+        Raises:
+            NotConnected: if the device does not answer.
+            HandshakeError: if another device answers than the one expected.
+            BusError: if the bus cannot be used.
+        """
+
+    async def activate(self) -> None:
+        """Power and enable the device; homes it only where asked and needed.
+
+        Raises:
+            DeviceFault: if the device refuses.
+            BusError: if the bus fails.
+        """
+
+    @abstractmethod
+    async def sense(self) -> ActuatorState:
+        """Return what the device measures now, in SI units and the order of ``spec.actuators``.
+
+        Raises:
+            DeviceFault: if the device reports a fault.
+            BusError: if the exchange fails.
+        """
+
+    @abstractmethod
+    async def move(self, reference: Reference) -> None:
+        """Send a reference.
+
+        Raises:
+            CommandRejected: if the device cannot take it.
+            DeviceFault: if the device reports a fault.
+            BusError: if the exchange fails.
+        """
+
+    async def stop(self) -> None:
+        """Stop motion now and stay powered; must not raise."""
+
+    async def release(self) -> None:
+        """Let go: make the device limp where it can be, else stop it; must not raise."""
+        await self.stop()
+
+    async def recover(self) -> None:
+        """Bring the device out of a fault; it must not move by this.
+
+        Raises:
+            DeviceFault: if the fault persists.
+            BusError: if the bus fails.
+        """
+
+    async def set_gains(self, gains: dict[str, float]) -> None:
+        """Change gains while running; only those named in ``capabilities.gains``."""
+
+    async def deactivate(self) -> None:
+        """Disable the device; the opposite of `activate`."""
+
+    async def close(self) -> None:
+        """Give the bus back; may be called any number of times, in any state."""

@@ -1,0 +1,352 @@
+"""Every error that rtee raises on purpose.
+
+The tree::
+
+    RteeError                      something rtee can say in one sentence
+    ├── UserError                  a mistake in what the user gave: exit status 2
+    │   ├── ConfigError            hand.yaml, options, command line
+    │   ├── ModelError             URDF, SRDF, meshes
+    │   │   ├── ExpressionError    a non-linear mimic expression
+    │   │   └── UnknownJoint · UnknownActuator · UnknownFinger · UnknownLink
+    │   ├── ExtractionError        the model allows no extraction
+    │   ├── ActionError            an action's file or definition
+    │   │   ├── UnknownAction
+    │   │   └── GoalRejected       a goal that cannot be taken
+    │   ├── CalibrationError       a calibration that does not fit the device
+    │   └── LogError               a recording that cannot be read
+    ├── BusError(bus)
+    │   ├── BusClosed              closed on this side
+    │   ├── BusBroken (OSError)    broken by an external cause: unplugged, reset
+    │   ├── BusBusy                somebody else owns it
+    │   ├── BusTimeout (TimeoutError)
+    │   └── FrameError             bytes that are no valid frame
+    ├── DriverError(device)
+    │   ├── NotConnected (ConnectionError)
+    │   ├── HandshakeError         another device than the one expected
+    │   ├── DeviceFault            the device reports a fault
+    │   └── CommandRejected        a reference the device cannot take
+    ├── LoopError                  the loop itself failed; carries its last cycles
+    └── RemoteError
+        ├── NoHand                 nobody answers on the network
+        ├── LeaseHeld              another client holds the hand
+        └── RequestRejected        the hand refused, with its reason
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import ClassVar
+
+
+class RteeError(Exception):
+    """Base of all errors of rtee: one sentence that says what, where and what would be right."""
+
+    exit_status: ClassVar[int] = 1
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__(text)
+        self.text = text
+
+    def __str__(self) -> str:  # OSError among the bases would print "[Errno …]"
+        return self.text
+
+
+class UserError(RteeError):
+    """A mistake in a file, name or value that the user gave.
+
+    Attributes:
+        message: What is wrong and what would be right.
+        path: The file it stands in, if any.
+        line: The line in that file, counted from 1, if known.
+    """
+
+    exit_status: ClassVar[int] = 2
+
+    def __init__(
+        self, message: str, *, path: Path | str | None = None, line: int | None = None
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.path = None if path is None else Path(path)
+        self.line = line
+
+    def __str__(self) -> str:
+        if self.path is None:
+            return self.message
+        if self.line is None:
+            return f"{self.path}: {self.message}"
+        return f"{self.path}:{self.line}: {self.message}"
+
+
+class ConfigError(UserError, ValueError):
+    """A configuration that cannot be used.
+
+    Attributes:
+        key: The field, dotted from the root of the document (``devices.svh.port``), if any.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        path: Path | str | None = None,
+        line: int | None = None,
+        key: str | None = None,
+    ) -> None:
+        super().__init__(message, path=path, line=line)
+        self.key = key
+
+
+class ModelError(UserError, ValueError):
+    """A URDF, SRDF or mesh that cannot be used."""
+
+
+class ExpressionError(ModelError):
+    """A mimic expression outside the grammar.
+
+    Attributes:
+        column: Position of the offending character, counted from 0.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        column: int = 0,
+        path: Path | str | None = None,
+        line: int | None = None,
+    ) -> None:
+        super().__init__(message, path=path, line=line)
+        self.column = column
+
+
+def suggestion(name: str, valid: Iterable[str], *, most: int = 12) -> str:
+    """Return a hint that names the closest valid name, or lists the valid ones."""
+    names = sorted(valid)
+    close = difflib.get_close_matches(name, names, n=1)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    if not names:
+        return "there are none"
+    shown = ", ".join(names[:most]) + (", …" if len(names) > most else "")
+    return f"there are: {shown}"
+
+
+class _UnknownName(ModelError):
+    what: ClassVar[str] = "name"
+
+    def __init__(
+        self,
+        name: str,
+        valid: Sequence[str] = (),
+        *,
+        path: Path | str | None = None,
+        line: int | None = None,
+    ) -> None:
+        super().__init__(
+            f"unknown {self.what} '{name}'; {suggestion(name, valid)}", path=path, line=line
+        )
+        self.name = name
+        self.valid = tuple(valid)
+
+
+class UnknownJoint(_UnknownName):
+    """A joint that the model does not have."""
+
+    what = "joint"
+
+
+class UnknownActuator(_UnknownName):
+    """An actuator that the hand does not have."""
+
+    what = "actuator"
+
+
+class UnknownFinger(_UnknownName):
+    """A finger that the hand does not have."""
+
+    what = "finger"
+
+
+class UnknownLink(_UnknownName):
+    """A link that the model does not have."""
+
+    what = "link"
+
+
+class ExtractionError(UserError):
+    """The model loads but no action can be extracted from it."""
+
+
+class ActionError(UserError, ValueError):
+    """A grasping action that is not well defined."""
+
+
+class UnknownAction(ActionError):
+    """An action that the library does not have.
+
+    Attributes:
+        name: The name asked for.
+        valid: The names there are.
+    """
+
+    def __init__(self, name: str, valid: Sequence[str] = ()) -> None:
+        super().__init__(f"unknown action '{name}'; {suggestion(name, valid)}")
+        self.name = name
+        self.valid = tuple(valid)
+
+
+class GoalRejected(ActionError):
+    """A goal that cannot be taken; the hand has not moved."""
+
+
+class CalibrationError(UserError):
+    """A calibration that is missing, of another device, or out of range.
+
+    Attributes:
+        device: The device's name.
+    """
+
+    def __init__(self, device: str, message: str) -> None:
+        super().__init__(f"device '{device}': {message}")
+        self.device = device
+
+
+class LogError(UserError):
+    """A recording that cannot be read or written."""
+
+
+class BusError(RteeError):
+    """Something went wrong on a bus.
+
+    Attributes:
+        bus: The bus's address, as configured.
+    """
+
+    def __init__(self, bus: str, message: str) -> None:
+        super().__init__(f"bus '{bus}': {message}")
+        self.bus = bus
+        self.message = message
+
+
+class BusClosed(BusError):
+    """The bus was closed on this side."""
+
+
+class BusBroken(BusError, OSError):
+    """The bus broke by an external cause: adapter unplugged, connection reset, bus-off."""
+
+
+class BusBusy(BusError):
+    """The bus already has an owner."""
+
+
+class BusTimeout(BusError, TimeoutError):
+    """No answer came within the deadline and the retry budget."""
+
+
+class FrameError(BusError):
+    """Bytes came that are no valid frame.
+
+    Attributes:
+        raw: The offending bytes.
+    """
+
+    def __init__(self, bus: str, message: str, raw: bytes = b"") -> None:
+        super().__init__(bus, message)
+        self.raw = raw
+
+
+class DriverError(RteeError):
+    """A device cannot do what is asked.
+
+    Attributes:
+        device: The device's name.
+        hint: What the user can do about it.
+    """
+
+    def __init__(self, device: str, message: str, *, hint: str = "") -> None:
+        super().__init__(f"device '{device}': {message}" + (f"; {hint}" if hint else ""))
+        self.device = device
+        self.message = message
+        self.hint = hint
+
+
+class NotConnected(DriverError, ConnectionError):
+    """The device cannot be reached."""
+
+
+class HandshakeError(DriverError):
+    """Another device answers than the one expected.
+
+    Attributes:
+        expected: What was expected.
+        found: What answered.
+    """
+
+    def __init__(self, device: str, expected: str, found: str, *, hint: str = "") -> None:
+        super().__init__(device, f"expected {expected}, found {found}", hint=hint)
+        self.expected = expected
+        self.found = found
+
+
+class DeviceFault(DriverError):
+    """The device reports a fault.
+
+    Attributes:
+        code: The device's own code.
+        name: The fault's name.
+        recoverable: Whether ``recover()`` may clear it.
+    """
+
+    def __init__(
+        self, device: str, code: int, name: str, *, recoverable: bool = True, hint: str = ""
+    ) -> None:
+        super().__init__(device, f"fault {code} ({name})", hint=hint)
+        self.code = code
+        self.name = name
+        self.recoverable = recoverable
+
+
+class CommandRejected(DriverError):
+    """The device cannot take this reference, for example an effort limit it does not have."""
+
+
+class LoopError(RteeError):
+    """The loop itself failed.
+
+    Attributes:
+        last_cycles: What the flight recorder held, newest last.
+    """
+
+    def __init__(self, message: str, last_cycles: Sequence[object] = ()) -> None:
+        super().__init__(message)
+        self.last_cycles = tuple(last_cycles)
+
+
+class RemoteError(RteeError):
+    """Something went wrong between a client and the hand."""
+
+
+class NoHand(RemoteError):
+    """No running hand answers on the network."""
+
+
+class LeaseHeld(RemoteError):
+    """Another client holds the hand.
+
+    Attributes:
+        holder: Who holds it.
+    """
+
+    def __init__(self, holder: str) -> None:
+        super().__init__(f"the hand is held by '{holder}'; stop is always possible, motion is not")
+        self.holder = holder
+
+
+class RequestRejected(RemoteError):
+    """The hand refused a request, with its reason."""
+
+    exit_status: ClassVar[int] = 2

@@ -1,0 +1,159 @@
+"""The hand as data: fingers, actuators, joints and what moves what. Needs neither Pinocchio nor Coal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+
+from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
+from rtee.hand.transmission import Transmission
+from rtee.hand.urdf import Urdf
+from rtee.types import ActuatorSpec, FloatArray, JointKind, readonly
+
+
+class JointRole(StrEnum):
+    """What a moving joint is to the hand."""
+
+    ACTUATOR = "actuator"
+    MIMIC = "mimic"
+    PASSIVE = "passive"
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A moving joint.
+
+    Attributes:
+        name: Its name in the URDF.
+        kind: Revolute, continuous or prismatic.
+        role: Actuator, mimic or passive. A joint that is both mimic and passive is a mimic.
+        parent: Parent link.
+        child: Child link.
+        lower: Lower limit [rad | m]; ``-inf`` if continuous.
+        upper: Upper limit [rad | m]; ``inf`` if continuous.
+        line: Line of its definition in the URDF.
+    """
+
+    name: str
+    kind: JointKind
+    role: JointRole
+    parent: str
+    child: str
+    lower: float
+    upper: float
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Finger:
+    """A finger: a chain from base to tip.
+
+    Attributes:
+        name: Its name (the SRDF group, or derived from its links).
+        base: First link of the chain.
+        tip: The fingertip: last link of the chain with collision geometry; ``None`` if it has none.
+        links: Links of the chain from base to end.
+        actuators: Names of the actuators that move the fingertip, nearest the palm first.
+        own: Those of them that move no other fingertip, nearest the palm first.
+        reason: Why this is a finger.
+    """
+
+    name: str
+    base: str
+    tip: str | None
+    links: tuple[str, ...]
+    actuators: tuple[str, ...]
+    own: tuple[str, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A robotic hand, gripper or any other end-effector.
+
+    Attributes:
+        name: Its name.
+        base: Root link; the hand's base frame.
+        joints: All moving joints in the order of the URDF's tree.
+        actuators: The actuators in the order of the URDF's tree; all actuator arrays have this order.
+        fingers: The fingers.
+        transmission: From actuator positions to joint positions.
+        rest: Rest posture ``(n,)`` [rad | m].
+        urdf: The parsed URDF.
+        disabled_collisions: Pairs of links never to be checked, with the SRDF's reason.
+        notes: What was noticed in the model and assumed about it, one sentence each.
+        package_dirs: Where ``package://`` is looked up.
+    """
+
+    name: str
+    base: str
+    joints: tuple[Joint, ...]
+    actuators: tuple[ActuatorSpec, ...]
+    fingers: tuple[Finger, ...]
+    transmission: Transmission
+    rest: FloatArray
+    urdf: Urdf
+    disabled_collisions: tuple[tuple[str, str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+    package_dirs: tuple[Path, ...] = ()
+    description: str = field(default="", kw_only=True)
+
+    @cached_property
+    def lower(self) -> FloatArray:
+        """Lower limits of the actuators ``(n,)`` [rad | m]."""
+        return readonly([a.lower for a in self.actuators])
+
+    @cached_property
+    def upper(self) -> FloatArray:
+        """Upper limits of the actuators ``(n,)`` [rad | m]."""
+        return readonly([a.upper for a in self.actuators])
+
+    @cached_property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Names of the actuators, in order."""
+        return tuple(a.name for a in self.actuators)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints, in order; the order of ``transmission``'s output."""
+        return tuple(j.name for j in self.joints)
+
+    @cached_property
+    def finger_names(self) -> tuple[str, ...]:
+        """Names of the fingers, in order."""
+        return tuple(f.name for f in self.fingers)
+
+    def actuator(self, name: str) -> ActuatorSpec:
+        """Return an actuator by name; raises `UnknownActuator`."""
+        return self.actuators[self.actuator_index(name)]
+
+    def actuator_index(self, name: str) -> int:
+        """Return an actuator's index by name; raises `UnknownActuator`."""
+        try:
+            return self.actuator_names.index(name)
+        except ValueError:
+            raise UnknownActuator(name, self.actuator_names) from None
+
+    def joint_index(self, name: str) -> int:
+        """Return a joint's index by name; raises `UnknownJoint`."""
+        try:
+            return self.joint_names.index(name)
+        except ValueError:
+            raise UnknownJoint(name, self.joint_names) from None
+
+    def finger(self, name: str) -> Finger:
+        """Return a finger by name; raises `UnknownFinger`."""
+        for finger in self.fingers:
+            if finger.name == name:
+                return finger
+        raise UnknownFinger(name, self.finger_names)
+
+    def clamp(self, position: Sequence[float] | FloatArray) -> FloatArray:
+        """Return actuator positions ``(n,)`` clamped into the limits."""
+        return readonly([
+            min(max(value, a.lower), a.upper)
+            for value, a in zip(position, self.actuators, strict=True)
+        ])

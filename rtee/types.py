@@ -1,0 +1,464 @@
+"""The vocabulary that every room shares: plain, frozen, free of I/O.
+
+Units are SI throughout: rad or m, s, N·m or N, A, °C. Arrays are indexed by the hand's order of
+actuators; whatever crosses a file or a process is keyed by name. ``NaN`` in a state means "not
+measured"; a reference never contains ``NaN``.
+"""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+def _nothing() -> Mapping[str, Any]:
+    return _NOTHING
+
+
+def readonly(values: Sequence[float] | FloatArray) -> FloatArray:
+    """Return ``values`` as a read-only float array of its own."""
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
+
+
+class JointKind(StrEnum):
+    """The kinds of moving joints a hand may have."""
+
+    REVOLUTE = "revolute"
+    CONTINUOUS = "continuous"
+    PRISMATIC = "prismatic"
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorSpec:
+    """What the loop and the drivers know of one actuator.
+
+    Attributes:
+        name: Its name, as in the URDF.
+        kind: Revolute, continuous or prismatic.
+        lower: Lower position limit [rad | m]; ``-inf`` for a continuous one.
+        upper: Upper position limit [rad | m]; ``inf`` for a continuous one.
+        velocity: Velocity limit [rad/s | m/s].
+        acceleration: Acceleration limit [rad/s² | m/s²].
+        jerk: Jerk limit [rad/s³ | m/s³].
+        effort: Effort limit [N·m | N]; ``inf`` when the model gives none.
+        rest: Position in the rest posture [rad | m], inside the limits.
+        fingers: Names of the fingers whose tips it moves.
+    """
+
+    name: str
+    kind: JointKind
+    lower: float
+    upper: float
+    velocity: float
+    acceleration: float
+    jerk: float
+    effort: float
+    rest: float
+    fingers: tuple[str, ...] = ()
+
+
+# --- devices ---------------------------------------------------------------------------------
+
+
+class Lifecycle(StrEnum):
+    """States of a device, with the names of ros2_control where there is one."""
+
+    UNCONFIGURED = "unconfigured"
+    INACTIVE = "inactive"
+    ACTIVE = "active"
+    FAULT = "fault"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSpec:
+    """One device of a hand as configured; what a driver is made from.
+
+    Attributes:
+        name: The device's name within the hand.
+        hand: The hand's name.
+        driver: Registry name, entry point or ``module:Class``.
+        actuators: The actuators it drives, in the hand's order; a driver's arrays have this order.
+        options: The driver's own options from hand.yaml.
+        rate: Rate of the loop [Hz].
+        every: Exchange every n ticks; ``None`` lets the driver's best rate decide.
+        deadline: Longest time one exchange may take [s]; ``None`` means its share of ticks.
+        emulated: Talk to the device's emulator instead of the address in the options.
+        source: ``file:line`` of the configuration, for messages.
+    """
+
+    name: str
+    hand: str
+    driver: str
+    actuators: tuple[ActuatorSpec, ...]
+    options: Mapping[str, Any] = field(default_factory=_nothing)
+    rate: float = 1000.0
+    every: int | None = None
+    deadline: float | None = None
+    emulated: bool = False
+    source: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What a device measures and accepts.
+
+    Attributes:
+        measures: Of ``position velocity effort current temperature pressure grasped``.
+        accepts: Of ``position max_effort max_velocity``.
+        best_rate: Fastest useful rate of exchanges [Hz]; ``inf`` when only the loop limits it.
+        homing: It needs homing before it can move.
+        watchdog: It stops by itself when the host falls silent, and the driver has armed that.
+        recoverable: ``recover()`` can clear faults.
+        gains: Names of gains that can be tuned while it runs.
+        identity: Model, firmware, serial number and the like, as the device told.
+    """
+
+    measures: frozenset[str] = frozenset({"position"})
+    accepts: frozenset[str] = frozenset({"position"})
+    best_rate: float = math.inf
+    homing: bool = False
+    watchdog: bool = False
+    recoverable: bool = False
+    gains: tuple[str, ...] = ()
+    identity: Mapping[str, str] = field(default_factory=_nothing)
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorState:
+    """What a device measured, in the order of its actuators.
+
+    Attributes:
+        position: Position ``(n,)`` [rad | m].
+        velocity: Velocity ``(n,)`` [rad/s | m/s].
+        effort: Effort ``(n,)`` [N·m | N].
+        current: Motor current ``(n,)`` [A].
+        temperature: Temperature ``(n,)`` [°C].
+        stamp: When it was measured, CLOCK_MONOTONIC [s].
+        fresh: ``False`` when it repeats an earlier measurement.
+        grasped: The device's own word per actuator: holding something, or ``None`` when it has none.
+        extras: Further channels by name, for example ``pressure``.
+        warnings: Conditions the device reports that are no faults.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    current: FloatArray
+    temperature: FloatArray
+    stamp: float
+    fresh: bool = True
+    grasped: tuple[bool | None, ...] | None = None
+    extras: Mapping[str, FloatArray] = field(default_factory=_nothing)
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def measured(
+        cls,
+        position: Sequence[float] | FloatArray,
+        stamp: float,
+        *,
+        velocity: Sequence[float] | FloatArray | None = None,
+        effort: Sequence[float] | FloatArray | None = None,
+        current: Sequence[float] | FloatArray | None = None,
+        temperature: Sequence[float] | FloatArray | None = None,
+        grasped: tuple[bool | None, ...] | None = None,
+        extras: Mapping[str, FloatArray] = _NOTHING,
+        warnings: tuple[str, ...] = (),
+    ) -> ActuatorState:
+        """Make a fresh state; what is left out counts as not measured (``NaN``)."""
+        where = np.asarray(position, dtype=np.float64)
+        unmeasured = np.full(where.shape, np.nan)
+
+        def given(values: Sequence[float] | FloatArray | None) -> FloatArray:
+            return unmeasured if values is None else np.asarray(values, dtype=np.float64)
+
+        return cls(
+            position=where,
+            velocity=given(velocity),
+            effort=given(effort),
+            current=given(current),
+            temperature=given(temperature),
+            stamp=stamp,
+            grasped=grasped,
+            extras=extras,
+            warnings=warnings,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Set-points for one device, in the order of its actuators; never ``NaN``.
+
+    Attributes:
+        position: Position ``(n,)`` [rad | m], inside the limits.
+        max_effort: Effort not to be exceeded ``(n,)`` [N·m | N]; ``inf``: the device's own limit.
+        max_velocity: Velocity not to be exceeded ``(n,)`` [rad/s | m/s]; ``inf``: the device's own.
+        mask: Which actuators are commanded ``(n,)``.
+        velocity: Velocity of the profile ``(n,)`` [rad/s | m/s], for devices with feed-forward.
+
+    Raises:
+        ValueError: if a value is ``NaN`` or a position is infinite.
+    """
+
+    position: FloatArray
+    max_effort: FloatArray
+    max_velocity: FloatArray
+    mask: BoolArray
+    velocity: FloatArray
+
+    def __post_init__(self) -> None:
+        total = float(self.position.sum()) + float(self.velocity.sum())
+        if not math.isfinite(total):
+            raise ValueError("a reference must be finite")
+        if math.isnan(float(self.max_effort.sum()) + float(self.max_velocity.sum())):
+            raise ValueError("a reference must not contain NaN")
+
+    @classmethod
+    def at(
+        cls,
+        position: Sequence[float] | FloatArray,
+        *,
+        max_effort: Sequence[float] | FloatArray | None = None,
+        max_velocity: Sequence[float] | FloatArray | None = None,
+        mask: Sequence[bool] | BoolArray | None = None,
+        velocity: Sequence[float] | FloatArray | None = None,
+    ) -> Reference:
+        """Make a reference for a position; limits left out are the device's own."""
+        where = np.asarray(position, dtype=np.float64)
+
+        def given(values: Sequence[float] | FloatArray | None, default: float) -> FloatArray:
+            if values is None:
+                return np.full(where.shape, default)
+            return np.asarray(values, dtype=np.float64)
+
+        return cls(
+            position=where,
+            max_effort=given(max_effort, math.inf),
+            max_velocity=given(max_velocity, math.inf),
+            mask=np.ones(where.shape, dtype=bool) if mask is None else np.asarray(mask, dtype=bool),
+            velocity=given(velocity, 0.0),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceStatus:
+    """How a device is doing; published at a low rate.
+
+    Attributes:
+        name: The device's name within the hand.
+        driver: The driver's name.
+        lifecycle: Its state.
+        identity: What it told about itself.
+        rate: Measured rate of exchanges [Hz].
+        every: It is exchanged every n ticks.
+        age: Age of the newest measurement [s].
+        exchanges: Exchanges done.
+        overruns: Exchanges that missed their deadline.
+        errors: Exchanges that failed.
+        reconnects: Times the link was re-established.
+        counters: Counters of the bus: transactions, retries, timeouts, checksum errors, bytes.
+        fault_code: The device's own code of its fault, 0 for none.
+        fault_name: The fault's name, empty for none.
+        recoverable: ``recover()`` may clear the fault.
+        hint: What the user can do.
+        message: The last error in words.
+    """
+
+    name: str
+    driver: str
+    lifecycle: Lifecycle
+    identity: Mapping[str, str] = field(default_factory=_nothing)
+    rate: float = 0.0
+    every: int = 1
+    age: float = math.inf
+    exchanges: int = 0
+    overruns: int = 0
+    errors: int = 0
+    reconnects: int = 0
+    counters: Mapping[str, int] = field(default_factory=_nothing)
+    fault_code: int = 0
+    fault_name: str = ""
+    recoverable: bool = False
+    hint: str = ""
+    message: str = ""
+
+
+# --- goals -----------------------------------------------------------------------------------
+
+
+class Stage(StrEnum):
+    """How far a pinch goes."""
+
+    BOTH = "both"
+    PRE_GRASP = "pre_grasp"
+    GRASP = "grasp"
+
+
+def new_goal_id() -> str:
+    """Return an identifier that no other goal has."""
+    return uuid.uuid4().hex[:16]
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """A grasping action to be executed.
+
+    Attributes:
+        action: Name of the action; case and underscores do not matter.
+        elements: Fingers or actuator a primitive is done with, in any order.
+        kind: ``primitive``, ``composed``, ``timed`` or ``generic`` where a name is not unique.
+        intensity: 0 (rest posture) to 1 (the action's posture).
+        effort: Effort limit per actuator [N·m | N]; empty: those of the hand.
+        tolerance: Error norm at which the goal counts as reached (rad and m apart).
+        speed: Scale of the velocity limits, above 0 and up to 1.
+        timeout: Longest time it may take [s]; ``None``: as configured for the hand.
+        stage: How far a pinch goes.
+        goal_id: Its identifier.
+        client: Who asks.
+    """
+
+    action: str
+    elements: tuple[str, ...] = ()
+    kind: str | None = None
+    intensity: float = 1.0
+    effort: Mapping[str, float] = field(default_factory=_nothing)
+    tolerance: float = 0.01
+    speed: float = 1.0
+    timeout: float | None = None
+    stage: Stage = Stage.BOTH
+    goal_id: str = field(default_factory=new_goal_id)
+    client: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """How far a goal has come, from measured positions.
+
+    Attributes:
+        goal_id: The goal.
+        progress: 0 to 1, never falling while the goal runs.
+        inner: For a timed action, the name (alias) of the inner action under way, else empty.
+        inner_progress: For a timed action, the progress of every inner action, by name, in order.
+        stamp: CLOCK_MONOTONIC [s].
+    """
+
+    goal_id: str
+    progress: float
+    inner: str = ""
+    inner_progress: Mapping[str, float] = field(default_factory=_nothing)
+    stamp: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """How a goal ended: separate truths.
+
+    Attributes:
+        goal_id: The goal.
+        action: The action's name.
+        reached: The measured posture is within the tolerance.
+        stalled: The hand stopped short of it.
+        grasped: The hand holds something.
+        grasped_fingers: The fingers that hold it.
+        preempted: A new goal replaced it.
+        cancelled: It was cancelled; the hand holds the measured posture.
+        timed_out: It took longer than its timeout.
+        aborted: It could not go on; see ``reason``.
+        reason: Why it was aborted, in words.
+        error: Norm of the remaining error over the involved actuators [rad | m].
+        duration: From acceptance to the end [s].
+        position: Measured actuator positions at the end, by name.
+    """
+
+    goal_id: str
+    action: str
+    reached: bool = False
+    stalled: bool = False
+    grasped: bool = False
+    grasped_fingers: tuple[str, ...] = ()
+    preempted: bool = False
+    cancelled: bool = False
+    timed_out: bool = False
+    aborted: bool = False
+    reason: str = ""
+    error: float = 0.0
+    duration: float = 0.0
+    position: Mapping[str, float] = field(default_factory=_nothing)
+
+    @property
+    def succeeded(self) -> bool:
+        """Reached, or holding something."""
+        return self.reached or self.grasped
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something worth telling that is neither feedback nor a result.
+
+    Attributes:
+        kind: ``grasp_lost``, ``device_fault``, ``device_lost``, ``reconnected``, ``limited``,
+            ``stop``, ``recovered``, ``thermal``, ``mark``, ``action_added`` and the like.
+        source: The device, finger or client it concerns.
+        text: One sentence.
+        stamp: CLOCK_MONOTONIC [s].
+        severity: ``info``, ``warning`` or ``error``.
+    """
+
+    kind: str
+    source: str
+    text: str
+    stamp: float
+    severity: str = "info"
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStatistics:
+    """The loop's clock, since the start and over the last window.
+
+    Times are in seconds.
+
+    Attributes:
+        rate: Configured rate [Hz].
+        measured_rate: Rate over the last window [Hz].
+        ticks: Ticks done.
+        missed: Ticks missed (counted, never caught up).
+        lateness_p50: Median wake-up lateness.
+        lateness_p99: 99th percentile.
+        lateness_p999: 99.9th percentile.
+        lateness_max: Worst.
+        busy_p50: Median time the loop worked in a tick.
+        busy_p99: 99th percentile.
+        busy_p999: 99.9th percentile.
+        busy_max: Worst.
+        dropped: Log records dropped because the writer fell behind.
+    """
+
+    rate: float
+    measured_rate: float = 0.0
+    ticks: int = 0
+    missed: int = 0
+    lateness_p50: float = 0.0
+    lateness_p99: float = 0.0
+    lateness_p999: float = 0.0
+    lateness_max: float = 0.0
+    busy_p50: float = 0.0
+    busy_p99: float = 0.0
+    busy_p999: float = 0.0
+    busy_max: float = 0.0
+    dropped: int = 0
