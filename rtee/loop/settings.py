@@ -1,0 +1,184 @@
+"""What the loop is told: plain data without pydantic, made from hand.yaml by `rtee.run`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from rtee.errors import ConfigError
+from rtee.types import DeviceSpec
+
+MIN_RATE = 1.0
+"""Slowest rate of the loop [Hz]."""
+
+MAX_RATE = 2000.0
+"""Fastest rate of the loop [Hz]."""
+
+
+class ProfileKind(StrEnum):
+    """How the reference gets from one set-point to the next."""
+
+    JERK_LIMITED = "jerk_limited"
+    FILTER = "filter"
+    STEP = "step"
+
+
+class Behaviour(StrEnum):
+    """What the hand does when nobody drives it any more."""
+
+    HOLD = "hold"
+    """Keep the measured posture, powered."""
+    STOP = "stop"
+    """Stop the devices' motion now, powered."""
+    OPEN = "open"
+    """Go to the rest posture, then hold."""
+    RELEASE = "release"
+    """Let go: limp where the device can be."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileSettings:
+    """The profile between set-points.
+
+    Attributes:
+        kind: Which profile.
+        bandwidth: Bandwidth of the `ProfileKind.FILTER` profile [Hz].
+    """
+
+    kind: ProfileKind = ProfileKind.JERK_LIMITED
+    bandwidth: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class StallSettings:
+    """When an actuator counts as stalled.
+
+    Attributes:
+        time: How long it must be slow [s].
+        speed: Slow means below this fraction of its velocity limit.
+    """
+
+    time: float = 0.25
+    speed: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class GraspSettings:
+    """When a stalled actuator counts as holding something, and how hard it holds afterwards.
+
+    Attributes:
+        effort: Measured effort above this fraction of the effort limit means contact.
+        holding_effort: Effort limit while holding, as a fraction of the effort limit.
+        holding_after: Time after the grasp at which the effort is reduced to it [s].
+    """
+
+    effort: float = 0.2
+    holding_effort: float = 0.4
+    holding_after: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class SafetySettings:
+    """What happens when something ends or breaks.
+
+    Attributes:
+        on_exit: When the loop ends: SIGINT, SIGTERM, end of the given duration.
+        on_client_lost: When the client that holds the hand has died.
+        on_link_lost: What the remaining devices of a hand do when one of them is lost.
+        on_error: When the loop itself fails.
+        max_step: Largest change of a reference per tick [rad | m]; ``None``: one tick at the
+            velocity limit.
+    """
+
+    on_exit: Behaviour = Behaviour.HOLD
+    on_client_lost: Behaviour = Behaviour.HOLD
+    on_link_lost: Behaviour = Behaviour.HOLD
+    on_error: Behaviour = Behaviour.STOP
+    max_step: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalSettings:
+    """Thresholds of actuator temperature [°C].
+
+    Attributes:
+        warn: An event is raised.
+        derate: The effort limit falls linearly from here, to nothing at `release`.
+        release: The device is released.
+    """
+
+    warn: float = 60.0
+    derate: float = 70.0
+    release: float = 80.0
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeSettings:
+    """Real-time set-up of the loop's thread.
+
+    Attributes:
+        enabled: Whether to ask the system for it.
+        priority: SCHED_FIFO priority, 1 to 99.
+        cpus: CPUs the loop's thread may run on; empty: all.
+        lock_memory: Keep all pages of the process in memory.
+    """
+
+    enabled: bool = False
+    priority: int = 80
+    cpus: tuple[int, ...] = ()
+    lock_memory: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSettings:
+    """A device of a hand, as the supervisor needs it.
+
+    Attributes:
+        spec: What the driver is made from.
+        reconnect_active: Activate again by itself after the link came back; else stay inactive.
+    """
+
+    spec: DeviceSpec
+    reconnect_active: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """The loop of one hand.
+
+    Attributes:
+        rate: Ticks per second [Hz], `MIN_RATE` to `MAX_RATE`.
+        goal_timeout: Longest time a goal may take that gives none [s].
+        profile: The profile between set-points.
+        stall: Stall detection.
+        grasp: Grasp detection and holding effort.
+        safety: What happens when something ends or breaks.
+        thermal: Thresholds of temperature.
+        feedback_rate: Feedback is given at most this often [Hz].
+        statistics_window: Device status and loop statistics are given this often [s].
+
+    Raises:
+        ConfigError: if the rate is out of range.
+    """
+
+    rate: float = 1000.0
+    goal_timeout: float = 10.0
+    profile: ProfileSettings = field(default_factory=ProfileSettings)
+    stall: StallSettings = field(default_factory=StallSettings)
+    grasp: GraspSettings = field(default_factory=GraspSettings)
+    safety: SafetySettings = field(default_factory=SafetySettings)
+    thermal: ThermalSettings = field(default_factory=ThermalSettings)
+    feedback_rate: float = 50.0
+    statistics_window: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rate) and MIN_RATE <= self.rate <= MAX_RATE):
+            raise ConfigError(
+                f"the loop's rate must be {MIN_RATE:g} to {MAX_RATE:g} Hz, not {self.rate:g}"
+            )
+
+    @property
+    def period(self) -> float:
+        """Time between ticks [s]."""
+        return 1.0 / self.rate
