@@ -1,0 +1,179 @@
+"""One motor axis as the emulators move it: first-order motion, contact, heat. No I/O, no clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+_STEP = 0.001
+_MOST_STEPS = 400
+
+
+@dataclass(slots=True)
+class VirtualObject:
+    """An object between the fingers, met when an axis closes.
+
+    Attributes:
+        contact: Position of the axis at which it touches [axis units].
+        stiffness: Effort per displacement past the contact [effort per axis unit].
+        closing: Direction in which the axis closes, +1 or -1.
+    """
+
+    contact: float
+    stiffness: float = 1e3
+    closing: float = 1.0
+
+
+class Axis:
+    """A position-controlled axis: speed limit, first-order approach, force limit, hard stops, heat.
+
+    Units are the caller's: positions in whatever the device counts, effort likewise; time is in
+    seconds. At rest against an object the servo and the object balance, limited by ``max_effort``.
+
+    Attributes:
+        position: Where it is.
+        target: Where it is told to go.
+        velocity: How fast it moves.
+        effort: What it exerts, signed, towards the target.
+        enabled: Whether the motor is powered; unpowered it stays where it is (friction).
+        max_velocity: Speed limit.
+        max_effort: Effort limit.
+        time_constant: Time constant of the approach [s].
+        gain: Effort per position error at standstill.
+        friction: Effort while it moves freely.
+        resolution: Error at which the approach counts as done.
+        lower: Hard stop.
+        upper: Hard stop.
+        obstacle: The object, if there is one.
+        stuck: It does not move, whatever it is told.
+        temperature: Of the motor [°C].
+        ambient: Of the surroundings [°C].
+        heating: Warming at ``max_effort`` of the device's rating [K/s].
+        cooling: Part of the temperature difference lost per second [1/s].
+        rating: Effort at which `heating` applies.
+    """
+
+    __slots__ = (
+        "ambient",
+        "cooling",
+        "effort",
+        "enabled",
+        "friction",
+        "gain",
+        "heating",
+        "lower",
+        "max_effort",
+        "max_velocity",
+        "obstacle",
+        "position",
+        "rating",
+        "resolution",
+        "stuck",
+        "target",
+        "temperature",
+        "time_constant",
+        "upper",
+        "velocity",
+    )
+
+    def __init__(
+        self,
+        position: float = 0.0,
+        *,
+        lower: float = -math.inf,
+        upper: float = math.inf,
+        max_velocity: float = math.inf,
+        max_effort: float = 1.0,
+        time_constant: float = 0.02,
+        gain: float = math.inf,
+        friction: float = 0.0,
+        resolution: float = 1e-9,
+    ) -> None:
+        self.position = position
+        self.target = position
+        self.velocity = 0.0
+        self.effort = 0.0
+        self.enabled = False
+        self.max_velocity = max_velocity
+        self.max_effort = max_effort
+        self.time_constant = time_constant
+        self.gain = gain
+        self.friction = friction
+        self.resolution = resolution
+        self.lower = lower
+        self.upper = upper
+        self.obstacle: VirtualObject | None = None
+        self.stuck = False
+        self.ambient = 25.0
+        self.temperature = self.ambient
+        self.heating = 0.5
+        self.cooling = 0.01
+        self.rating = max_effort
+
+    @property
+    def blocked(self) -> bool:
+        """Standing still short of its target, exerting effort."""
+        return self.enabled and self.velocity == 0.0 and self.position != self.target
+
+    def _bounds(self) -> tuple[float, float]:
+        """Return how far it can go now: the stops, and the object squeezed by ``max_effort``."""
+        lower, upper = self.lower, self.upper
+        thing = self.obstacle
+        if thing is not None:
+            deepest = thing.contact + thing.closing * self.max_effort / thing.stiffness
+            if thing.closing > 0:
+                upper = max(min(upper, deepest), lower)
+            else:
+                lower = min(max(lower, deepest), upper)
+        return lower, upper
+
+    def _contact(self) -> float:
+        """Return the object's effort against the axis, not negative."""
+        thing = self.obstacle
+        if thing is None:
+            return 0.0
+        return max(0.0, (self.position - thing.contact) * thing.closing * thing.stiffness)
+
+    def advance(self, dt: float) -> None:
+        """Let ``dt`` seconds pass."""
+        if dt <= 0.0:
+            return
+        steps = min(max(1, math.ceil(dt / _STEP)), _MOST_STEPS)
+        for _ in range(steps):
+            self._advance(dt / steps)
+
+    def _advance(self, dt: float) -> None:
+        if self.enabled and not self.stuck:
+            lower, upper = self._bounds()
+            goal = min(max(self.target, lower), upper)
+            error = goal - self.position
+            approach = error * -math.expm1(-dt / self.time_constant)
+            limit = self.max_velocity * dt
+            change = min(max(approach, -limit), limit)
+            if abs(error) <= self.resolution:
+                change = error
+            self.position += change
+            self.velocity = change / dt
+        else:
+            self.velocity = 0.0
+        self._exert()
+        rated = self.rating if self.rating > 0.0 else 1.0
+        warming = self.heating * (self.effort / rated) ** 2
+        self.temperature += dt * (warming - self.cooling * (self.temperature - self.ambient))
+
+    def _exert(self) -> None:
+        if not self.enabled:
+            self.effort = 0.0
+            return
+        error = self.target - self.position
+        if error == 0.0:
+            pull = self._contact()
+            direction = 1.0 if self.obstacle is None else self.obstacle.closing
+        else:
+            direction = math.copysign(1.0, error)
+            pull = 0.0 if math.isinf(self.gain) else self.gain * abs(error)
+            if math.isinf(self.gain) and (self.velocity == 0.0 or self.stuck):
+                pull = self.max_effort
+        if self.velocity != 0.0:
+            pull = max(self.friction, self._contact())
+        self.effort = direction * min(pull, self.max_effort)

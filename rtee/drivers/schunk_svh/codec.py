@@ -1,0 +1,396 @@
+"""The SVH's serial protocol: packets, messages and a resynchronising parser. No I/O."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import reduce
+from operator import xor
+from typing import ClassVar, Self
+
+BAUDRATE = 921_600
+CHANNELS = 9
+SYNC = b"\x4c\xaa"
+PAYLOAD = 64
+"""Bytes of data in every packet of the host, padded with zeros."""
+PACKET = PAYLOAD + 8
+"""Bytes of a padded packet on the wire."""
+GAP = 782e-6
+"""Pause the hand needs after each packet of the host [s]."""
+
+_HEADER = struct.Struct("<2sBBH")
+_FEEDBACK = struct.Struct("<ih")
+_FEEDBACK_ALL = struct.Struct("<9i9h")
+_TARGETS = struct.Struct("<9i")
+_TEN_FLOATS = struct.Struct("<10f")
+_STATE = struct.Struct("<6H")
+_ENCODERS = struct.Struct("<9I")
+_FIRMWARE = struct.Struct("<4sHH48s")
+
+
+class SvhFrameError(ValueError):
+    """Bytes that are no packet, or a packet whose data does not fit its command."""
+
+
+class Command(IntEnum):
+    """The low nibble of a packet's address."""
+
+    GET_CONTROL_FEEDBACK = 0x0
+    SET_CONTROL_COMMAND = 0x1
+    GET_CONTROL_FEEDBACK_ALL = 0x2
+    SET_CONTROL_COMMAND_ALL = 0x3
+    GET_POSITION_SETTINGS = 0x4
+    SET_POSITION_SETTINGS = 0x5
+    GET_CURRENT_SETTINGS = 0x6
+    SET_CURRENT_SETTINGS = 0x7
+    GET_CONTROLLER_STATE = 0x8
+    SET_CONTROLLER_STATE = 0x9
+    GET_ENCODER_VALUES = 0xA
+    SET_ENCODER_VALUES = 0xB
+    GET_FIRMWARE_INFO = 0xC
+
+
+def checksums(data: bytes) -> tuple[int, int]:
+    """Return the sum modulo 256 and the exclusive-or of the data bytes."""
+    return sum(data) & 0xFF, reduce(xor, data, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One packet, either way.
+
+    Attributes:
+        command: What it is about.
+        channel: The channel it is about, 0 where the command has none.
+        data: Its data as on the wire.
+        index: The host's packet counter, 0 to 254; a reply carries that of its request.
+    """
+
+    command: Command
+    channel: int = 0
+    data: bytes = b""
+    index: int = 0
+
+    def to_bytes(self, *, pad: bool = True) -> bytes:
+        """Return the packet as sent; the host always pads its data to 64 bytes."""
+        if len(self.data) > PAYLOAD or not 0 <= self.channel <= 15 or not 0 <= self.index <= 255:
+            raise SvhFrameError(f"no packet can carry {self}")
+        data = self.data.ljust(PAYLOAD, b"\x00") if pad else self.data
+        address = self.command | self.channel << 4
+        return _HEADER.pack(SYNC, self.index, address, len(data)) + data + bytes(checksums(data))
+
+    @classmethod
+    def from_bytes(cls, raw: bytes) -> Self:
+        """Return the packet that ``raw`` is, whole and nothing else.
+
+        Raises:
+            SvhFrameError: if it is none.
+        """
+        if len(raw) < 8:
+            raise SvhFrameError(f"{len(raw)} bytes are too few for a packet")
+        sync, index, address, length = _HEADER.unpack_from(raw)
+        if sync != SYNC:
+            raise SvhFrameError("a packet begins with 4C AA")
+        if length > PAYLOAD or len(raw) != length + 8:
+            raise SvhFrameError(f"a data length of {length} does not fit {len(raw)} bytes")
+        data = raw[6:-2]
+        if bytes(checksums(data)) != raw[-2:]:
+            raise SvhFrameError("the checksums do not match")
+        command = address & 0xF
+        if command > Command.GET_FIRMWARE_INFO:
+            raise SvhFrameError(f"there is no command {command:#x}")
+        return cls(Command(command), address >> 4, data, index)
+
+
+class Parser:
+    """Finds packets in a stream; a bad one costs itself, not the one that follows.
+
+    Attributes:
+        errors: Packets dropped for a bad length, command or checksum.
+        skipped: Bytes dropped between packets.
+    """
+
+    LIMIT: ClassVar[int] = 4 * PACKET
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.errors = 0
+        self.skipped = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept because a packet may still be completed."""
+        return len(self._buffer)
+
+    def reset(self) -> None:
+        """Forget what has come in."""
+        self._buffer.clear()
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Take bytes as they come in and return the packets completed by them."""
+        packets: list[Packet] = []
+        for start in range(0, len(data), PACKET):
+            self._buffer += data[start : start + PACKET]
+            self._scan(packets)
+        return packets
+
+    def _scan(self, packets: list[Packet]) -> None:
+        buffer = self._buffer
+        while buffer:
+            start = buffer.find(SYNC)
+            if start < 0:
+                keep = 1 if buffer[-1] == SYNC[0] else 0
+                self.skipped += len(buffer) - keep
+                del buffer[: len(buffer) - keep]
+                return
+            if start:
+                self.skipped += start
+                del buffer[:start]
+            if len(buffer) < 6:
+                return
+            length = buffer[4] | buffer[5] << 8
+            if length <= PAYLOAD and len(buffer) < length + 8:
+                return
+            try:
+                packets.append(Packet.from_bytes(bytes(buffer[: length + 8])))
+                del buffer[: length + 8]
+            except SvhFrameError:
+                self.errors += 1
+                del buffer[:1]
+
+
+def _unpack(form: struct.Struct, packet: Packet, what: str) -> tuple[float, ...]:
+    if len(packet.data) < form.size:
+        raise SvhFrameError(f"{what} needs {form.size} bytes, not {len(packet.data)}")
+    return form.unpack_from(packet.data)
+
+
+def _clip(value: float, bits: int) -> int:
+    edge = 1 << (bits - 1)
+    return min(max(int(value), -edge), edge - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """Position [ticks] and current [mA] of one channel."""
+
+    position: int
+    current_ma: int
+
+    @classmethod
+    def from_bytes(cls, packet: Packet) -> Self:
+        """Read the answer to a single-channel command; raises `SvhFrameError`."""
+        position, current = _unpack(_FEEDBACK, packet, "a channel's feedback")
+        return cls(int(position), int(current))
+
+    def to_bytes(self) -> bytes:
+        """Return the data of the answer."""
+        return _FEEDBACK.pack(_clip(self.position, 32), _clip(self.current_ma, 16))
+
+
+@dataclass(frozen=True, slots=True)
+class FeedbackAll:
+    """Positions [ticks] and currents [mA] of all channels."""
+
+    positions: tuple[int, ...]
+    currents_ma: tuple[int, ...]
+
+    @classmethod
+    def from_bytes(cls, packet: Packet) -> Self:
+        """Read the answer to an all-channel command; raises `SvhFrameError`."""
+        values = tuple(int(v) for v in _unpack(_FEEDBACK_ALL, packet, "feedback of all channels"))
+        return cls(values[:CHANNELS], values[CHANNELS:])
+
+    def to_bytes(self) -> bytes:
+        """Return the data of the answer."""
+        return _FEEDBACK_ALL.pack(
+            *(_clip(p, 32) for p in self.positions), *(_clip(c, 16) for c in self.currents_ma)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PositionSettings:
+    """The position controller of one channel.
+
+    Attributes:
+        minimum: Smallest reference [ticks].
+        maximum: Largest reference [ticks].
+        max_rate: Fastest change of the reference [ticks/s].
+        filter: Reference filter ``ky``.
+        period: Time base of the controller [s].
+        integral_min: Lower bound of the integral part.
+        integral_max: Upper bound of the integral part.
+        kp: Proportional gain.
+        ki: Integral gain.
+        kd: Derivative gain.
+    """
+
+    minimum: float
+    maximum: float
+    max_rate: float
+    filter: float
+    period: float
+    integral_min: float
+    integral_max: float
+    kp: float
+    ki: float
+    kd: float
+
+    @classmethod
+    def from_bytes(cls, packet: Packet) -> Self:
+        """Read the settings from an answer; raises `SvhFrameError`."""
+        return cls(*_unpack(_TEN_FLOATS, packet, "position settings"))
+
+    def to_bytes(self) -> bytes:
+        """Return the data of the settings."""
+        return _TEN_FLOATS.pack(
+            self.minimum, self.maximum, self.max_rate, self.filter, self.period,
+            self.integral_min, self.integral_max, self.kp, self.ki, self.kd,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentSettings:
+    """The current controller of one channel.
+
+    Attributes:
+        minimum: Smallest current [mA].
+        maximum: Largest current [mA].
+        filter: Reference filter ``ky``.
+        period: Time base of the controller [s].
+        integral_min: Lower bound of the integral part.
+        integral_max: Upper bound of the integral part.
+        kp: Proportional gain.
+        ki: Integral gain.
+        output_min: Smallest PWM output.
+        output_max: Largest PWM output.
+    """
+
+    minimum: float
+    maximum: float
+    filter: float
+    period: float
+    integral_min: float
+    integral_max: float
+    kp: float
+    ki: float
+    output_min: float
+    output_max: float
+
+    @classmethod
+    def from_bytes(cls, packet: Packet) -> Self:
+        """Read the settings from an answer; raises `SvhFrameError`."""
+        return cls(*_unpack(_TEN_FLOATS, packet, "current settings"))
+
+    def to_bytes(self) -> bytes:
+        """Return the data of the settings."""
+        return _TEN_FLOATS.pack(
+            self.minimum, self.maximum, self.filter, self.period, self.integral_min,
+            self.integral_max, self.kp, self.ki, self.output_min, self.output_max,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerState:
+    """Power stages and controllers of the whole hand.
+
+    Attributes:
+        pwm_fault: Latched driver faults; written as 0x1F to clear them.
+        pwm_otw: Latched over-temperature warnings; written as 0x1F to clear them.
+        pwm_reset: Power stages out of reset: bits 0 to 8 the channels, bit 9 the 12 V supply.
+        pwm_active: Power stages on, the same bits.
+        position_control: 1 when the position controllers run.
+        current_control: 1 when the current controllers run.
+    """
+
+    CLEAR: ClassVar[int] = 0x1F
+    SUPPLY: ClassVar[int] = 0x0200
+
+    pwm_fault: int = 0
+    pwm_otw: int = 0
+    pwm_reset: int = 0
+    pwm_active: int = 0
+    position_control: int = 0
+    current_control: int = 0
+
+    @property
+    def enabled(self) -> int:
+        """Bit mask of the channels that are powered."""
+        return self.pwm_reset & self.pwm_active & 0x1FF
+
+    @classmethod
+    def from_bytes(cls, packet: Packet) -> Self:
+        """Read the state from an answer; raises `SvhFrameError`."""
+        return cls(*(int(v) for v in _unpack(_STATE, packet, "the controller state")))
+
+    def to_bytes(self) -> bytes:
+        """Return the data of the state."""
+        return _STATE.pack(
+            self.pwm_fault, self.pwm_otw, self.pwm_reset, self.pwm_active,
+            self.position_control, self.current_control,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareInfo:
+    """What the hand says about itself; a genuine one says ``SVH``."""
+
+    name: str
+    major: int
+    minor: int
+    text: str
+
+    @property
+    def version(self) -> tuple[int, int]:
+        """Major and minor version."""
+        return self.major, self.minor
+
+    @classmethod
+    def from_bytes(cls, packet: Packet) -> Self:
+        """Read it from an answer; raises `SvhFrameError`."""
+        if len(packet.data) < _FIRMWARE.size:
+            raise SvhFrameError(f"firmware information needs {_FIRMWARE.size} bytes")
+        name, major, minor, text = _FIRMWARE.unpack_from(packet.data)
+        return cls(
+            name.split(b"\x00")[0].decode("ascii", "replace"),
+            major,
+            minor,
+            text.split(b"\x00")[0].decode("ascii", "replace"),
+        )
+
+    def to_bytes(self) -> bytes:
+        """Return the data of the answer."""
+        return _FIRMWARE.pack(
+            self.name.encode("ascii"), self.major, self.minor, self.text.encode("ascii", "replace")
+        )
+
+
+def targets(positions: tuple[int, ...] | list[int]) -> bytes:
+    """Return the data that sets the targets [ticks] of all channels."""
+    return _TARGETS.pack(*(_clip(p, 32) for p in positions))
+
+
+def read_targets(packet: Packet) -> tuple[int, ...]:
+    """Return the targets [ticks] of all channels; raises `SvhFrameError`."""
+    return tuple(int(v) for v in _unpack(_TARGETS, packet, "targets of all channels"))
+
+
+def target(position: int) -> bytes:
+    """Return the data that sets the target [ticks] of one channel."""
+    return struct.pack("<i", _clip(position, 32))
+
+
+def read_target(packet: Packet) -> int:
+    """Return the target [ticks] of one channel; raises `SvhFrameError`."""
+    return int(_unpack(struct.Struct("<i"), packet, "a target")[0])
+
+
+def encoders(scalings: tuple[int, ...]) -> bytes:
+    """Return the data of the encoder scalings of all channels."""
+    return _ENCODERS.pack(*scalings)
+
+
+def read_encoders(packet: Packet) -> tuple[int, ...]:
+    """Return the encoder scalings of all channels; raises `SvhFrameError`."""
+    return tuple(int(v) for v in _unpack(_ENCODERS, packet, "encoder scalings"))
