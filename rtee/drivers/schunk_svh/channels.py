@@ -1,0 +1,154 @@
+"""The SVH's nine channels: ranges, units, and the parameter sets of its controllers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from rtee.drivers.schunk_svh.codec import CurrentSettings, PositionSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One channel of the hand, as its homing and its gearing define it.
+
+    Encoders are relative: after homing, 0 rad is the open end of the range. Homing drives a channel
+    beyond its open stop; ``min_offset`` and ``max_offset`` place the soft limits relative to it.
+
+    Attributes:
+        index: Number on the wire, 0 to 8.
+        name: Its name, as the end of the actuator's name.
+        direction: Direction of homing, +1 or -1.
+        min_offset: Lower soft limit relative to the stop [ticks].
+        max_offset: Upper soft limit relative to the stop [ticks].
+        idle_offset: Where homing leaves it, relative to the stop [ticks].
+        range: Travel between the soft limits [rad].
+        reset_factor: Part of the current limit that counts as having met the stop.
+        effort_slope: Effort per current [N/mA]; 0 when it is not known.
+        effort_offset: Effort at no current [N].
+    """
+
+    index: int
+    name: str
+    direction: int
+    min_offset: int
+    max_offset: int
+    idle_offset: int
+    range: float
+    reset_factor: float
+    effort_slope: float = 0.0
+    effort_offset: float = 0.0
+
+    @property
+    def rad_per_tick(self) -> float:
+        """Signed gearing [rad/tick]."""
+        return self.range / (self.max_offset - self.min_offset) * -self.direction
+
+    def soft_limits(self, stop: int) -> tuple[int, int]:
+        """Return the lowest and highest target [ticks] for a stop met at ``stop``."""
+        return stop + self.min_offset, stop + self.max_offset
+
+    def zero(self, stop: int) -> int:
+        """Return the position of 0 rad [ticks]: the soft limit at the open end."""
+        return stop + (self.max_offset if self.direction > 0 else self.min_offset)
+
+    def idle(self, stop: int) -> int:
+        """Return where homing leaves the channel [ticks]: inside the limits, off the stop."""
+        return stop - self.direction * abs(self.idle_offset)
+
+    def to_rad(self, ticks: float, zero: int) -> float:
+        """Return the angle [rad] of a position [ticks]."""
+        return (ticks - zero) * self.rad_per_tick
+
+    def to_ticks(self, angle: float, zero: int) -> int:
+        """Return the position [ticks] of an angle [rad]."""
+        return round(angle / self.rad_per_tick) + zero
+
+    def to_rate(self, velocity: float) -> float:
+        """Return a speed [ticks/s] for a speed [rad/s]."""
+        return abs(velocity / self.rad_per_tick)
+
+    def to_effort(self, current_ma: float) -> float:
+        """Return the effort [N] of a current [mA], signed; ``NaN`` when the scale is not known."""
+        if self.effort_slope == 0.0:
+            return math.nan
+        size = max(0.0, self.effort_slope * abs(current_ma) + self.effort_offset)
+        return math.copysign(size, current_ma * -self.direction)
+
+    def to_current(self, effort: float) -> float:
+        """Return the current [mA] that gives an effort [N]; ``NaN`` when the scale is not known."""
+        if self.effort_slope == 0.0:
+            return math.nan
+        return max(0.0, (abs(effort) - self.effort_offset) / self.effort_slope)
+
+
+CHANNELS: tuple[Channel, ...] = (
+    Channel(0, "Thumb_Flexion", +1, -175_000, -5_000, -15_000, 0.97, 0.75, 0.015, -1.543),
+    Channel(1, "Thumb_Opposition", +1, -150_000, -5_000, -15_000, 0.99, 0.75),
+    Channel(2, "Index_Finger_Distal", +1, -47_000, -2_000, -8_000, 1.33, 0.75, 0.014, -0.07),
+    Channel(3, "Index_Finger_Proximal", -1, 2_000, 42_000, 8_000, 0.80, 0.75, 0.015, 0.282),
+    Channel(4, "Middle_Finger_Distal", +1, -47_000, -2_000, -8_000, 1.33, 0.75, 0.014, -0.026),
+    Channel(5, "Middle_Finger_Proximal", -1, 2_000, 42_000, 8_000, 0.80, 0.75, 0.015, 0.336),
+    Channel(6, "Ring_Finger", +1, -47_000, -2_000, -8_000, 0.98, 0.75, 0.007, -0.073),
+    Channel(7, "Pinky", +1, -47_000, -2_000, -8_000, 0.98, 0.75, 0.005, 0.081),
+    Channel(8, "Finger_Spread", +1, -47_000, -2_000, -25_000, 0.58, 0.40),
+)
+"""The channels in the order of the wire, with the offsets built into the vendor's library."""
+
+HOMING_ORDER: tuple[int, ...] = (3, 5, 1, 0, 8, 4, 2, 6, 7)
+"""Channels in the order in which they may be homed and enabled without getting into each other."""
+
+HOMING_RATE = 0.2
+"""Part of the normal speed at which a channel looks for its stop."""
+
+
+def channels_for(firmware: tuple[int, int]) -> tuple[Channel, ...]:
+    """Return the channels with the offsets that belong to a firmware version."""
+    table = list(CHANNELS)
+    if firmware in {(0, 0), (1, 2)}:
+        table[1] = replace(table[1], min_offset=-105_000)
+        table[8] = replace(table[8], min_offset=-57_000)
+    elif firmware[0] == 2:
+        table[8] = replace(
+            table[8], min_offset=-52_000, reset_factor=0.7 if firmware == (2, 3) else 0.40
+        )
+    return tuple(table)
+
+
+_RATES = (65e3, 50e3, 45e3, 40e3, 45e3, 40e3, 45e3, 45e3, 25e3)
+_KP = (0.5, 0.5, 0.5, 0.8, 0.5, 0.8, 0.5, 0.5, 0.5)
+_KI = (0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_KD = (400.0, 100.0, 40.0, 1000.0, 10.0, 1000.0, 100.0, 100.0, 100.0)
+_CURRENTS = (500.0, 500.0, 300.0, 350.0, 300.0, 350.0, 300.0, 300.0, 500.0)
+_CURRENT_KP = (0.6, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.7)
+_CURRENT_KI = (10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 25.0, 25.0, 60.0)
+_CURRENT_INTEGRAL = (25.0, 25.0, 25.0, 25.0, 25.0, 25.0, 10.0, 10.0, 4.0)
+
+
+def position_settings(channel: int) -> PositionSettings:
+    """Return the position controller of a channel for firmware 1.x."""
+    return PositionSettings(
+        -1e6, 1e6, _RATES[channel], 1.0, 1e-3, -500.0, 500.0,
+        _KP[channel], _KI[channel], _KD[channel],
+    )  # fmt: skip
+
+
+def current_settings(channel: int) -> CurrentSettings:
+    """Return the current controller of a channel for firmware 1.x."""
+    limit, integral = _CURRENTS[channel], _CURRENT_INTEGRAL[channel]
+    return CurrentSettings(
+        -limit, limit, 0.405, 4e-6, -integral, integral,
+        _CURRENT_KP[channel], _CURRENT_KI[channel], -255.0, 255.0,
+    )  # fmt: skip
+
+
+def channel_of(actuator: str) -> int:
+    """Return the channel that an actuator's name ends with, any prefix before it.
+
+    Raises:
+        KeyError: if it ends with no channel's name.
+    """
+    for channel in CHANNELS:
+        if actuator == channel.name or actuator.endswith(f"_{channel.name}"):
+            return channel.index
+    raise KeyError(actuator)
