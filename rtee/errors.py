@@ -25,6 +25,7 @@ The tree::
     │   ├── HandshakeError         another device than the one expected
     │   ├── DeviceFault            the device reports a fault
     │   └── CommandRejected        a reference the device cannot take
+    ├── MessageError (ValueError)  bytes that are no valid message
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
@@ -312,6 +313,10 @@ class DeviceFault(DriverError):
 
 class CommandRejected(DriverError):
     """The device cannot take this reference, for example an effort limit it does not have."""
+
+
+class MessageError(RteeError, ValueError):
+    """Bytes that are no valid message, or a message with values that make no sense."""
 
 
 class LoopError(RteeError):

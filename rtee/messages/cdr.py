@@ -1,0 +1,168 @@
+"""Common Data Representation: the bytes of ROS 2 messages, little-endian (XCDR version 1).
+
+Layout as in the OMG's CDR and as ROS 2 uses it: four bytes of encapsulation header, then the
+fields in order, each primitive aligned to its own size counted from after that header; a string
+is its length with the closing NUL as ``uint32``, its UTF-8 bytes and the NUL; a sequence is its
+length as ``uint32`` and its elements.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.errors import MessageError
+
+HEADER = b"\x00\x01\x00\x00"
+"""Encapsulation header: CDR, little-endian, no options."""
+
+LONGEST = 64 * 1024 * 1024
+"""Longest message that is decoded [bytes]."""
+
+SCALARS: dict[str, struct.Struct] = {
+    "bool": struct.Struct("<?"),
+    "int8": struct.Struct("<b"),
+    "uint8": struct.Struct("<B"),
+    "int16": struct.Struct("<h"),
+    "uint16": struct.Struct("<H"),
+    "int32": struct.Struct("<i"),
+    "uint32": struct.Struct("<I"),
+    "int64": struct.Struct("<q"),
+    "uint64": struct.Struct("<Q"),
+    "float32": struct.Struct("<f"),
+    "float64": struct.Struct("<d"),
+}
+DTYPES: dict[str, np.dtype[Any]] = {
+    name: np.dtype("bool" if name == "bool" else name).newbyteorder("<") for name in SCALARS
+}
+
+_LENGTH = SCALARS["uint32"]
+
+
+class Writer:
+    """Builds the bytes of one message."""
+
+    __slots__ = ("_buffer",)
+
+    def __init__(self) -> None:
+        self._buffer = bytearray(HEADER)
+
+    def align(self, size: int) -> None:
+        """Pad with zeros up to a multiple of ``size`` bytes."""
+        self._buffer += bytes(-(len(self._buffer) - len(HEADER)) % size)
+
+    def scalar(self, kind: str, value: Any) -> None:
+        """Append one number or truth value of a primitive kind."""
+        packer = SCALARS[kind]
+        self.align(packer.size)
+        self._buffer += packer.pack(value)
+
+    def string(self, value: str) -> None:
+        """Append a string."""
+        data = value.encode("utf-8", "replace")
+        self.length(len(data) + 1)
+        self._buffer += data
+        self._buffer.append(0)
+
+    def length(self, count: int) -> None:
+        """Append the length of a sequence."""
+        self.align(4)
+        self._buffer += _LENGTH.pack(count)
+
+    def array(self, kind: str, values: Sequence[Any] | NDArray[Any]) -> None:
+        """Append a sequence of numbers or truth values."""
+        array = np.ascontiguousarray(values, dtype=DTYPES[kind])
+        self.length(array.size)
+        if array.size:
+            self.align(array.itemsize)
+            self._buffer += array.tobytes()
+
+    def done(self) -> bytes:
+        """Return the message."""
+        return bytes(self._buffer)
+
+
+class Reader:
+    """Takes the bytes of one message apart; every length is checked before it is believed.
+
+    Raises:
+        MessageError: if the bytes cannot be a message of this encoding; so do all methods when
+            the bytes end too early or a length makes no sense.
+    """
+
+    __slots__ = ("_data", "_position")
+
+    def __init__(self, data: bytes | bytearray | memoryview) -> None:
+        if len(data) > LONGEST:
+            raise MessageError(f"{len(data)} bytes are longer than any message")
+        if bytes(data[:2]) != HEADER[:2] or len(data) < len(HEADER):
+            raise MessageError("no little-endian CDR header at the start")
+        self._data = memoryview(data).cast("B")[len(HEADER) :]
+        self._position = 0
+
+    @property
+    def remaining(self) -> int:
+        """Bytes that are left."""
+        return len(self._data) - self._position
+
+    def align(self, size: int) -> None:
+        """Skip the padding up to a multiple of ``size`` bytes."""
+        self._position += -self._position % size
+
+    def _take(self, count: int) -> memoryview:
+        start = self._position
+        end = start + count
+        if end > len(self._data):
+            raise MessageError(f"{count} bytes expected at offset {start}, {self.remaining} left")
+        self._position = end
+        return self._data[start:end]
+
+    def scalar(self, kind: str) -> Any:
+        """Return one number or truth value of a primitive kind."""
+        unpacker = SCALARS[kind]
+        self.align(unpacker.size)
+        return unpacker.unpack(self._take(unpacker.size))[0]
+
+    def string(self) -> str:
+        """Return a string."""
+        start = self._position
+        length = self.length(1)
+        if length == 0:
+            raise MessageError(f"string without its closing NUL at offset {start}")
+        data = bytes(self._take(length))
+        if data[-1] != 0:
+            raise MessageError(f"string without its closing NUL at offset {start}")
+        try:
+            return data[:-1].decode()
+        except UnicodeDecodeError:
+            raise MessageError(f"string that is not UTF-8 at offset {start}") from None
+
+    def length(self, least: int) -> int:
+        """Return the length of a sequence whose elements take at least ``least`` bytes each."""
+        self.align(4)
+        count = int(_LENGTH.unpack(self._take(4))[0])
+        if count * least > self.remaining:
+            raise MessageError(f"sequence of {count} elements, but {self.remaining} bytes left")
+        return count
+
+    def array(self, kind: str) -> NDArray[Any]:
+        """Return a sequence of numbers or truth values, as an array of its own."""
+        dtype = DTYPES[kind]
+        count = self.length(dtype.itemsize)
+        if not count:
+            return np.empty(0, dtype=dtype)
+        self.align(dtype.itemsize)
+        data = np.frombuffer(self._take(count * dtype.itemsize), dtype=np.uint8)
+        if kind == "bool":
+            return data.astype(bool)
+        array: NDArray[Any] = data.copy().view(dtype)
+        return array
+
+    def finish(self) -> None:
+        """Check that nothing but padding is left."""
+        if self.remaining >= 8 or any(self._data[self._position :]):
+            raise MessageError(f"{self.remaining} bytes too many at the end")

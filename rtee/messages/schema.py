@@ -1,0 +1,202 @@
+"""Messages as types: fields parsed from the definitions, encoding and decoding of any of them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from rtee.errors import MessageError
+from rtee.messages.cdr import SCALARS, Reader, Writer
+from rtee.messages.definitions import DEFINITIONS
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field of a message.
+
+    Attributes:
+        name: Its name.
+        kind: A primitive kind, ``string``, or the full name of a message.
+        sequence: Whether it is a sequence of those.
+        comment: What it is, as the definition says.
+    """
+
+    name: str
+    kind: str
+    sequence: bool
+    comment: str = ""
+
+    @property
+    def nested(self) -> bool:
+        """Whether it holds messages."""
+        return "/" in self.kind
+
+    @property
+    def notation(self) -> str:
+        """Its type as written in the definition."""
+        return self.kind.replace("/msg/", "/") + ("[]" if self.sequence else "")
+
+
+@dataclass(frozen=True, slots=True)
+class MessageType:
+    """A type of messages.
+
+    Attributes:
+        name: Full name, such as ``sensor_msgs/msg/JointState``.
+        summary: What it is, as the definition says.
+        fields: Its fields, in order.
+    """
+
+    name: str
+    summary: str
+    fields: tuple[Field, ...]
+
+    def encode(self, values: Mapping[str, Any]) -> bytes:
+        """Return the CDR bytes of a message.
+
+        Args:
+            values: Every field by name; nested messages are mappings, too.
+
+        Raises:
+            MessageError: if a field is missing, unknown, or of the wrong kind.
+        """
+        writer = Writer()
+        self.write(writer, values)
+        return writer.done()
+
+    def decode(self, data: bytes | bytearray | memoryview) -> dict[str, Any]:
+        """Return the fields of a message by name.
+
+        Sequences of numbers are arrays, sequences of strings or messages are lists, nested
+        messages are dictionaries.
+
+        Raises:
+            MessageError: if the bytes are no such message.
+        """
+        reader = Reader(data)
+        values = self.read(reader)
+        reader.finish()
+        return values
+
+    def write(self, writer: Writer, values: Mapping[str, Any]) -> None:
+        """Append a message to a writer; see `encode`."""
+        if len(values) != len(self.fields):
+            wrong = set(values).symmetric_difference(field.name for field in self.fields)
+            raise MessageError(f"{self.name}: missing or unknown fields {sorted(wrong)}")
+        for field in self.fields:
+            try:
+                _writer_of(field)(writer, values[field.name])
+            except (KeyError, TypeError, ValueError, AttributeError, struct.error) as error:
+                if isinstance(error, MessageError):
+                    raise
+                raise MessageError(f"{self.name}.{field.name}: {error}") from error
+
+    def read(self, reader: Reader) -> dict[str, Any]:
+        """Take a message from a reader; see `decode`."""
+        return {field.name: _read(reader, field) for field in self.fields}
+
+    @property
+    def parts(self) -> tuple[MessageType, ...]:
+        """The types of its nested messages, each once, in order."""
+        found: dict[str, MessageType] = {}
+        for field in self.fields:
+            if field.nested:
+                inner = message_type(field.kind)
+                for part in (inner, *inner.parts):
+                    found.setdefault(part.name, part)
+        return tuple(found.values())
+
+    @property
+    def schema(self) -> str:
+        """Definition with those of its nested messages after it, as recordings carry it."""
+        texts = [DEFINITIONS[self.name]]
+        texts += [f"MSG: {_short(part.name)}\n{DEFINITIONS[part.name]}" for part in self.parts]
+        return ("=" * 80 + "\n").join(texts)
+
+
+def _short(name: str) -> str:
+    return name.replace("/msg/", "/")
+
+
+def _write_strings(writer: Writer, values: Any) -> None:
+    if isinstance(values, str):
+        raise MessageError("a list of strings expected")
+    writer.length(len(values))
+    for value in values:
+        writer.string(value)
+
+
+@cache
+def _writer_of(field: Field) -> Callable[[Writer, Any], None]:
+    kind = field.kind
+    if field.nested:
+        inner = message_type(kind)
+
+        def write_all(writer: Writer, values: Any) -> None:
+            writer.length(len(values))
+            for value in values:
+                inner.write(writer, value)
+
+        return write_all if field.sequence else inner.write
+    if kind == "string":
+        return _write_strings if field.sequence else Writer.string
+    if field.sequence:
+        return lambda writer, values: writer.array(kind, values)
+    return lambda writer, value: writer.scalar(kind, value)
+
+
+def _read(reader: Reader, field: Field) -> Any:
+    if field.nested:
+        inner = message_type(field.kind)
+        if field.sequence:
+            return [inner.read(reader) for _ in range(reader.length(1))]
+        return inner.read(reader)
+    if field.kind == "string":
+        if field.sequence:
+            return [reader.string() for _ in range(reader.length(5))]
+        return reader.string()
+    return reader.array(field.kind) if field.sequence else reader.scalar(field.kind)
+
+
+def parse(name: str, definition: str) -> MessageType:
+    """Return the type that a definition describes.
+
+    Raises:
+        MessageError: if a line is outside the subset of the notation that is used here.
+    """
+    summary: list[str] = []
+    fields: list[Field] = []
+    for line in definition.splitlines():
+        code, _, comment = line.partition("#")
+        words = code.split()
+        if not words:
+            if not fields and comment:
+                summary.append(comment.strip())
+            continue
+        if len(words) != 2:
+            raise MessageError(f"{name}: no field definition: '{line}'")
+        kind = words[0].removesuffix("[]")
+        if "/" in kind:
+            kind = "/msg/".join(kind.split("/"))
+        elif kind != "string" and kind not in SCALARS:
+            raise MessageError(f"{name}: unknown type '{kind}'")
+        fields.append(Field(words[1], kind, words[0].endswith("[]"), comment.strip()))
+    return MessageType(name, " ".join(summary), tuple(fields))
+
+
+@cache
+def message_type(name: str) -> MessageType:
+    """Return a type of messages by its full name, ``rtee_msgs/msg/Goal`` or ``rtee_msgs/Goal``.
+
+    Raises:
+        MessageError: if there is no such type.
+    """
+    full = name if "/msg/" in name else "/msg/".join(name.split("/"))
+    try:
+        definition = DEFINITIONS[full]
+    except KeyError:
+        raise MessageError(f"there is no message type '{name}'") from None
+    return parse(full, definition)

@@ -1,0 +1,152 @@
+"""Definitions of the requests and replies on the network, in ROS 2's own notation."""
+
+from __future__ import annotations
+
+SERVICES: dict[str, str] = {
+    "rtee_msgs/msg/Empty": """\
+# A request without arguments.
+bool unused
+""",
+    "rtee_msgs/msg/Reply": """\
+# Whether a request was taken.
+bool accepted                # it was
+string error                 # name of the error, such as GoalRejected; empty when accepted
+string reason                # why not, in one sentence
+string text                  # what it made, such as a goal's identifier
+""",
+    "rtee_msgs/msg/GoalReference": """\
+# A goal that is meant: to cancel it.
+string goal_id               # empty: whichever runs
+string client                # who asks
+""",
+    "rtee_msgs/msg/ClientRequest": """\
+# A client asks for something: the lease, a stop, to open, to recover a device.
+string client                # who asks
+string what                  # take, release or the device's name; empty: all
+""",
+    "rtee_msgs/msg/StopReply": """\
+# What the devices answered to a stop.
+string[] device              # devices
+bool[] confirmed             # whether each confirmed it
+""",
+    "rtee_msgs/msg/NamedValues": """\
+# Numbers by name: positions to jog to, gains of a device.
+string client                # who asks
+string source                # the device, where one is meant
+string[] name                # actuators or gains
+float64[] value              # positions [rad | m] or gains
+float64 limit                # velocity limit [rad/s | m/s]; NaN: that of the hand
+""",
+    "rtee_msgs/msg/ActionFilter": """\
+# Which actions are asked for; empty fields match all.
+string kind                  # primitive, composed, timed or generic
+string name                  # name of the action
+string[] elements            # elements it is done with
+""",
+    "rtee_msgs/msg/Posture": """\
+# Actuator positions with the mask of the involved ones.
+string[] name                # actuators
+float64[] position           # [rad | m]
+string[] involved            # actuators that the action moves
+""",
+    "rtee_msgs/msg/ActionPart": """\
+# An inner action of a composed or timed one.
+string action                # name of the action
+string[] elements            # elements, for a primitive
+float64 scale                # of its set-points, from rest
+string alias                 # its name within a timed action
+float64 before               # margin before it starts [s]
+float64 after                # margin after it is completed [s]
+""",
+    "rtee_msgs/msg/Action": """\
+# A grasping action of the hand.
+string name                  # its name
+string kind                  # primitive, composed, timed or generic
+string[] elements            # fingers or actuator, for a primitive
+string[] fingers             # fingers involved
+string description           # one sentence
+float64 contact_at           # intensity at which a pinch first touches; NaN: none
+rtee_msgs/Posture[] postures # ranked postures of a primitive; one otherwise; per part if timed
+rtee_msgs/ActionPart[] parts # inner actions of a composed or timed one
+""",
+    "rtee_msgs/msg/ActionList": """\
+# Grasping actions.
+rtee_msgs/Action[] actions
+""",
+    "rtee_msgs/msg/Combination": """\
+# Elements a primitive can be done with.
+string[] elements
+""",
+    "rtee_msgs/msg/PrimitiveGroup": """\
+# All primitives of one name.
+string name                  # Trig, MultiPinchTight_3 and so on
+string[] selectable          # elements that occur
+uint32 count                 # how many are selected at once
+rtee_msgs/Combination[] combinations
+""",
+    "rtee_msgs/msg/PrimitiveGroups": """\
+# All primitives, by name.
+rtee_msgs/PrimitiveGroup[] groups
+""",
+    "rtee_msgs/msg/Names": """\
+# A list of names.
+string[] names
+""",
+    "rtee_msgs/msg/GenericAction": """\
+# A generic action to be made while the hand runs.
+string client                # who asks
+string name                  # its name
+string description           # one sentence
+rtee_msgs/Posture posture    # its set-points
+bool store                   # also write it to the hand's folder
+""",
+    "rtee_msgs/msg/ActuatorInfo": """\
+# An actuator as a grasp planner needs it.
+string name
+string kind                  # revolute, continuous or prismatic
+float64 lower                # [rad | m]
+float64 upper                # [rad | m]
+float64 velocity             # limit [rad/s | m/s]
+float64 acceleration         # limit [rad/s2 | m/s2]
+float64 jerk                 # limit [rad/s3 | m/s3]
+float64 effort               # limit [N.m | N]
+float64 rest                 # in the rest posture [rad | m]
+string[] fingers             # fingers whose tips it moves
+""",
+    "rtee_msgs/msg/FingerInfo": """\
+# A finger as a grasp planner needs it.
+string name
+string base                  # first link
+string tip                   # the fingertip's link
+string[] links               # from base to end
+string[] actuators           # that move the tip, nearest the palm first
+float64[] tip_pose           # 4x4, row by row, in the hand's base frame, at the posture asked for
+float64[] jacobian           # of the tip, 6 rows (linear, angular) by actuators, row by row
+""",
+    "rtee_msgs/msg/HandInfo": """\
+# A hand as a grasp planner needs it.
+string name
+string base                  # root link
+rtee_msgs/ActuatorInfo[] actuators
+string[] joints              # moving joints
+rtee_msgs/FingerInfo[] fingers
+string[] posture_name        # actuators
+float64[] posture            # at which poses and matrices hold [rad | m]
+float64[] transmission       # d joints / d actuators there, joints by actuators, row by row
+float64[] offset             # joint positions at the posture [rad | m]
+string[] missing             # what could not be told, and why
+string urdf                  # the model's text
+""",
+    "rtee_msgs/msg/Status": """\
+# The loop and its devices.
+string hand                  # the hand
+string holder                # client that holds the hand, or empty
+string goal_id               # goal that runs, or empty
+string action                # its action
+bool recording               # a recording is written
+string recording_path        # to this file
+rtee_msgs/LoopStatistics statistics
+rtee_msgs/DeviceStatus[] devices
+""",
+}
+"""Full name of a message to its definition."""

@@ -1,0 +1,21 @@
+"""The messages as a type store of `rosbags`, for whoever reads recordings with that library."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rtee.messages.definitions import DEFINITIONS
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+
+def typestore() -> Typestore:
+    """Return a type store of ROS 2 with the messages of rtee registered in it."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, definition in DEFINITIONS.items():
+        if name not in store.types:
+            store.register(get_types_from_msg(definition, name))
+    return store

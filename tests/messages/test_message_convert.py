@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from rtee import messages
+from rtee.errors import MessageError
+from rtee.messages import convert, message_type
+from rtee.types import (
+    DeviceStatus,
+    Event,
+    Feedback,
+    Goal,
+    Lifecycle,
+    LoopStatistics,
+    Result,
+    Stage,
+)
+
+GOAL = Goal(
+    "PinchTight",
+    ("thumb", "index"),
+    kind="primitive",
+    intensity=0.6,
+    effort={"thumb_flexion": 0.25},
+    tolerance=0.02,
+    speed=0.5,
+    timeout=3.0,
+    stage=Stage.PRE_GRASP,
+    goal_id="0123",
+    client="tests",
+)
+FEEDBACK = Feedback("0123", 0.25, "close", {"open": 1.0, "close": 0.1}, 12.5)
+RESULT = Result(
+    "0123",
+    "PinchTight",
+    reached=False,
+    stalled=True,
+    grasped=True,
+    grasped_fingers=("index",),
+    reason="none – ünïcode",
+    error=0.5,
+    duration=1.25,
+    position={"thumb_flexion": 0.75},
+)
+EVENT = Event("mark", "user", "the drill slipped", 99.5, "warning")
+STATUS = DeviceStatus(
+    "svh",
+    "schunk_svh",
+    Lifecycle.FAULT,
+    identity={"firmware": "1.0"},
+    rate=99.5,
+    every=10,
+    age=0.01,
+    exchanges=2**40,
+    overruns=1,
+    errors=2,
+    reconnects=3,
+    counters={"bytes": 123456789012},
+    fault_code=-5,
+    fault_name="overcurrent",
+    recoverable=True,
+    hint="let it cool",
+    message="motor 3",
+)
+STATISTICS = LoopStatistics(1000.0, 999.9, 10, 1, *[x / 8 for x in range(8)], dropped=4)
+
+PAIRS: list[tuple[Callable[..., bytes], Callable[[bytes], Any], Any]] = [
+    (messages.encode_goal, messages.decode_goal, GOAL),
+    (messages.encode_goal, messages.decode_goal, replace(GOAL, kind=None, timeout=None, effort={})),
+    (messages.encode_feedback, messages.decode_feedback, FEEDBACK),
+    (messages.encode_feedback, messages.decode_feedback, Feedback("1", 1.0)),
+    (messages.encode_result, messages.decode_result, RESULT),
+    (messages.encode_event, messages.decode_event, EVENT),
+    (messages.encode_device_status, messages.decode_device_status, STATUS),
+    (messages.encode_device_status, messages.decode_device_status, replace(STATUS, age=math.inf)),
+    (messages.encode_loop_statistics, messages.decode_loop_statistics, STATISTICS),
+    (messages.encode_string, messages.decode_string, "<robot/>"),
+]
+
+
+@pytest.mark.parametrize(("encode", "decode", "value"), PAIRS)
+def test_what_is_decoded_is_what_was_encoded(
+    encode: Callable[..., bytes], decode: Callable[[bytes], Any], value: Any
+) -> None:
+    assert decode(encode(value)) == value
+
+
+def test_stamps_are_kept() -> None:
+    fields = message_type("rtee_msgs/Goal").decode(
+        messages.encode_goal(GOAL, time=7.25, wall=1_700_000_000_123_456_789)
+    )
+    assert fields["time"] == 7.25
+    assert convert.wall_ns(fields) == 1_700_000_000_123_456_789
+
+
+def _with(name: str, encoded: bytes, **changes: Any) -> bytes:
+    kind = message_type(name)
+    return kind.encode(kind.decode(encoded) | changes)
+
+
+@pytest.mark.parametrize(
+    ("decode", "data", "text"),
+    [
+        (
+            messages.decode_goal,
+            _with("rtee_msgs/Goal", messages.encode_goal(GOAL), stage="half"),
+            "stage 'half' is none of",
+        ),
+        (
+            messages.decode_goal,
+            _with("rtee_msgs/Goal", messages.encode_goal(GOAL), effort=[]),
+            "effort: 1 names for 0 values",
+        ),
+        (
+            messages.decode_feedback,
+            _with("rtee_msgs/Feedback", messages.encode_feedback(FEEDBACK), inner_name=["a", "a"]),
+            "a name occurs twice",
+        ),
+        (
+            messages.decode_device_status,
+            _with("rtee_msgs/DeviceStatus", messages.encode_device_status(STATUS), lifecycle="?"),
+            "unknown lifecycle",
+        ),
+        (messages.decode_result, b"\x00\x01\x00\x00" + b"\xff" * 40, "sequence|string|bytes"),
+        (messages.decode_event, b"", "CDR header"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    decode: Callable[[bytes], Any], data: bytes, text: str
+) -> None:
+    with pytest.raises(MessageError, match=text):
+        decode(data)
