@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
@@ -36,6 +37,8 @@ class Driver(ABC):
 
     async def configure(self) -> None:
         """Open the bus and identify the device; never moves anything.
+
+        Called again after `close` when the link was lost, so it must start from nothing.
 
         Raises:
             NotConnected: if the device does not answer.
@@ -85,7 +88,11 @@ class Driver(ABC):
             BusError: if the bus fails.
         """
 
-    async def set_gains(self, gains: dict[str, float]) -> None:
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of its bus, for the device's status; must return at once."""
+        return {}
+
+    async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Change gains while running; only those named in ``capabilities.gains``."""
 
     async def deactivate(self) -> None:

@@ -6,8 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rtee.types import (
     BoolArray,
+    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -37,6 +41,7 @@ class TickRecord:
         reference_position: Position handed to the devices, after the limiter [rad | m].
         reference_velocity: Its velocity [rad/s | m/s].
         reference_effort: Effort limit handed to the devices [N·m | N]; ``inf``: the device's own.
+        grasped: The devices' own word, ``int8``: 1 holding, 0 not, -1 none given.
         extras: Further measured channels, ``device/channel`` to values.
     """
 
@@ -52,6 +57,7 @@ class TickRecord:
     reference_position: FloatArray
     reference_velocity: FloatArray
     reference_effort: FloatArray
+    grasped: NDArray[np.int8]
     extras: Mapping[str, FloatArray]
 
 
@@ -66,7 +72,10 @@ class LoopObserver(Protocol):
         """Take what was known at a tick; called at every tick."""
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
-        """Take a goal that was accepted."""
+        """Take a goal that was accepted, at the tick it takes effect, before its set-points."""
+
+    def on_command(self, command: Command) -> None:
+        """Take a call that steered the controller; goals and commands come in their order."""
 
     def on_feedback(self, feedback: Feedback) -> None:
         """Take a goal's progress."""
@@ -88,6 +97,9 @@ class Observer:
         """Ignore it."""
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
+        """Ignore it."""
+
+    def on_command(self, command: Command) -> None:
         """Ignore it."""
 
     def on_feedback(self, feedback: Feedback) -> None:
