@@ -153,7 +153,9 @@ class Hand:
 
     def clamp(self, position: Sequence[float] | FloatArray) -> FloatArray:
         """Return actuator positions ``(n,)`` clamped into the limits."""
-        return readonly([
-            min(max(value, a.lower), a.upper)
-            for value, a in zip(position, self.actuators, strict=True)
-        ])
+        return readonly(
+            [
+                min(max(value, a.lower), a.upper)
+                for value, a in zip(position, self.actuators, strict=True)
+            ]
+        )

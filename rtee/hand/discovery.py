@@ -1,0 +1,131 @@
+"""Fingers found from the URDF's tree, each with the reason why it is one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from rtee.hand.fingers import Chain
+from rtee.hand.names import safe_name
+from rtee.hand.urdf import Urdf
+
+WORDS: Final = ("thumb", "index", "middle", "ring", "little", "pinky")
+
+
+def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
+    """Find the fingers of a hand without an SRDF.
+
+    A finger is a branch of the tree that carries a joint moved by an actuator and ends in a link
+    with collision geometry; its base is the link where it parts from the other branches. Ends that
+    are fixed to one another are one finger.
+
+    Args:
+        urdf: The hand's URDF.
+        moved: Names of the joints that an actuator moves.
+
+    Returns:
+        The fingers, in the tree's order.
+    """
+    ends = _ends(urdf, moved)
+    names = _names(ends, urdf)
+    chains = []
+    for name, end in zip(names, ends, strict=True):
+        links = _branch(end, ends, urdf)
+        moving = [j.name for j in urdf.path_to(end) if j.name in moved and j.child in links[1:]]
+        chains.append(
+            Chain(
+                name,
+                links,
+                f"branch from '{links[0]}' to '{end}', its last link with geometry, carries "
+                f"{len(moving)} moved joint{'s' if len(moving) > 1 else ''}",
+            )
+        )
+    return tuple(chains)
+
+
+def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
+    """Return the last links with geometry of the branches that move, one per rigid body."""
+    solid = {name for name, link in urdf.links.items() if link.collisions}
+    followed: set[str] = set()
+    for link in solid:
+        followed.update(joint.parent for joint in urdf.path_to(link))
+    bodies: dict[str, str] = {}
+    for joint in urdf.joints.values():
+        link = joint.child
+        if link not in solid or link in followed:
+            continue
+        body = _body(link, urdf, moved)
+        if body is not None:
+            bodies[body] = _farther(bodies.get(body), link, urdf)
+    order = list(urdf.joint_to)
+    return sorted(bodies.values(), key=order.index)
+
+
+def _body(link: str, urdf: Urdf, moved: frozenset[str]) -> str | None:
+    """Return the last moved joint above a link; ``None`` if the link does not move."""
+    return next((j.name for j in reversed(urdf.path_to(link)) if j.name in moved), None)
+
+
+def _farther(first: str | None, second: str, urdf: Urdf) -> str:
+    if first is None or len(urdf.path_to(second)) > len(urdf.path_to(first)):
+        return second
+    return first
+
+
+def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
+    """Return the links from where a branch parts from all others down to its end."""
+    path = (urdf.root, *(joint.child for joint in urdf.path_to(end)))
+    shared = 0
+    for other in ends:
+        if other == end:
+            continue
+        way = (urdf.root, *(joint.child for joint in urdf.path_to(other)))
+        common = sum(1 for a, b in zip(path, way, strict=False) if a == b)
+        shared = max(shared, common - 1)
+    return path[shared:]
+
+
+def _names(ends: Sequence[str], urdf: Urdf) -> list[str]:
+    """Name fingers by the usual word in their links and joints, or by what tells the ends apart."""
+    words = [_word(end, ends, urdf) for end in ends]
+    if all(words) and len(set(words)) == len(words):
+        return [word for word in words if word]
+    return _unique([safe_name(name, "finger") for name in _distinct_parts(ends)])
+
+
+def _word(end: str, ends: Sequence[str], urdf: Urdf) -> str | None:
+    links = _branch(end, ends, urdf)[1:]
+    text = " ".join([*links, *(urdf.joint_to[link].name for link in links)]).lower()
+    found = [word for word in WORDS if re.search(rf"(?<![a-z]){word}", text)]
+    return found[0] if len(found) == 1 else None
+
+
+def _distinct_parts(names: Sequence[str]) -> Iterable[str]:
+    """Return what is left of names without the parts that all begin or end with."""
+    parts = [name.split("_") for name in names]
+    head = _common(parts)
+    tail = _common([part[head:][::-1] for part in parts])
+    for name, part in zip(names, parts, strict=True):
+        kept = "_".join(part[head : len(part) - tail])
+        yield kept if kept and not kept.isdigit() else f"finger_{kept}" if kept else name
+
+
+def _common(parts: Sequence[Sequence[str]]) -> int:
+    if len(parts) < 2:
+        return 0
+    count = 0
+    for column in zip(*parts, strict=False):
+        if len(set(column)) > 1:
+            break
+        count += 1
+    return count
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        unique.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    return unique

@@ -1,0 +1,108 @@
+"""Reading and writing files: whole or not at all, and every failure one sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from rtee.errors import ConfigError, UserError
+
+MAX_SIZE: Final = 64_000_000
+
+
+def write_atomically(path: Path | str, data: str | bytes) -> None:
+    """Write a file so that a reader sees the old content or the new one, never a part.
+
+    The data goes to a temporary file in the same folder, is flushed to the disk and renamed.
+
+    Raises:
+        ConfigError: The folder or disk does not allow it; nothing has changed.
+    """
+    target = Path(path)
+    content = data.encode() if isinstance(data, str) else data
+    temporary: str | None = None
+    try:
+        descriptor, temporary = tempfile.mkstemp(
+            dir=target.parent, prefix=f".{target.name[:40]}.", suffix=".tmp"
+        )
+        with os.fdopen(descriptor, "wb") as file:
+            os.fchmod(file.fileno(), _mode_of(target))
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, target)
+        _sync_folder(target.parent)
+    except (OSError, ValueError) as error:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+        raise ConfigError(f"cannot be written: {reason(error)}", path=target) from error
+
+
+def make_folder(path: Path | str) -> Path:
+    """Make a folder with its parents, or accept the one there is.
+
+    Raises:
+        ConfigError: It cannot be made, or is a file.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"folder cannot be made: {reason(error)}", path=folder) from error
+    return folder
+
+
+def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None) -> bytes:
+    """Return a file's content.
+
+    Args:
+        path: The file.
+        what: What it should be, for the message, such as ``"URDF"``.
+        error: The error to raise; `ConfigError` unless given.
+
+    Raises:
+        UserError: It does not exist, cannot be read, or is larger than 64 MB.
+    """
+    raised: type[UserError] = error or ConfigError
+    file = Path(path)
+    try:
+        with file.open("rb") as stream:
+            data = stream.read(MAX_SIZE + 1)
+    except FileNotFoundError:
+        raise raised(f"{what} does not exist", path=file) from None
+    except (OSError, ValueError) as cause:
+        raise raised(f"{what} cannot be read: {reason(cause)}", path=file) from cause
+    if len(data) > MAX_SIZE:
+        raise raised(f"{what} is larger than {MAX_SIZE // 1_000_000} MB", path=file)
+    return data
+
+
+def reason(error: Exception) -> str:
+    """Return what the operating system says, in lower case and without numbers and paths."""
+    if isinstance(error, OSError) and error.strerror:
+        text = error.strerror
+    else:
+        text = str(error) or type(error).__name__
+    return text[:1].lower() + text[1:]
+
+
+def _mode_of(target: Path) -> int:
+    """Return the permissions the new file gets: those of the old one, or the usual ones."""
+    try:
+        return target.stat().st_mode & 0o777
+    except OSError:
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

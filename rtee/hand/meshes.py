@@ -1,0 +1,149 @@
+"""Where a mesh named in a URDF lies on this machine."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+from urllib.parse import unquote
+
+from rtee.errors import ModelError
+from rtee.hand.files import read_bytes, reason
+from rtee.hand.urdf import Urdf, UrdfGeometry
+
+FORMATS: Final = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off", ".3ds", ".fbx")
+
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)\Z", re.DOTALL)
+
+
+def resolve_mesh(
+    uri: str, urdf: Path | str, package_dirs: Sequence[Path | str] = (), *, line: int | None = None
+) -> Path:
+    """Return the file of a mesh.
+
+    A plain path is relative to the URDF. ``file://`` is absolute. ``package://NAME/REST`` is
+    looked up beside the URDF and in the folders above it, in ``package_dirs`` (each either holds
+    packages or is the package), in ``ROS_PACKAGE_PATH`` and in ``share`` of ``AMENT_PREFIX_PATH``.
+
+    Args:
+        uri: The mesh's address as written in the URDF.
+        urdf: The URDF's path.
+        package_dirs: Folders to look packages up in, before those of the environment.
+        line: Line of the address in the URDF, for messages.
+
+    Raises:
+        ModelError: There is no such file; the message says where it was looked for.
+    """
+    folder = Path(urdf).absolute().parent
+    match = _SCHEME.match(uri)
+    try:
+        if match is None:
+            candidates = [folder / uri]
+            candidates += [Path(package) / uri for package in package_dirs]
+        elif match[1] == "file":
+            candidates = [Path(unquote(match[2].removeprefix("localhost")))]
+        elif match[1] in ("package", "model"):
+            candidates = list(_in_packages(match[2], folder, package_dirs))
+        else:
+            raise ModelError(
+                f"mesh '{uri}' is neither a path nor package:// nor file://", path=urdf, line=line
+            )
+        found = next((path for path in candidates if path.is_file()), None)
+    except (OSError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f"mesh '{uri[:200]}': {reason(error)}", path=urdf, line=line) from None
+    if found is None:
+        hint = (
+            "; give its package's folder by --package-dir" if match and match[1] != "file" else ""
+        )
+        raise ModelError(f"mesh '{uri}' does not exist{hint}", path=urdf, line=line)
+    return found
+
+
+def _in_packages(address: str, folder: Path, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
+    """Yield where a file of a package may lie, the most specific place first."""
+    package, _, rest = address.partition("/")
+    roots = [folder, *folder.parents, *(Path(p).absolute() for p in package_dirs)]
+    roots += [Path(p) for p in _variable("ROS_PACKAGE_PATH")]
+    for root in roots:
+        yield root / package / rest
+        if root.name == package:
+            yield root / rest
+    for prefix in _variable("AMENT_PREFIX_PATH"):
+        yield Path(prefix) / "share" / package / rest
+    # A package's folder may have been copied or renamed.
+    for root in (folder, *(Path(p).absolute() for p in package_dirs)):
+        yield root / rest
+
+
+def _variable(name: str) -> list[str]:
+    return [part for part in os.environ.get(name, "").split(os.pathsep) if part]
+
+
+def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | str] = ()) -> Path:
+    """Return the file of a mesh after a look inside.
+
+    Raises:
+        ModelError: The file does not exist, cannot be read, is empty or truncated, or is of a
+            format that is not a mesh.
+    """
+    path = resolve_mesh(shape.mesh, urdf.path, package_dirs, line=shape.line)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise ModelError(
+            f"mesh '{shape.mesh}' has an unknown format '{suffix}'; there are {', '.join(FORMATS)}",
+            path=urdf.path,
+            line=shape.line,
+        )
+    data = read_bytes(path, "mesh", ModelError)
+    wrong = _why_no_mesh(data, suffix)
+    if wrong:
+        raise ModelError(
+            f"mesh '{shape.mesh}' cannot be read: {wrong}", path=urdf.path, line=shape.line
+        )
+    return path
+
+
+def check_meshes(urdf: Urdf, package_dirs: Sequence[Path | str] = ()) -> None:
+    """Check every mesh that is collision geometry.
+
+    Raises:
+        ModelError: As `check_mesh`.
+    """
+    seen: set[str] = set()
+    for link in urdf.links.values():
+        for shape in link.collisions:
+            if shape.kind == "mesh" and shape.mesh not in seen:
+                seen.add(shape.mesh)
+                check_mesh(shape, urdf, package_dirs)
+
+
+def _why_no_mesh(data: bytes, suffix: str) -> str | None:
+    if not data.strip():
+        return "the file is empty"
+    if data.startswith(b"version https://git-lfs"):
+        return "it is a Git LFS pointer, not the mesh; run 'git lfs pull'"
+    if suffix == ".stl":
+        return _why_no_stl(data)
+    if suffix == ".dae":
+        if b"<COLLADA" not in data:
+            return "it is no COLLADA file"
+        if b"<!ENTITY" in data:
+            return "it declares XML entities, which are refused"
+    return None
+
+
+def _why_no_stl(data: bytes) -> str | None:
+    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2000]:
+        return None
+    if len(data) < 84:
+        return "it is no STL file"
+    count = int.from_bytes(data[80:84], "little")
+    if count == 0:
+        return "it has no triangles"
+    if len(data) < 84 + 50 * count:
+        return f"it is truncated: {count} triangles announced, {(len(data) - 84) // 50} there"
+    return None

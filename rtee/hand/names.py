@@ -1,0 +1,61 @@
+"""Names that may become file names or keys on the network."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+from rtee.errors import ConfigError
+
+MAX_LENGTH: Final = 100
+
+_ALLOWED = re.compile(r"[A-Za-z0-9_\-.]+\Z")
+_FORBIDDEN = re.compile(r"[^A-Za-z0-9_\-.]+")
+
+
+def check_name(
+    name: str, what: str, path: Path | str | None = None, line: int | None = None
+) -> str:
+    """Return ``name`` if it is safe as a file name and as a key.
+
+    Args:
+        name: The name to check.
+        what: What it names, for the message, such as ``"action"``.
+        path: The file it stands in.
+        line: Its line there.
+
+    Raises:
+        ConfigError: It is empty, longer than 100 characters, starts with a dot, holds ``..`` or
+            anything but letters, digits, ``_``, ``-`` and ``.``.
+    """
+    wrong = _why_not(name)
+    if wrong:
+        raise ConfigError(
+            f"{what} name {name[:MAX_LENGTH]!r} {wrong}; use letters, digits, '_', '-' and '.'",
+            path=path,
+            line=line,
+        )
+    return name
+
+
+def safe_name(text: str, default: str = "hand") -> str:
+    """Return ``text`` made into a valid name, or ``default`` when nothing of it is left."""
+    name = _FORBIDDEN.sub("_", text).strip("_.")[:MAX_LENGTH]
+    while ".." in name:
+        name = name.replace("..", ".")
+    return name or default
+
+
+def _why_not(name: str) -> str | None:
+    if not name:
+        return "is empty"
+    if len(name) > MAX_LENGTH:
+        return f"is longer than {MAX_LENGTH} characters"
+    if name.startswith("."):
+        return "starts with a dot"
+    if ".." in name:
+        return "holds '..'"
+    if not _ALLOWED.match(name):
+        return "holds a character that is not allowed"
+    return None

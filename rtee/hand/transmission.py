@@ -1,0 +1,265 @@
+"""From actuator positions to joint positions: mimic joints, chains of them, non-linear ones.
+
+Every moving joint follows at most one actuator, directly or through a chain of mimics. Its
+position is the composition of that chain: ``multiplier · q + offset`` at a linear coupling, an
+expression of ``q`` at a non-linear one. Passive joints stand where they rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtee.errors import ExpressionError, ModelError, UnknownJoint
+from rtee.hand.expression import Expression
+from rtee.hand.urdf import Urdf, UrdfJoint, UrdfMimic
+from rtee.types import FloatArray, readonly
+
+_SAMPLES: Final = 65
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """A linear coupling ``factor · q + offset``."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """How one joint follows an actuator.
+
+    Attributes:
+        actuator: Index of the actuator; ``None`` for a joint that stands still.
+        stages: Functions applied one after the other, from the actuator outward; never two linear
+            ones in a row.
+    """
+
+    actuator: int | None
+    stages: tuple[Linear | Expression, ...] = (Linear(),)
+
+    @property
+    def linear(self) -> bool:
+        """Whether the joint is a linear function of the actuator."""
+        return len(self.stages) == 1 and isinstance(self.stages[0], Linear)
+
+    def then(self, stage: Linear | Expression) -> Coupling:
+        """Return the coupling of a joint that follows this one by ``stage``."""
+        last = self.stages[-1]
+        if isinstance(stage, Linear) and isinstance(last, Linear):
+            merged = Linear(stage.factor * last.factor, stage.factor * last.offset + stage.offset)
+            return Coupling(self.actuator, (*self.stages[:-1], merged))
+        if last == Linear() and len(self.stages) == 1:
+            return Coupling(self.actuator, (stage,))
+        return Coupling(self.actuator, (*self.stages, stage))
+
+    def value(self, q: float) -> float:
+        """Return the joint's position [rad | m] at actuator position ``q``."""
+        for stage in self.stages:
+            q = stage.factor * q + stage.offset if isinstance(stage, Linear) else stage(q)
+        return q
+
+    def dual(self, q: float) -> tuple[float, float]:
+        """Return the joint's position and its derivative by the actuator's."""
+        slope = 1.0
+        for stage in self.stages:
+            if isinstance(stage, Linear):
+                q, change = stage.factor * q + stage.offset, stage.factor
+            else:
+                q, change = stage.dual(q)
+            slope *= change
+        return q, slope
+
+
+class Transmission:
+    """The map from actuator positions ``u`` to joint positions ``q``.
+
+    Where every coupling is linear, ``q = matrix · u + offset``.
+
+    Attributes:
+        couplings: One per joint.
+        n_actuators: Number of actuators n.
+        n_joints: Number of joints m.
+        matrix: Linear part ``(m, n)``; rows of non-linear joints are zero.
+        offset: Constant part ``(m,)`` [rad | m]; entries of non-linear joints are zero.
+        linear: Whether every coupling is linear.
+    """
+
+    def __init__(self, couplings: Sequence[Coupling], n_actuators: int) -> None:
+        self.couplings = tuple(couplings)
+        self.n_actuators = n_actuators
+        self.n_joints = len(self.couplings)
+        matrix = np.zeros((self.n_joints, n_actuators))
+        offset = np.zeros(self.n_joints)
+        for row, coupling in enumerate(self.couplings):
+            if not coupling.linear:
+                continue
+            stage = coupling.stages[0]
+            assert isinstance(stage, Linear)  # noqa: S101 - narrows the type
+            offset[row] = stage.offset
+            if coupling.actuator is not None:
+                matrix[row, coupling.actuator] = stage.factor
+        matrix.flags.writeable = False
+        self.matrix: FloatArray = matrix
+        self.offset = readonly(offset)
+        self._curved = [
+            (row, coupling.actuator, coupling)
+            for row, coupling in enumerate(self.couplings)
+            if coupling.actuator is not None and not coupling.linear
+        ]
+        self.linear = not self._curved
+
+    def joints(self, u: FloatArray) -> FloatArray:
+        """Return joint positions.
+
+        Args:
+            u: Actuator positions ``(n,)`` or ``(k, n)`` [rad | m].
+
+        Returns:
+            Joint positions ``(m,)`` or ``(k, m)`` [rad | m].
+        """
+        u = np.asarray(u, dtype=np.float64)
+        q: FloatArray = u @ self.matrix.T + self.offset
+        for row, actuator, coupling in self._curved:
+            if u.ndim == 1:
+                q[row] = coupling.value(float(u[actuator]))
+            else:
+                q[:, row] = [coupling.value(v) for v in u[:, actuator].tolist()]
+        return q
+
+    def jacobian(self, u: FloatArray) -> FloatArray:
+        """Return the derivative of the joint positions by the actuator positions.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m].
+
+        Returns:
+            dq/du ``(m, n)``.
+        """
+        jacobian: FloatArray = self.matrix.copy()
+        for row, actuator, coupling in self._curved:
+            jacobian[row, actuator] = coupling.dual(float(u[actuator]))[1]
+        return jacobian
+
+    def moves(self, joint: int) -> int | None:
+        """Return the index of the actuator that moves a joint, if any does.
+
+        A joint coupled with the factor zero is moved by none.
+        """
+        coupling = self.couplings[joint]
+        if coupling.linear and not self.matrix[joint].any():
+            return None
+        return coupling.actuator
+
+
+def make_transmission(
+    urdf: Urdf, actuators: Sequence[str], standing: Mapping[str, float]
+) -> Transmission:
+    """Make the transmission of a hand.
+
+    Args:
+        urdf: The hand's URDF.
+        actuators: Names of the actuators; their order is that of ``u``.
+        standing: Passive joints that follow nothing, with their positions [rad | m].
+
+    Returns:
+        The transmission to all moving joints, in the URDF's order.
+
+    Raises:
+        ModelError: A joint mimics a missing or fixed joint, or mimics form a loop, or an expression
+            cannot be read or has no finite value somewhere within the actuator's limits.
+    """
+    index = {name: i for i, name in enumerate(actuators)}
+    known: dict[str, Coupling] = {name: Coupling(i) for name, i in index.items()}
+    known |= {name: Coupling(None, (Linear(0.0, at),)) for name, at in standing.items()}
+    for joint in urdf.joints.values():
+        if joint.moving:
+            _resolve(urdf, joint, known)
+    couplings = [known[joint.name] for joint in urdf.joints.values() if joint.moving]
+    _check_range(urdf, [urdf.joints[name] for name in actuators], known)
+    return Transmission(couplings, len(actuators))
+
+
+def _resolve(urdf: Urdf, joint: UrdfJoint, known: dict[str, Coupling]) -> None:
+    """Add the coupling of a joint, after those of the joints it follows."""
+    chain: list[tuple[UrdfJoint, UrdfMimic]] = []
+    on_chain: set[str] = set()
+    while joint.name not in known:
+        mimic = joint.mimic
+        if mimic is None:
+            raise ModelError(
+                f"joint '{joint.name}' is neither an actuator nor mimic nor passive",
+                path=urdf.path,
+                line=joint.line,
+            )
+        if joint.name in on_chain:
+            names = " -> ".join(f"'{j.name}'" for j, _ in chain)
+            raise ModelError(
+                f"mimic loop: {names} -> '{joint.name}'", path=urdf.path, line=mimic.line
+            )
+        on_chain.add(joint.name)
+        chain.append((joint, mimic))
+        joint = _master(urdf, joint, mimic)
+    coupling = known[joint.name]
+    for follower, mimic in reversed(chain):
+        coupling = coupling.then(_stage(urdf, follower, mimic))
+        if coupling.actuator is None:
+            coupling = Coupling(None, (Linear(0.0, coupling.value(0.0)),))
+        known[follower.name] = coupling
+
+
+def _master(urdf: Urdf, joint: UrdfJoint, mimic: UrdfMimic) -> UrdfJoint:
+    master = urdf.joints.get(mimic.of)
+    moving = [name for name, other in urdf.joints.items() if other.moving]
+    if master is None:
+        raise UnknownJoint(mimic.of, moving, path=urdf.path, line=mimic.line)
+    if not master.moving:
+        raise ModelError(
+            f"joint '{joint.name}' mimics '{master.name}', which is fixed",
+            path=urdf.path,
+            line=mimic.line,
+        )
+    return master
+
+
+def _stage(urdf: Urdf, joint: UrdfJoint, mimic: UrdfMimic) -> Linear | Expression:
+    if mimic.expression is None:
+        return Linear(mimic.multiplier, mimic.offset)
+    try:
+        return Expression(mimic.expression)
+    except ExpressionError as error:
+        raise ExpressionError(
+            f"nlFunPos of joint '{joint.name}': {error.message}",
+            column=error.column,
+            path=urdf.path,
+            line=mimic.line,
+        ) from None
+
+
+def _check_range(urdf: Urdf, actuators: Sequence[UrdfJoint], known: Mapping[str, Coupling]) -> None:
+    """Refuse non-linear couplings without a finite value or slope within the limits."""
+    for name, coupling in known.items():
+        if coupling.linear or coupling.actuator is None:
+            continue
+        actuator = actuators[coupling.actuator]
+        for q in sample(actuator.lower, actuator.upper):
+            if not all(math.isfinite(v) for v in coupling.dual(q)):
+                mimic = urdf.joints[name].mimic
+                raise ExpressionError(
+                    f"nlFunPos of joint '{name}' has no finite value and slope at "
+                    f"{actuator.name} = {q:g}",
+                    path=urdf.path,
+                    line=mimic.line if mimic else None,
+                )
+
+
+def sample(lower: float, upper: float) -> list[float]:
+    """Return positions spread evenly over a range; over one turn if it is unlimited."""
+    if not math.isfinite(lower) or not math.isfinite(upper):
+        lower, upper = -math.pi, math.pi
+    return [lower + (upper - lower) * i / (_SAMPLES - 1) for i in range(_SAMPLES)]

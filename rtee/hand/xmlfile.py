@@ -1,0 +1,171 @@
+"""XML as a plain tree that knows its lines. Document types and entities are refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+from xml.parsers import expat
+
+from rtee.errors import ModelError
+from rtee.hand.files import read_bytes
+
+MAX_DEPTH: Final = 100
+
+
+@dataclass(slots=True)
+class Element:
+    """An XML element.
+
+    Attributes:
+        tag: Its name.
+        attributes: Its attributes.
+        line: The line of its start tag, counted from 1.
+        path: The file it stands in.
+        children: The elements inside it, in order.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    path: Path
+    children: list[Element] = field(default_factory=list)
+
+    def all(self, tag: str) -> Iterator[Element]:
+        """Yield the children of one name."""
+        return (child for child in self.children if child.tag == tag)
+
+    def first(self, tag: str) -> Element | None:
+        """Return the first child of one name, if any."""
+        return next(self.all(tag), None)
+
+    def required(self, attribute: str) -> str:
+        """Return an attribute that must be there and not empty.
+
+        Raises:
+            ModelError: It is missing or empty.
+        """
+        value = self.attributes.get(attribute, "").strip()
+        if not value:
+            raise self.error(f"<{self.tag}> needs the attribute '{attribute}'")
+        return value
+
+    def number(self, attribute: str, default: float | None = None) -> float:
+        """Return an attribute as a finite number.
+
+        Raises:
+            ModelError: It is no finite number, or missing without a default.
+        """
+        text = self.attributes.get(attribute)
+        if text is None and default is not None:
+            return default
+        if text is None:
+            raise self.error(f"<{self.tag}> needs the attribute '{attribute}'")
+        return self._finite(attribute, text)
+
+    def numbers(
+        self, attribute: str, count: int, default: tuple[float, ...] | None = None
+    ) -> tuple[float, ...]:
+        """Return an attribute as finite numbers separated by blanks.
+
+        Raises:
+            ModelError: There are not ``count`` of them, one is no finite number, or the attribute
+                is missing without a default.
+        """
+        text = self.attributes.get(attribute)
+        if text is None and default is not None:
+            return default
+        if text is None:
+            raise self.error(f"<{self.tag}> needs the attribute '{attribute}'")
+        parts = text.split()
+        if len(parts) != count:
+            raise self.error(f'{attribute}="{text[:80]}" should be {count} numbers')
+        return tuple(self._finite(attribute, part) for part in parts)
+
+    def error(self, message: str) -> ModelError:
+        """Return an error that points at this element."""
+        return ModelError(message, path=self.path, line=self.line)
+
+    def _finite(self, attribute: str, text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.error(f'{attribute}="{text[:80]}" is not a finite number')
+        return value
+
+
+class _Builder:
+    """Collects what the parser reports into a tree."""
+
+    def __init__(self, path: Path, parser: expat.XMLParserType) -> None:
+        self.path = path
+        self.parser = parser
+        self.root: Element | None = None
+        self.open: list[Element] = []
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, attributes, self.parser.CurrentLineNumber, self.path)
+        if len(self.open) >= MAX_DEPTH:
+            raise element.error(f"elements are nested deeper than {MAX_DEPTH}")
+        if self.open:
+            self.open[-1].children.append(element)
+        else:
+            self.root = element
+        self.open.append(element)
+
+    def end(self, _tag: str) -> None:
+        self.open.pop()
+
+    def refuse(self, *_: object) -> None:
+        raise ModelError(
+            "declares a document type or entities, which are refused; remove the <!DOCTYPE …>",
+            path=self.path,
+            line=self.parser.CurrentLineNumber,
+        )
+
+
+def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
+    """Read an XML file.
+
+    Args:
+        path: The file.
+        what: What it should be, for messages, such as ``"URDF"``.
+
+    Returns:
+        The root element and the file's text.
+
+    Raises:
+        ModelError: The file does not exist or cannot be read, is no well-formed XML, or declares a
+            document type or entities.
+    """
+    file = Path(path)
+    data = read_bytes(file, what, ModelError)
+    parser = expat.ParserCreate()
+    builder = _Builder(file, parser)
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.StartDoctypeDeclHandler = builder.refuse
+    parser.EntityDeclHandler = builder.refuse
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        text = expat.ErrorString(error.code)
+        raise ModelError(f"{what} is not XML: {text}", path=file, line=error.lineno) from None
+    except (LookupError, ValueError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f"{what} is not XML: {error}", path=file) from None
+    if builder.root is None:
+        raise ModelError(f"{what} is empty", path=file)
+    return builder.root, _text(data)
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
