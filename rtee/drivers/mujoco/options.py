@@ -1,0 +1,51 @@
+"""How a hand is simulated: numbers a user may change, with defaults that suit most hands."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class SimOptions(BaseModel):
+    """Options of the `mujoco` driver in hand.yaml.
+
+    Attributes:
+        timestep: Step of the simulation [s]; several steps make one exchange.
+        gravity: Gravity along the world's z axis [m/s²].
+        friction: Sliding friction of the fingertips' pads.
+        density: Density for links without mass [kg/m³].
+        stiffness: Position error at which an actuator exerts its full effort [rad], or, for a
+            prismatic one, a hundredth of it [m].
+        armature: Inertia of a motor seen at its joint [kg·m²]; a thousand times as many kg for a
+            prismatic one.
+        joint_damping: Damping of every joint [N·m·s/rad].
+        joint_friction: Dry friction of every actuator's joint, as a fraction of its effort limit.
+        passive_stiffness: Stiffness of passive joints [N·m/rad].
+        max_effort: Effort limits above this count as missing and become this [N·m | 0.01 N].
+        object: An object to grasp: ``box:0.05x0.05x0.1``, ``cylinder:0.03x0.1``, ``sphere:0.03`` or
+            the path of a mesh; empty for none.
+        object_mass: Mass of the object [kg].
+        support: What carries the object before the grasp.
+        carrier: What carries the hand: nothing moves it, or a vertical lift, or an arm with six
+            degrees of freedom that follows a script.
+        seed: Seed of everything random.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    timestep: float = Field(default=0.002, gt=0, le=0.01)
+    gravity: float = Field(default=-9.81, ge=-100, le=100)
+    friction: float = Field(default=1.0, ge=0, le=10)
+    density: float = Field(default=1000.0, gt=0, le=20000)
+    stiffness: float = Field(default=0.05, gt=0, le=1)
+    armature: float = Field(default=5e-4, gt=0, le=1)
+    joint_damping: float = Field(default=5e-3, ge=0, le=10)
+    joint_friction: float = Field(default=0.01, ge=0, le=1)
+    passive_stiffness: float = Field(default=0.05, ge=0, le=100)
+    max_effort: float = Field(default=10.0, gt=0)
+    object: str = ""
+    object_mass: float = Field(default=0.1, gt=0, le=100)
+    support: Literal["held", "table", "floating"] = "held"
+    carrier: Literal["fixed", "lift", "arm"] = "fixed"
+    seed: int = 0
