@@ -106,7 +106,7 @@ class Primitive:
         elements: Fingers, or the one actuator of a SingleJointMultipleTips.
         postures: Ranked postures; the first is the one executed.
         evidence: Evidence per posture, same length, or empty.
-        tips: Number of fingertips it moves; part of the name for the counted kinds.
+        tips: Number of ``fingers``; part of the name for the counted kinds.
         fingers: The fingers involved (equal to ``elements`` but for SingleJointMultipleTips).
     """
 
@@ -116,6 +116,12 @@ class Primitive:
     evidence: tuple[Evidence, ...] = ()
     tips: int = 1
     fingers: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.fingers and self.kind is not PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS:
+            object.__setattr__(self, "fingers", self.elements)
+        if self.fingers:
+            object.__setattr__(self, "tips", len(self.fingers))
 
     @property
     def name(self) -> str:

@@ -1,0 +1,274 @@
+"""Making composed, timed and generic actions, by the paper's rules.
+
+A set-point is scaled from the rest posture: ``value = rest + scale * (set-point - rest)``. An
+actuator that several parts of a composed action set gets the mean of their values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from rtee.actions.naming import label, normalise
+from rtee.actions.types import (
+    Action,
+    ActionReference,
+    Composed,
+    Generic,
+    Posture,
+    PrimitiveKind,
+    Step,
+    Timed,
+)
+from rtee.errors import ActionError, UnknownActuator
+from rtee.hand.model import Hand
+from rtee.hand.names import check_name
+from rtee.types import ActuatorSpec, JointKind
+
+Find = Callable[[str, tuple[str, ...]], Action]
+"""Looks an action up by name and elements."""
+
+SLACK = 1e-6
+"""How far a stored value may lie outside the limits, by rounding [rad | m]."""
+
+MAX_MARGIN = 3600.0
+"""Longest margin of an inner action [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepPlan:
+    """An inner action of a timed action, before it is looked up.
+
+    Attributes:
+        use: The inner action.
+        alias: Its name within the timed action; empty: the action's own name.
+        before: Margin before it starts [s].
+        after: Margin after it is completed [s].
+    """
+
+    use: ActionReference
+    alias: str = ""
+    before: float = 0.0
+    after: float = 0.0
+
+
+def full_posture(hand: Hand, involved: Mapping[str, float]) -> Posture:
+    """Return a posture in which the other actuators stand at rest, all in the hand's order.
+
+    Args:
+        hand: The hand.
+        involved: Position of the involved actuators [rad | m].
+
+    Raises:
+        UnknownActuator: if the hand has no such actuator.
+        ActionError: if a value is not finite or outside the limits, which are named.
+    """
+    if not involved:
+        raise ActionError("an action must involve at least one actuator")
+    for name in involved:
+        hand.actuator_index(name)
+    position = {
+        spec.name: _inside(spec, involved[spec.name]) if spec.name in involved else rest
+        for spec, rest in zip(hand.actuators, hand.rest.tolist(), strict=True)
+    }
+    return Posture(position, tuple(name for name in position if name in involved))
+
+
+def _inside(spec: ActuatorSpec, value: float) -> float:
+    if not math.isfinite(value):
+        raise ActionError(f"the set-point of '{spec.name}' must be a finite number, not {value}")
+    if value < spec.lower - SLACK or value > spec.upper + SLACK:
+        unit = "m" if spec.kind is JointKind.PRISMATIC else "rad"
+        side, limit = ("lower", spec.lower) if value < spec.lower else ("upper", spec.upper)
+        raise ActionError(
+            f"the set-point {value:g} {unit} of '{spec.name}' is outside its {side} limit "
+            f"{limit:g} {unit}"
+        )
+    return min(max(value, spec.lower), spec.upper)
+
+
+def scaled(hand: Hand, posture: Posture, scale: float) -> Posture:
+    """Return a posture scaled from rest; above 1 it is clamped into the limits."""
+    position = dict(posture.position)
+    for name in posture.involved:
+        index = hand.actuator_index(name)
+        spec, rest = hand.actuators[index], float(hand.rest[index])
+        value = position[name] if scale == 1.0 else rest + scale * (position[name] - rest)
+        position[name] = min(max(value, spec.lower), spec.upper)
+    return Posture(position, posture.involved)
+
+
+def check_scale(scale: float, what: str) -> None:
+    """Raise `ActionError` unless a scale is finite and not negative."""
+    if not (math.isfinite(scale) and scale >= 0.0):
+        raise ActionError(f"the scale of {what} is {scale:g}; it must be 0 or more")
+
+
+def compose(
+    hand: Hand,
+    find: Find,
+    name: str,
+    parts: Sequence[ActionReference],
+    *,
+    independent: bool = False,
+    description: str = "",
+) -> Composed:
+    """Combine actions into one.
+
+    Args:
+        hand: The hand.
+        find: Where the parts are looked up.
+        name: The new action's name.
+        parts: What it is made of.
+        independent: Refuse parts that set the same actuator.
+        description: One sentence for people.
+
+    Raises:
+        UnknownAction: if there is no such part.
+        ActionError: if a part cannot be used, or the name or a scale is not good.
+    """
+    check_custom_name(name)
+    if not parts:
+        raise ActionError(f"the composed action '{name}' has no parts")
+    values: dict[str, list[float]] = {}
+    setter: dict[str, str] = {}
+    resolved: list[ActionReference] = []
+    for part in parts:
+        use, posture = _resolve(hand, find, part, f"the composed action '{name}'")
+        resolved.append(use)
+        for actuator in posture.involved:
+            if independent and actuator in setter:
+                raise ActionError(
+                    f"the independent action '{name}' sets '{actuator}' twice: "
+                    f"by {setter[actuator]} and by {label(use.action, use.elements)}"
+                )
+            setter[actuator] = label(use.action, use.elements)
+            values.setdefault(actuator, []).append(posture.position[actuator])
+    mean = {actuator: math.fsum(found) / len(found) for actuator, found in values.items()}
+    return Composed(name, tuple(resolved), full_posture(hand, mean), independent, description)
+
+
+def sequence(
+    hand: Hand,
+    find: Find,
+    name: str,
+    steps: Sequence[StepPlan],
+    *,
+    description: str = "",
+) -> Timed:
+    """Put actions in sequence, with margins.
+
+    Args:
+        hand: The hand.
+        find: Where the inner actions are looked up.
+        name: The new action's name.
+        steps: The inner actions in order.
+        description: One sentence for people.
+
+    Raises:
+        UnknownAction: if there is no such inner action.
+        ActionError: if an inner action cannot be used, or a name, margin or scale is not good.
+    """
+    check_custom_name(name)
+    if not steps:
+        raise ActionError(f"the timed action '{name}' has no inner actions")
+    made: list[Step] = []
+    taken: set[str] = set()
+    for plan in steps:
+        use, posture = _resolve(hand, find, plan.use, f"the timed action '{name}'")
+        alias = plan.alias or "_".join((use.action, *use.elements))
+        check_name(alias, "alias")
+        if normalise(alias) in taken:
+            raise ActionError(
+                f"the timed action '{name}' has two inner actions '{alias}'; "
+                "give one of them another name with 'alias'"
+            )
+        taken.add(normalise(alias))
+        for side, margin in (("before", plan.before), ("after", plan.after)):
+            if not 0.0 <= margin <= MAX_MARGIN:
+                raise ActionError(
+                    f"the margin {side} '{alias}' is {margin:g} s; "
+                    f"it must be from 0 to {MAX_MARGIN:g} s"
+                )
+        made.append(Step(use, alias, plan.before, plan.after, posture))
+    return Timed(name, tuple(made), description)
+
+
+def generic(
+    hand: Hand, name: str, set_points: Mapping[str, float], *, description: str = ""
+) -> Generic:
+    """Make an action of set-points given directly.
+
+    Args:
+        hand: The hand.
+        name: The new action's name.
+        set_points: Position of the involved actuators [rad | m]; the others are not involved.
+        description: One sentence for people.
+
+    Raises:
+        ActionError: if an actuator is unknown, a value outside its limits, or the name not good.
+    """
+    check_custom_name(name)
+    try:
+        posture = full_posture(hand, set_points)
+    except UnknownActuator as error:
+        raise ActionError(f"the generic action '{name}': {error.message}") from None
+    return Generic(name, posture, description)
+
+
+def warnings_of(action: Action) -> list[str]:
+    """Return what is allowed but may not be meant: scales above 1."""
+    match action:
+        case Composed():
+            uses = action.parts
+        case Timed():
+            uses = tuple(step.use for step in action.steps)
+        case _:
+            return []
+    return [
+        f"'{action.name}' scales {label(use.action, use.elements)} by {use.scale:g}: "
+        "above 1 it may pass the limits, where it is clamped"
+        for use in uses
+        if use.scale > 1.0
+    ]
+
+
+def uses_of(action: Action) -> tuple[ActionReference, ...]:
+    """Return the actions that an action is made of."""
+    match action:
+        case Composed():
+            return action.parts
+        case Timed():
+            return tuple(step.use for step in action.steps)
+    return ()
+
+
+def _resolve(
+    hand: Hand, find: Find, use: ActionReference, where: str
+) -> tuple[ActionReference, Posture]:
+    what = label(use.action, use.elements)
+    check_scale(use.scale, f"{what} in {where}")
+    found = find(use.action, use.elements)
+    if isinstance(found, Timed):
+        raise ActionError(f"{where} cannot contain the timed action '{found.name}'")
+    elements = found.elements if hasattr(found, "elements") else ()
+    reference = ActionReference(found.name, tuple(elements), use.scale)
+    return reference, scaled(hand, found.posture, use.scale)
+
+
+_PRIMITIVE_NAMES = tuple(normalise(kind) for kind in PrimitiveKind)
+
+
+def is_primitive_name(name: str) -> bool:
+    """Return whether a name is, or may become, that of a primitive."""
+    return normalise(name).rstrip("0123456789") in _PRIMITIVE_NAMES
+
+
+def check_custom_name(name: str) -> None:
+    """Raise `UserError` unless a name can be that of a composed, timed or generic action."""
+    check_name(name, "action")
+    if not normalise(name):
+        raise ActionError(f"the name '{name}' has no letter or digit")
+    if is_primitive_name(name):
+        raise ActionError(f"the name '{name}' is that of a primitive; choose another one")

@@ -1,0 +1,91 @@
+"""Rewriting a YAML file that people have edited, with their comments kept."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from typing import Any
+
+from rtee.actions.yamltext import emit, read_canonical
+
+_IDENTITY = ("elements", "alias", "action")
+"""Keys by which the entries of a list are recognised, the first that they have."""
+
+
+def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
+    """Return an edited file brought up to date, changing as little as possible.
+
+    Args:
+        text: The file as it is.
+        data: What it shall hold, as for `emit`.
+
+    Returns:
+        The new text; ``None`` if the old one cannot be kept.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    yaml = YAML()
+    yaml.preserve_quotes = True
+    yaml.width = 4096
+    fresh = read_canonical(emit(data))
+    try:
+        document = yaml.load(text)
+        if not isinstance(document, dict) or fresh is None:
+            return None
+        stream = io.StringIO()
+        yaml.dump(_merged(document, fresh), stream)
+        # A merge that reads back as something else would be worse than a lost comment.
+        same = YAML(typ="safe", pure=True).load(stream.getvalue()) == fresh
+    except (YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        return None
+    return stream.getvalue() if same else None
+
+
+def _merged(old: Any, new: Any) -> Any:
+    if isinstance(old, dict) and isinstance(new, Mapping):
+        for key in [key for key in old if key not in new]:
+            del old[key]
+        for key, value in new.items():
+            old[key] = _merged(old[key], value) if key in old else _styled(value)
+        return old
+    if isinstance(old, list) and isinstance(new, list):
+        return _merged_list(old, new)
+    return old if old == new and isinstance(old, bool) == isinstance(new, bool) else new
+
+
+def _merged_list(old: list[Any], new: list[Any]) -> list[Any]:
+    if not all(isinstance(item, Mapping) for item in [*old, *new]):
+        if old != new:
+            old[:] = new
+        return old
+    known = {_identity(item, index): item for index, item in enumerate(old)}
+    merged = []
+    for index, item in enumerate(new):
+        same = known.get(_identity(item, index))
+        merged.append(_styled(item) if same is None else _merged(same, item))
+    if len(merged) != len(old) or any(a is not b for a, b in zip(old, merged, strict=True)):
+        old[:] = merged
+    return old
+
+
+def _identity(item: Mapping[str, Any], index: int) -> object:
+    key = next((key for key in _IDENTITY if key in item), None)
+    if key is None:
+        return index
+    value = item[key]
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _styled(value: Any) -> Any:
+    """Return new data in the style of `emit`: lists of scalars in one line."""
+    from ruamel.yaml.comments import CommentedMap, CommentedSeq
+
+    if isinstance(value, Mapping):
+        return CommentedMap((key, _styled(item)) for key, item in value.items())
+    if isinstance(value, list):
+        made = CommentedSeq(_styled(item) for item in value)
+        if not any(isinstance(item, Mapping) for item in value):
+            made.fa.set_flow_style()
+        return made
+    return value

@@ -1,0 +1,348 @@
+"""All grasping actions of one hand, to be looked up, listed, added and removed."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rtee.actions.build import StepPlan, check_custom_name, compose, sequence, uses_of, warnings_of
+from rtee.actions.index import Index
+from rtee.actions.naming import normalise
+from rtee.actions.types import (
+    Action,
+    ActionKind,
+    ActionReference,
+    Composed,
+    Primitive,
+    PrimitiveGroup,
+    Timed,
+    kind_of,
+)
+from rtee.errors import ActionError
+from rtee.hand.model import Hand
+
+log = logging.getLogger(__name__)
+
+
+class ActionLibrary:
+    """The grasping actions of one hand.
+
+    Names are compared regardless of case, underscores, hyphens and spaces; the order of elements
+    does not matter. Every change replaces the whole index at once, so that other threads may look
+    up while one changes. Files are touched by `save`, `store` and ``add(store=True)`` only.
+
+    Args:
+        hand: The hand.
+        actions: Its actions; what they refer to must be among them.
+        folder: Where they are stored, or ``None`` to keep them in memory.
+
+    Raises:
+        ActionError: if two actions have the same name, or one refers to a missing one.
+    """
+
+    def __init__(
+        self, hand: Hand, actions: Iterable[Action] = (), folder: Path | None = None
+    ) -> None:
+        self.hand = hand
+        self.folder = folder
+        self._index = Index(hand, tuple(actions))
+        self._stored: dict[str, str] = {}
+        self._seen: dict[Path, int] = {}
+        for action in self._index.custom.values():
+            for use in uses_of(action):
+                self.find(use.action, use.elements)
+
+    @classmethod
+    def load(cls, hand: Hand, folder: Path) -> ActionLibrary:
+        """Read the actions stored in a folder; a missing folder holds none.
+
+        Raises:
+            ActionError: for every mistake in the files, with file and line.
+        """
+        library = cls(hand, (), folder)
+        library._read()
+        return library
+
+    def _read(self, keep: Sequence[Action] = ()) -> None:
+        from rtee.actions.store import read_actions, stamps
+
+        if self.folder is None:
+            return
+        seen = stamps(self.folder)
+        actions = read_actions(self.hand, self.folder)
+        custom = [action for action in actions if not isinstance(action, Primitive)]
+        self._index = Index(self.hand, (*actions, *keep))
+        self._stored = {normalise(action.name): action.name for action in custom}
+        self._seen = seen
+        for action in custom:
+            for warning in warnings_of(action):
+                log.warning("%s", warning)
+
+    def __len__(self) -> int:
+        return len(self._index.primitives) + len(self._index.custom)
+
+    def __iter__(self) -> Iterator[Action]:
+        return iter(self._index.ordered)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names there are, each once."""
+        return self._index.names
+
+    def find(
+        self,
+        name: str,
+        elements: Sequence[str] = (),
+        kind: ActionKind | str | None = None,
+    ) -> Action:
+        """Return one action.
+
+        ``MultiPinchTight`` and ``SingleJointMultipleTips`` may be given without their count. A
+        primitive that exists with one set of elements only needs none.
+
+        Args:
+            name: Its name.
+            elements: For a primitive, the fingers or the actuator, in any order.
+            kind: Which of the four kinds it must be, if that matters.
+
+        Raises:
+            UnknownAction: if there is none of that name (and kind).
+            ActionError: if it does not exist with these elements; the possible ones are named.
+        """
+        return self._index.find(name, tuple(elements), kind)
+
+    def all(
+        self,
+        kind: ActionKind | str | None = None,
+        name: str | None = None,
+        elements: Sequence[str] = (),
+    ) -> list[Action]:
+        """Return the actions that pass a filter, in a fixed order.
+
+        Args:
+            kind: Of this kind only.
+            name: Of this name only.
+            elements: Only primitives done with all of these elements.
+        """
+        return self._index.select(kind, name, tuple(elements))
+
+    def primitives(self) -> list[PrimitiveGroup]:
+        """Return the primitives as a user interface shows them, one group per name."""
+        return self._index.groups()
+
+    def partners(self, name: str, element: str) -> tuple[str, ...]:
+        """Return the elements that a primitive can be done with together with a given one.
+
+        Raises:
+            UnknownAction: if there is no primitive of that name.
+            ActionError: if it is never done with that element.
+        """
+        return self._index.partners(name, element)
+
+    def users(self, name: str, elements: Sequence[str] = ()) -> tuple[str, ...]:
+        """Return the names of the actions that use this one."""
+        return self._index.users(self.find(name, elements))
+
+    def is_stored(self, name: str) -> bool:
+        """Return whether a composed, timed or generic action is stored in a file."""
+        return normalise(name) in self._stored
+
+    def compose(
+        self,
+        name: str,
+        parts: Sequence[ActionReference],
+        *,
+        independent: bool = False,
+        description: str = "",
+    ) -> Composed:
+        """Make a composed action of this library's actions, without adding it; see `build`."""
+        return compose(
+            self.hand, self.find, name, parts, independent=independent, description=description
+        )
+
+    def sequence(self, name: str, steps: Sequence[StepPlan], *, description: str = "") -> Timed:
+        """Make a timed action of this library's actions, without adding it; see `build`."""
+        return sequence(self.hand, self.find, name, steps, description=description)
+
+    def add(self, action: Action, store: bool = False, *, replace_same: bool = False) -> None:
+        """Add an action.
+
+        Args:
+            action: The action.
+            store: Write it to its file at once.
+            replace_same: Replace the action of the same name, and bring those that use it up to
+                date, instead of refusing.
+
+        Raises:
+            ActionError: if the name is taken, or what it refers to is missing or the action itself.
+        """
+        others = self._index.without(action)
+        if len(others) < len(self) and not replace_same:
+            raise ActionError(f"there already is an action '{action.name}'")
+        if not isinstance(action, Primitive):
+            check_custom_name(action.name)
+        index = Index(self.hand, (*others, action))
+        for use in uses_of(action):
+            if normalise(use.action) == normalise(action.name):
+                raise ActionError(f"the action '{action.name}' would contain itself")
+            index.find(use.action, use.elements, None)
+        index = index.rebuilt() if replace_same else index
+        if store:
+            self._write(index, action)
+        self._index = index
+
+    def store(self, name: str, elements: Sequence[str] = ()) -> None:
+        """Write one action to its file.
+
+        Raises:
+            ActionError: if the library has no folder.
+            ConfigError: if the file cannot be written.
+        """
+        self._write(self._index, self.find(name, elements))
+
+    def _write(self, index: Index, action: Action) -> None:
+        from rtee.actions.store import write_custom, write_primitives
+
+        folder = self._home()
+        if isinstance(action, Primitive):
+            write_primitives(folder, self.hand, index.primitives)
+            return
+        for use in uses_of(action):
+            inner = index.find(use.action, use.elements, None)
+            if not isinstance(inner, Primitive) and not self.is_stored(inner.name):
+                raise ActionError(
+                    f"'{action.name}' uses '{inner.name}', which is not stored itself"
+                )
+        write_custom(folder, action)
+        self._stored[normalise(action.name)] = action.name
+        self._note()
+
+    def _home(self) -> Path:
+        if self.folder is None:
+            raise ActionError("these actions have no folder to be stored in")
+        return self.folder
+
+    def _note(self) -> None:
+        from rtee.actions.store import stamps
+
+        if self.folder is not None:
+            self._seen = stamps(self.folder)
+
+    def remove(self, name: str) -> None:
+        """Remove a composed, timed or generic action, and its file.
+
+        Raises:
+            UnknownAction: if there is none.
+            ActionError: if another action uses it, which is named; or if it is a primitive.
+        """
+        action = self.find(name)
+        if isinstance(action, Primitive):
+            raise ActionError(f"'{action.name}' is a primitive; the extraction decides on those")
+        users = self._index.users(action)
+        if users:
+            raise ActionError(f"'{action.name}' is used by {', '.join(users)}; remove that first")
+        if self.is_stored(action.name):
+            from rtee.actions.store import delete_custom
+
+            delete_custom(self._home(), action)
+            del self._stored[normalise(action.name)]
+            self._note()
+        self._index = Index(self.hand, self._index.without(action))
+
+    def rename(self, name: str, new_name: str) -> None:
+        """Give a composed, timed or generic action another name, everywhere it is used.
+
+        Raises:
+            UnknownAction: if there is none.
+            ActionError: if the new name is taken or not good; or if it is a primitive.
+        """
+        from rtee.actions.store import delete_custom, write_custom
+
+        action = self.find(name)
+        if isinstance(action, Primitive):
+            raise ActionError(f"'{action.name}' is a primitive; its name cannot change")
+        check_custom_name(new_name)
+        old, new = normalise(action.name), normalise(new_name)
+        if new != old and new in self._index.custom:
+            raise ActionError(f"there already is an action '{new_name}'")
+        changed: list[Action] = []
+        kept: list[Action] = []
+        for other in self._index.ordered:
+            if other is action:
+                changed.append(replace(action, name=new_name))
+            elif any(normalise(use.action) == old for use in uses_of(other)):
+                changed.append(_renamed_use(other, old, new_name))
+            else:
+                kept.append(other)
+        index = Index(self.hand, (*kept, *changed))
+        if old in self._stored:
+            for other in changed:
+                if normalise(other.name) == new or self.is_stored(other.name):
+                    write_custom(self._home(), other)
+            if new_name != action.name:
+                delete_custom(self._home(), action)
+            del self._stored[old]
+            self._stored[new] = new_name
+            self._note()
+        self._index = index
+
+    def save(self, folder: Path | None = None) -> None:
+        """Write all actions to their files, each atomically; nothing is written that is equal.
+
+        Args:
+            folder: Where to, and from now on; ``None``: where they came from.
+
+        Raises:
+            ActionError: if there is no folder.
+            ConfigError: if a file cannot be written.
+        """
+        from rtee.actions.store import write_custom, write_primitives
+
+        if folder is not None:
+            self.folder = folder
+        home = self._home()
+        write_primitives(home, self.hand, self._index.primitives)
+        for action in self._index.custom.values():
+            write_custom(home, action)
+            self._stored[normalise(action.name)] = action.name
+        self._note()
+
+    def changed(self) -> bool:
+        """Return whether a file was changed, added or removed since it was read or written."""
+        from rtee.actions.store import stamps
+
+        return self.folder is not None and stamps(self.folder) != self._seen
+
+    def reload(self, *, force: bool = False) -> bool:
+        """Read the files again if they changed; actions that are only in memory stay.
+
+        Returns:
+            Whether they were read.
+
+        Raises:
+            ActionError: for every mistake in the files; the library stays as it was.
+        """
+        if not (force or self.changed()):
+            return False
+        volatile = [
+            action
+            for action in self._index.custom.values()
+            if kind_of(action) is not ActionKind.PRIMITIVE and not self.is_stored(action.name)
+        ]
+        self._read(volatile)
+        return True
+
+
+def _renamed_use(action: Action, old: str, new_name: str) -> Action:
+    def renamed(use: ActionReference) -> ActionReference:
+        return replace(use, action=new_name) if normalise(use.action) == old else use
+
+    match action:
+        case Composed():
+            return replace(action, parts=tuple(renamed(use) for use in action.parts))
+        case Timed():
+            steps = tuple(replace(step, use=renamed(step.use)) for step in action.steps)
+            return replace(action, steps=steps)
+    return action

@@ -1,0 +1,20 @@
+"""Names of actions: regardless of case, underscores, hyphens and spaces, two spellings are one."""
+
+from __future__ import annotations
+
+import re
+
+_SEPARATORS = re.compile(r"[\s_-]+")
+
+
+def normalise(name: str) -> str:
+    """Return the spelling under which names are compared.
+
+    ``pinchTight``, ``PinchTight``, ``pinch_tight`` and ``pinch tight`` all become ``pinchtight``.
+    """
+    return _SEPARATORS.sub("", name).lower()
+
+
+def label(name: str, elements: tuple[str, ...] = ()) -> str:
+    """Return how an action is called in a sentence: ``PinchTight (index, thumb)``."""
+    return f"{name} ({', '.join(elements)})" if elements else name

@@ -1,0 +1,292 @@
+"""The folder of a hand's actions: one file per primitive kind, one per custom action.
+
+::
+
+    actions/primitives/PinchTight.yaml
+    actions/composed/schunkGrasp.yaml
+    actions/timed/drill.yaml
+    actions/generic/point.yaml
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+from rtee.actions.build import compose, full_posture, sequence
+from rtee.actions.comments import rewritten
+from rtee.actions.documents import read_document, read_text
+from rtee.actions.naming import normalise
+from rtee.actions.schema import (
+    Definition,
+    custom_document,
+    primitive_document,
+    read_definition,
+    read_primitives,
+)
+from rtee.actions.types import Action, ActionKind, Generic, Primitive, PrimitiveKind, kind_of
+from rtee.actions.yamltext import emit, read_canonical
+from rtee.errors import ActionError, ConfigError, UserError
+from rtee.hand.files import make_folder, reason, write_atomically
+from rtee.hand.model import Hand
+
+PRIMITIVES = "primitives"
+CUSTOM = (ActionKind.GENERIC, ActionKind.COMPOSED, ActionKind.TIMED)
+
+_COMMENTS: Mapping[str, str] = {
+    PrimitiveKind.TRIG: "all actuators that move only this finger, at their farthest bound",
+    PrimitiveKind.TIP_FLEX: "the actuator nearest the fingertip, at its farthest bound",
+    PrimitiveKind.FING_FLEX: "the actuator nearest the palm, at its farthest bound",
+    PrimitiveKind.PINCH_TIGHT: "two fingertips pressed against each other",
+    PrimitiveKind.PINCH_LOOSE: "two fingertips brought as near as they come",
+    PrimitiveKind.MULTI_PINCH_TIGHT: "several fingertips pressed against each other",
+    PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS: "one actuator that moves several fingertips",
+}
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        return sorted(
+            path
+            for path in folder.iterdir()
+            if path.suffix in (".yaml", ".yml") and not path.name.startswith(".")
+        )
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise ActionError(f"cannot be read: {reason(error)}", path=folder) from None
+
+
+def stamps(folder: Path) -> dict[Path, int]:
+    """Return the files of a folder of actions with the times of their last change [ns]."""
+    found: dict[Path, int] = {}
+    for room in (PRIMITIVES, *CUSTOM):
+        for path in _files(folder / room):
+            try:
+                found[path] = path.stat().st_mtime_ns
+            except OSError:
+                continue
+    return found
+
+
+# --- reading ---------------------------------------------------------------------------------
+
+
+def read_actions(hand: Hand, folder: Path) -> list[Action]:
+    """Read all actions of a hand, those that others are made of first.
+
+    Raises:
+        ActionError: for every mistake, with file and line.
+    """
+    primitives: list[Primitive] = []
+    for path in _files(folder / PRIMITIVES):
+        primitives += read_primitives(hand, read_document(path).root)
+    _refuse_twins(primitives, folder)
+    definitions: dict[str, Definition] = {}
+    for kind in CUSTOM:
+        for path in _files(folder / kind):
+            definition = _read_custom(kind, path)
+            other = definitions.setdefault(normalise(definition.name), definition)
+            if other is not definition:
+                raise definition.node.child("name", None).error(
+                    f"the name '{definition.name}' is already that of {other.node.document.path}, "
+                    "as case and underscores do not matter"
+                )
+    return [*primitives, *_Builder(hand, primitives, definitions).build()]
+
+
+def _read_custom(kind: ActionKind, path: Path) -> Definition:
+    definition = read_definition(kind, read_document(path).root)
+    if normalise(path.stem) != normalise(definition.name):
+        raise definition.node.child("name", None).error(
+            f"the name '{definition.name}' and the file's name differ"
+        )
+    return definition
+
+
+def _refuse_twins(primitives: Iterable[Primitive], folder: Path) -> None:
+    seen: set[tuple[str, frozenset[str]]] = set()
+    for primitive in primitives:
+        key = (primitive.name, frozenset(primitive.elements))
+        if key in seen:
+            raise ActionError(
+                f"{primitive.name} of {', '.join(primitive.elements)} is there twice",
+                path=_primitive_path(folder, primitive.name),
+            )
+        seen.add(key)
+
+
+class _Builder:
+    """Makes actions of definitions in the order in which they need each other."""
+
+    def __init__(
+        self, hand: Hand, primitives: Sequence[Primitive], definitions: Mapping[str, Definition]
+    ) -> None:
+        from rtee.actions.index import Index
+
+        self.hand = hand
+        self.definitions = definitions
+        self.primitives = Index(hand, primitives)
+        self.done: dict[str, Action] = {}
+        self.under_way: list[str] = []
+
+    def build(self) -> list[Action]:
+        for key in self.definitions:
+            self._made(key)
+        return list(self.done.values())
+
+    def _made(self, key: str) -> Action:
+        if key not in self.done:
+            self.under_way.append(key)
+            self.done[key] = self._make(self.definitions[key])
+            self.under_way.pop()
+        return self.done[key]
+
+    def _find(self, name: str, elements: tuple[str, ...]) -> Action:
+        key = normalise(name)
+        if key not in self.definitions:
+            known = [*self.primitives.names, *(d.name for d in self.definitions.values())]
+            return self.primitives.find(name, elements, None, known)
+        if key in self.under_way:
+            chain = [*self.under_way[self.under_way.index(key) :], key]
+            names = " > ".join(self.definitions[k].name for k in chain)
+            raise ActionError(f"the action would contain itself: {names}")
+        if elements:
+            raise ActionError(f"'{name}' is no primitive and takes no elements")
+        return self._made(key)
+
+    def _make(self, definition: Definition) -> Action:
+        at: list[int] = []
+
+        def find(name: str, elements: tuple[str, ...]) -> Action:
+            at.append(len(at))
+            return self._find(name, elements)
+
+        try:
+            if definition.kind is ActionKind.COMPOSED:
+                return compose(
+                    self.hand,
+                    find,
+                    definition.name,
+                    definition.parts,
+                    independent=definition.independent,
+                    description=definition.description,
+                )
+            if definition.kind is ActionKind.TIMED:
+                return sequence(
+                    self.hand,
+                    find,
+                    definition.name,
+                    definition.steps,
+                    description=definition.description,
+                )
+            return self._generic(definition)
+        except UserError as error:
+            if error.path is not None:
+                raise
+            node = definition.uses[at[-1]] if at else definition.node
+            raise node.error(error.message) from None
+
+    def _generic(self, definition: Definition) -> Generic:
+        values = dict(definition.set_points or {})
+        for node, (name, value) in zip(definition.uses, values.items(), strict=True):
+            try:
+                full_posture(self.hand, {name: value})
+            except UserError as error:
+                raise node.error(error.message) from None
+        return Generic(definition.name, full_posture(self.hand, values), definition.description)
+
+
+# --- writing ---------------------------------------------------------------------------------
+
+
+def _primitive_path(folder: Path, name: str) -> Path:
+    return folder / PRIMITIVES / f"{name}.yaml"
+
+
+def write_primitives(folder: Path, hand: Hand, primitives: Iterable[Primitive]) -> list[Path]:
+    """Write all primitives of a hand, one file per kind; files of kinds that are gone go too.
+
+    The same primitives give the same text. Comments of people in the files are kept.
+
+    Args:
+        folder: The hand's folder of actions.
+        hand: The hand.
+        primitives: All its primitives.
+
+    Returns:
+        The files.
+
+    Raises:
+        ConfigError: if a file cannot be written.
+    """
+    from rtee.actions.index import Index
+
+    room = make_folder(folder / PRIMITIVES)
+    named: dict[str, list[Primitive]] = {}
+    for primitive in Index(hand, tuple(primitives)).primitives:
+        named.setdefault(primitive.name, []).append(primitive)
+    written = []
+    for name, members in named.items():
+        path = _primitive_path(folder, name)
+        comment = f"{name}: {_COMMENTS[members[0].kind]}."
+        _write(path, primitive_document(members), (comment,))
+        written.append(path)
+    for path in _files(room):
+        if path not in written:
+            _unlink(path)
+    return written
+
+
+def write_custom(folder: Path, action: Action) -> Path:
+    """Write a composed, timed or generic action to its file; comments in it are kept.
+
+    Returns:
+        The file.
+
+    Raises:
+        ConfigError: if it cannot be written.
+    """
+    path = _custom_path(folder, action)
+    make_folder(path.parent)
+    _write(path, custom_document(action))
+    return path
+
+
+def delete_custom(folder: Path, action: Action) -> None:
+    """Delete the file of a composed, timed or generic action, if there is one.
+
+    Raises:
+        ConfigError: if it cannot be deleted.
+    """
+    _unlink(_custom_path(folder, action))
+
+
+def _custom_path(folder: Path, action: Action) -> Path:
+    room = folder / kind_of(action)
+    same = (path for path in _files(room) if normalise(path.stem) == normalise(action.name))
+    return next(same, room / f"{action.name}.yaml")
+
+
+def _unlink(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise ConfigError(f"cannot be deleted: {reason(error)}", path=path) from None
+
+
+def _write(path: Path, data: dict[str, Any], comments: Sequence[str] = ()) -> None:
+    text = emit(data, comments)
+    if path.exists():
+        old = read_text(path)
+        if old == text:
+            return
+        if read_canonical(old) is None or _header(old) != _header(text):
+            text = rewritten(old, data) or text
+    write_atomically(path, text)
+
+
+def _header(text: str) -> list[str]:
+    return list(takewhile(lambda line: line.startswith("#"), text.split("\n")))
