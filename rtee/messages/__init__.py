@@ -1,6 +1,7 @@
 """The one vocabulary of messages: ROS 2 types in CDR, in recordings and on the network alike."""
 
 from rtee.messages.convert import (
+    decode_command,
     decode_device_status,
     decode_event,
     decode_feedback,
@@ -8,6 +9,7 @@ from rtee.messages.convert import (
     decode_loop_statistics,
     decode_result,
     decode_string,
+    encode_command,
     encode_device_status,
     encode_event,
     encode_feedback,
@@ -23,6 +25,7 @@ from rtee.messages.topics import log_topic, network_key
 __all__ = [
     "JointStateEncoder",
     "MessageType",
+    "decode_command",
     "decode_device_status",
     "decode_event",
     "decode_feedback",
@@ -30,6 +33,7 @@ __all__ = [
     "decode_loop_statistics",
     "decode_result",
     "decode_string",
+    "encode_command",
     "encode_device_status",
     "encode_event",
     "encode_feedback",

@@ -57,7 +57,7 @@ float64[] value              # values of all channels, one channel after the oth
     "rtee_msgs/msg/Goal": """\
 # A grasping action to be executed.
 std_msgs/Header header
-float64 time                 # when it was taken, CLOCK_MONOTONIC [s]
+float64 time                 # when the tick was due at which it took effect, CLOCK_MONOTONIC [s]
 string goal_id               # its identifier
 string client                # who asks
 string action                # name of the action
@@ -111,11 +111,11 @@ string text                  # one sentence
 string severity              # info, warning or error
 """,
     "rtee_msgs/msg/Command": """\
-# A call that steered the executor, in the order of the calls; replay needs it.
+# A call that steered the hand, other than a goal; with the goals it replays the hand.
 std_msgs/Header header
-uint64 tick                  # last tick done before the call
-float64 time                 # CLOCK_MONOTONIC [s]
-string kind                  # name of the call
+uint64 tick                  # tick at which it took effect, before its set-points
+float64 time                 # when that tick was due, CLOCK_MONOTONIC [s]
+string kind                  # cancel, hold, freeze, jog, active, accepts or fail
 string text                  # its text argument, such as a goal's identifier
 string[] name                # its numbers by name
 float64[] value

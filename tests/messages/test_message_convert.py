@@ -11,6 +11,7 @@ from rtee import messages
 from rtee.errors import MessageError
 from rtee.messages import convert, message_type
 from rtee.types import (
+    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -48,6 +49,7 @@ RESULT = Result(
     position={"thumb_flexion": 0.75},
 )
 EVENT = Event("mark", "user", "the drill slipped", 99.5, "warning")
+COMMAND = Command("jog", "panel", {"thumb_flexion": 0.5}, 7, 12.25)
 STATUS = DeviceStatus(
     "svh",
     "schunk_svh",
@@ -76,6 +78,7 @@ PAIRS: list[tuple[Callable[..., bytes], Callable[[bytes], Any], Any]] = [
     (messages.encode_feedback, messages.decode_feedback, Feedback("1", 1.0)),
     (messages.encode_result, messages.decode_result, RESULT),
     (messages.encode_event, messages.decode_event, EVENT),
+    (messages.encode_command, messages.decode_command, COMMAND),
     (messages.encode_device_status, messages.decode_device_status, STATUS),
     (messages.encode_device_status, messages.decode_device_status, replace(STATUS, age=math.inf)),
     (messages.encode_loop_statistics, messages.decode_loop_statistics, STATISTICS),
