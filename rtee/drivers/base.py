@@ -18,8 +18,8 @@ class Driver(ABC):
     """The code that talks to one device.
 
     A driver converts between SI units and the device's own at its edge. It holds no timing, no
-    accounting of retries and no reconnect logic: the supervisor in `rtee.loop` adds those, and calls the
-    methods of one driver one after the other, never two at once.
+    accounting of retries and no reconnect logic: the supervisor in `rtee.loop` adds those. It calls
+    the methods of one driver one after the other, never two at once.
 
     Attributes:
         Options: The pydantic model of its options in hand.yaml, or ``None`` to take any.

@@ -1,0 +1,205 @@
+"""The loop's clock: a fixed rate on absolute deadlines; a missed tick is counted, not caught up."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import Protocol
+
+from rtee.errors import ConfigError
+from rtee.loop import timerfd
+from rtee.loop.settings import MAX_RATE, MIN_RATE
+
+_NANOSECONDS = 1_000_000_000
+
+
+@dataclass(slots=True)
+class Tick:
+    """One period of the loop.
+
+    Attributes:
+        number: Counted from 0; a missed tick leaves a gap.
+        due_ns: When it was due, CLOCK_MONOTONIC [ns].
+        woken_ns: When the loop woke up for it, CLOCK_MONOTONIC [ns].
+        missed: Ticks missed since the one before.
+        wall_ns: Wall-clock time of its due time [ns since 1970].
+    """
+
+    number: int
+    due_ns: int
+    woken_ns: int
+    missed: int
+    wall_ns: int
+
+    @property
+    def stamp(self) -> float:
+        """When it was due, CLOCK_MONOTONIC [s]."""
+        return self.due_ns * 1e-9
+
+    @property
+    def lateness_ns(self) -> int:
+        """Wake-up after the due time [ns]."""
+        return self.woken_ns - self.due_ns
+
+
+class AnyClock(Protocol):
+    """What the loop needs of a clock."""
+
+    rate: float
+
+    @property
+    def period(self) -> float:
+        """Time between ticks [s]."""
+
+    def __aiter__(self) -> AsyncIterator[Tick]:
+        """Iterate over the ticks."""
+
+
+def _period_ns(rate: float) -> int:
+    if not (math.isfinite(rate) and MIN_RATE <= rate <= MAX_RATE):
+        raise ConfigError(f"the rate must be {MIN_RATE:g} to {MAX_RATE:g} Hz, not {rate:g}")
+    return round(_NANOSECONDS / rate)
+
+
+class Clock:
+    """Ticks at a fixed rate: ``async for tick in Clock(1000)``.
+
+    On Linux a timerfd wakes the event loop within some ten microseconds of the due time. Elsewhere
+    a sleep does, as exactly as the event loop can: asyncio rounds to a millisecond.
+
+    Args:
+        rate: Ticks per second [Hz], 1 to 2000.
+
+    Raises:
+        ConfigError: if the rate is out of range.
+    """
+
+    def __init__(self, rate: float, *, use_timerfd: bool = True) -> None:
+        self.rate = float(rate)
+        self.period_ns = _period_ns(rate)
+        self.uses_timerfd = use_timerfd and timerfd.available()
+
+    @property
+    def period(self) -> float:
+        """Time between ticks [s]."""
+        return self.period_ns * 1e-9
+
+    def __aiter__(self) -> AsyncIterator[Tick]:
+        """Start now and iterate over the ticks; leaving the iteration ends it."""
+        return self._with_timerfd() if self.uses_timerfd else self._with_sleep()
+
+    async def _with_timerfd(self) -> AsyncIterator[Tick]:
+        loop = asyncio.get_running_loop()
+        start = time.monotonic_ns() + self.period_ns
+        timer = timerfd.PeriodicTimer(start, self.period_ns)
+        expired = 0
+        waiter: asyncio.Future[None] | None = None
+
+        def on_expiry() -> None:
+            nonlocal expired
+            expired += timer.expiries()
+            if waiter is not None and not waiter.done():
+                waiter.set_result(None)
+
+        loop.add_reader(timer.fd, on_expiry)
+        number = -1
+        try:
+            while True:
+                if expired:
+                    # The last tick took longer than a period: the others must still get their turn.
+                    await asyncio.sleep(0)
+                else:
+                    waiter = loop.create_future()
+                    await waiter
+                    waiter = None
+                woken, wall = time.monotonic_ns(), time.time_ns()
+                passed, expired = expired, 0
+                number += passed
+                due = start + number * self.period_ns
+                yield Tick(number, due, woken, passed - 1, wall - (woken - due))
+        finally:
+            loop.remove_reader(timer.fd)
+            timer.close()
+
+    async def _with_sleep(self) -> AsyncIterator[Tick]:
+        start = time.monotonic_ns() + self.period_ns
+        number = 0
+        last = -1
+        while True:
+            due = start + number * self.period_ns
+            await asyncio.sleep(max(0.0, (due - time.monotonic_ns()) * 1e-9))
+            woken, wall = time.monotonic_ns(), time.time_ns()
+            number = max(number, (woken - start) // self.period_ns)
+            due = start + number * self.period_ns
+            if woken >= due:
+                yield Tick(number, due, woken, number - last - 1, wall - (woken - due))
+                last = number
+                number += 1
+
+
+class ManualClock:
+    """A clock that is moved by hand: for tests and replay, at any speed.
+
+    Iterated over, it gives ticks as fast as the loop takes them, and lets every other task run in
+    between until it waits.
+
+    Args:
+        rate: Ticks per second of its own time [Hz].
+        ticks: End the iteration after as many; ``None``: never.
+        start: Its time at the beginning [s].
+        turns: How often the other tasks get their turn between two ticks.
+    """
+
+    def __init__(
+        self, rate: float, *, ticks: int | None = None, start: float = 1000.0, turns: int = 12
+    ) -> None:
+        self.rate = float(rate)
+        self.period_ns = _period_ns(rate)
+        self.ticks = ticks
+        self.turns = turns
+        self._start_ns = round(start * _NANOSECONDS)
+        self._number = -1
+
+    @property
+    def period(self) -> float:
+        """Time between ticks [s]."""
+        return self.period_ns * 1e-9
+
+    def now(self) -> float:
+        """Return its time [s]; stands in for `time.monotonic`."""
+        return (self._start_ns + max(self._number, 0) * self.period_ns) * 1e-9
+
+    def next(self, missed: int = 0) -> Tick:
+        """Move on by one tick, or by one and those missed."""
+        self._number += 1 + missed
+        due = self._start_ns + self._number * self.period_ns
+        return Tick(self._number, due, due, missed, due)
+
+    async def settle(self) -> None:
+        """Let the other tasks run."""
+        for _ in range(self.turns):
+            await asyncio.sleep(0)
+
+    async def __aiter__(self) -> AsyncIterator[Tick]:
+        """Iterate over the ticks."""
+        done = 0
+        while self.ticks is None or done < self.ticks:
+            await self.settle()
+            yield self.next()
+            done += 1
+
+
+@contextlib.asynccontextmanager
+async def ticking(clock: AnyClock) -> AsyncIterator[AsyncIterator[Tick]]:
+    """Iterate over a clock and close it in the same task, whatever ends the iteration."""
+    ticks = aiter(clock)
+    try:
+        yield ticks
+    finally:
+        close = getattr(ticks, "aclose", None)
+        if close is not None:
+            await close()

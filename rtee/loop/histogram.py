@@ -1,0 +1,127 @@
+"""Percentiles of a stream of durations in fixed memory."""
+
+from __future__ import annotations
+
+from rtee.types import LoopStatistics
+
+_FIRST = 5
+_SUB = 1 << _FIRST
+
+
+class Histogram:
+    """Counts durations in buckets whose width grows with the value: 3 % wide, of fixed number.
+
+    Up to 63 ns every value has its own bucket; above, every power of two is cut into 32 buckets
+    (the scheme of HdrHistogram). `maximum` is exact.
+
+    Args:
+        limit_ns: Longer durations are counted in the last bucket.
+    """
+
+    __slots__ = ("_counts", "_last", "count", "maximum")
+
+    def __init__(self, limit_ns: int = 100_000_000_000) -> None:
+        self._last = _bucket(limit_ns)
+        self._counts = [0] * (self._last + 1)
+        self.count = 0
+        self.maximum = 0
+
+    def add(self, nanoseconds: int) -> None:
+        """Count a duration [ns]; a negative one counts as 0."""
+        self._counts[min(_bucket(nanoseconds), self._last)] += 1
+        self.count += 1
+        if nanoseconds > self.maximum:
+            self.maximum = nanoseconds
+
+    def percentile(self, percent: float) -> float:
+        """Return the value [s] that ``percent`` of the durations don't exceed; 0 without any."""
+        return self.percentiles((percent,))[0]
+
+    def percentiles(self, percents: tuple[float, ...]) -> list[float]:
+        """Return several percentiles [s] in one pass; ``percents`` must ascend."""
+        found: list[float] = []
+        if not self.count:
+            return [0.0] * len(percents)
+        seen = 0
+        bucket = -1
+        for percent in percents:
+            wanted = percent / 100 * self.count
+            while seen < wanted:
+                bucket += 1
+                seen += self._counts[bucket]
+            upper = _upper(max(bucket, 0))
+            found.append(min(upper, self.maximum) * 1e-9)
+        return found
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._counts = [0] * len(self._counts)
+        self.count = 0
+        self.maximum = 0
+
+
+def _bucket(nanoseconds: int) -> int:
+    if nanoseconds < _SUB:
+        return max(nanoseconds, 0)
+    shift = nanoseconds.bit_length() - _FIRST - 1
+    return (shift << _FIRST) + (nanoseconds >> shift)
+
+
+def _upper(bucket: int) -> int:
+    """Return the largest duration that falls into a bucket [ns]."""
+    if bucket < _SUB:
+        return bucket
+    shift = (bucket >> _FIRST) - 1
+    return ((bucket - (shift << _FIRST) + 1) << shift) - 1
+
+
+class TickStatistics:
+    """Lateness, busy time and missed ticks of a clock since it started.
+
+    Args:
+        rate: Configured rate [Hz].
+    """
+
+    def __init__(self, rate: float) -> None:
+        self.rate = rate
+        self.lateness = Histogram()
+        self.busy = Histogram()
+        self.ticks = 0
+        self.missed = 0
+        self.measured_rate = 0.0
+        self._window_ticks = 0
+        self._window_ns = 0
+
+    def add(self, woken_ns: int, lateness_ns: int, busy_ns: int, missed: int) -> None:
+        """Count one tick."""
+        self.lateness.add(lateness_ns)
+        self.busy.add(busy_ns)
+        self.missed += missed
+        if not self.ticks:
+            self._window_ns = woken_ns
+        self.ticks += 1
+        passed = woken_ns - self._window_ns
+        if passed >= 1_000_000_000:
+            self.measured_rate = (self.ticks - 1 - self._window_ticks) * 1e9 / passed
+            self._window_ticks = self.ticks - 1
+            self._window_ns = woken_ns
+
+    def summary(self, dropped: int = 0) -> LoopStatistics:
+        """Return what `LoopStatistics` tells."""
+        lateness = self.lateness.percentiles((50.0, 99.0, 99.9))
+        busy = self.busy.percentiles((50.0, 99.0, 99.9))
+        return LoopStatistics(
+            rate=self.rate,
+            measured_rate=self.measured_rate,
+            ticks=self.ticks,
+            missed=self.missed,
+            lateness_p50=lateness[0],
+            lateness_p99=lateness[1],
+            lateness_p999=lateness[2],
+            lateness_max=self.lateness.maximum * 1e-9,
+            busy_p50=busy[0],
+            busy_p99=busy[1],
+            busy_p999=busy[2],
+            busy_max=self.busy.maximum * 1e-9,
+            dropped=dropped,
+        )

@@ -1,0 +1,74 @@
+"""What every profile does: turn set-points into a smooth reference, one period after the other."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping
+
+from rtee.loop.motion import Limits
+
+
+class Profile(ABC):
+    """Moves the references of all actuators of a hand; pure: time passes by `advance` only.
+
+    Args:
+        limits: Limits of the actuators.
+        period: Time between ticks [s].
+
+    Attributes:
+        position: Positions of the reference [rad | m].
+        velocity: Its velocities [rad/s | m/s].
+        target: Where each actuator is going [rad | m].
+        moving: Whether any actuator has not arrived yet.
+    """
+
+    def __init__(self, limits: Limits, period: float) -> None:
+        self.limits = limits
+        self.period = period
+        n = len(limits.lower)
+        self.position = [0.0] * n
+        self.velocity = [0.0] * n
+        self.target = [0.0] * n
+        self.moving = False
+
+    @property
+    def size(self) -> int:
+        """Number of actuators."""
+        return len(self.position)
+
+    def seed(self, positions: Mapping[int, float]) -> None:
+        """Start some actuators anew, standing at a position; the others go on.
+
+        Args:
+            positions: Position by index [rad | m].
+        """
+        for index, position in positions.items():
+            self.position[index] = position
+            self.velocity[index] = 0.0
+            self.target[index] = position
+        self._seeded(positions)
+
+    @abstractmethod
+    def _seeded(self, positions: Collection[int]) -> None:
+        """Forget the motion of these actuators."""
+
+    @abstractmethod
+    def go(
+        self,
+        targets: Mapping[int, float],
+        *,
+        brake: Collection[int] = (),
+        velocity: Mapping[int, float] | None = None,
+    ) -> None:
+        """Go somewhere from the present motion, whatever it is.
+
+        Args:
+            targets: Position to go to, by index [rad | m]; clamped into the limits.
+            brake: Actuators to be stopped as soon as the limits allow. Those in neither go on.
+            velocity: Velocity limits to be used from now on, by index; others keep theirs, which
+                begin as those of the hand and are never exceeded.
+        """
+
+    @abstractmethod
+    def advance(self) -> None:
+        """Let one period pass."""

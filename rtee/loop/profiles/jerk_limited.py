@@ -1,0 +1,151 @@
+"""The default profile: as fast as velocity, acceleration and jerk limits allow, all together."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, Synchronization, Trajectory
+
+from rtee.loop.motion import Limits
+from rtee.loop.profiles.base import Profile
+from rtee.loop.profiles.stepwise import Step
+
+_SLACK = 1e-9
+
+
+class JerkLimited(Profile):
+    """Time-optimal motion under jerk limits; actuators that start together arrive together.
+
+    The trajectories are ruckig's (Berscheid and Kröger, "Jerk-limited Real-time Trajectory
+    Generation with Arbitrary Target States", 2021). A new target continues position, velocity and
+    acceleration.
+    """
+
+    def __init__(self, limits: Limits, period: float) -> None:
+        super().__init__(limits, period)
+        n = self.size
+        self._ruckig = Ruckig(n)
+        self._input = InputParameter(n)
+        self._input.max_velocity = list(limits.velocity)
+        self._input.max_acceleration = list(limits.acceleration)
+        self._input.max_jerk = list(limits.jerk)
+        self._input.target_velocity = [0.0] * n
+        self._input.target_acceleration = [0.0] * n
+        self._trajectory = Trajectory(n)
+        self._acceleration = [0.0] * n
+        self._duration = 0.0
+        self._time = 0.0
+        self._top = list(limits.velocity)
+        self._braking = [False] * n
+        self._plain: Step | None = None
+
+    def _seeded(self, positions: Collection[int]) -> None:
+        for index in positions:
+            self._acceleration[index] = 0.0
+            self._braking[index] = False
+        if self.moving:
+            self._plan()
+
+    def go(
+        self,
+        targets: Mapping[int, float],
+        *,
+        brake: Collection[int] = (),
+        velocity: Mapping[int, float] | None = None,
+    ) -> None:
+        """See `Profile.go`."""
+        for index, top in (velocity or {}).items():
+            self._top[index] = min(top, self.limits.velocity[index])
+        for index, target in targets.items():
+            self.target[index] = self.limits.clamp(index, target)
+            self._braking[index] = False
+        for index in brake:
+            self._braking[index] = True
+        self._plan()
+
+    def _plan(self) -> None:
+        given = self._input
+        given.current_position = self.position
+        given.current_velocity = self.velocity
+        given.current_acceleration = self._acceleration
+        given.target_position = self.target
+        given.max_velocity = self._top
+        given.per_dof_control_interface = [
+            ControlInterface.Velocity if braking else ControlInterface.Position
+            for braking in self._braking
+        ]
+        together = [
+            Synchronization.No if braking else Synchronization.Time for braking in self._braking
+        ]
+        self._time = 0.0
+        self.moving = True
+        self._plain = None
+        for synchronisation in (together, [Synchronization.No] * self.size):
+            given.per_dof_synchronization = synchronisation
+            if self._ruckig.calculate(given, self._trajectory) != Result.Working:
+                continue
+            if self._inside():
+                break
+        else:
+            self._without_jerk_limits()
+            return
+        self._duration = self._trajectory.duration
+        end = self._trajectory.at_time(self._duration)[0]
+        for i, braking in enumerate(self._braking):
+            if braking:
+                self.target[i] = end[i]
+
+    def _inside(self) -> bool:
+        """Return whether the trajectory keeps the position limits (or comes back into them)."""
+        limits = self.limits
+        for i, extremum in enumerate(self._trajectory.position_extrema):
+            here = self.position[i]
+            if (
+                extremum.max > max(limits.upper[i], here) + _SLACK
+                or extremum.min < min(limits.lower[i], here) - _SLACK
+            ):
+                return False
+        return True
+
+    def _without_jerk_limits(self) -> None:
+        """Go on with velocity and acceleration limits only; for what ruckig cannot plan."""
+        step = Step(self.limits, self.period)
+        step.seed(dict(enumerate(self.position)))
+        step.velocity = list(self.velocity)
+        braking = [i for i, braking in enumerate(self._braking) if braking]
+        going = {i: target for i, target in enumerate(self.target) if not self._braking[i]}
+        step.go(going, brake=braking, velocity=dict(enumerate(self._top)))
+        self._plain = step
+
+    def advance(self) -> None:
+        """See `Profile.advance`."""
+        if not self.moving:
+            return
+        if self._plain is not None:
+            self._advance_plain(self._plain)
+            return
+        self._time += self.period
+        if self._time >= self._duration:
+            self._arrive()
+            return
+        position, velocity, acceleration = self._trajectory.at_time(self._time)
+        self.position = position
+        self.velocity = velocity
+        self._acceleration = acceleration
+
+    def _arrive(self) -> None:
+        # The target itself, not what is left of it after rounding.
+        self.position = list(self.target)
+        self.velocity = [0.0] * self.size
+        self._acceleration = [0.0] * self.size
+        self._braking = [False] * self.size
+        self.moving = False
+
+    def _advance_plain(self, step: Step) -> None:
+        step.advance()
+        self.position = list(step.position)
+        self.velocity = list(step.velocity)
+        self._acceleration = [0.0] * self.size
+        self.target = list(step.target)
+        if not step.moving:
+            self._arrive()

@@ -1,0 +1,131 @@
+"""Profiles that are computed period by period: the second-order filter and the bare step."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Collection, Mapping
+
+from rtee.loop.motion import Limits, approach, bounded
+from rtee.loop.profiles.base import Profile
+
+
+class Stepwise(Profile):
+    """A profile that asks for a velocity every period and gets what the limits allow."""
+
+    def __init__(self, limits: Limits, period: float) -> None:
+        super().__init__(limits, period)
+        self._top = list(limits.velocity)
+        self._braking = [False] * self.size
+
+    def _seeded(self, positions: Collection[int]) -> None:
+        for index in positions:
+            self._braking[index] = False
+
+    def go(
+        self,
+        targets: Mapping[int, float],
+        *,
+        brake: Collection[int] = (),
+        velocity: Mapping[int, float] | None = None,
+    ) -> None:
+        """See `Profile.go`."""
+        for index, top in (velocity or {}).items():
+            self._top[index] = min(top, self.limits.velocity[index])
+        for index, target in targets.items():
+            self.target[index] = self.limits.clamp(index, target)
+            self._braking[index] = False
+        for index in brake:
+            self._braking[index] = True
+        self.moving = True
+
+    def advance(self) -> None:
+        """See `Profile.advance`."""
+        if not self.moving:
+            return
+        self.moving = False
+        limits, dt = self.limits, self.period
+        for i in range(self.size):
+            here, speed = self.position[i], self.velocity[i]
+            if self._braking[i]:
+                wanted = 0.0
+            elif here == self.target[i] and speed == 0.0:
+                continue
+            else:
+                wanted = self._wanted(i)
+            allowed = bounded(
+                here,
+                speed,
+                wanted,
+                dt,
+                self._top[i],
+                limits.acceleration[i],
+                limits.lower[i],
+                limits.upper[i],
+            )
+            self._move(i, wanted, allowed)
+            if self._braking[i] and allowed == 0.0:
+                self._braking[i] = False
+                self.target[i] = self.position[i]
+            if self.velocity[i] != 0.0 or self.position[i] != self.target[i]:
+                self.moving = True
+
+    @abstractmethod
+    def _wanted(self, i: int) -> float:
+        """Return the velocity wanted for the next period [rad/s | m/s]."""
+
+    def _move(self, i: int, wanted: float, allowed: float) -> None:
+        """Move on by one period at the allowed velocity."""
+        position = self.position[i] + allowed * self.period
+        # The last step must land on the target, not on its last digit but one.
+        if not self._braking[i] and abs(position - self.target[i]) <= 1e-12:
+            position = self.target[i]
+        self.position[i] = position
+        self.velocity[i] = allowed
+
+
+class Step(Stepwise):
+    """Goes to the target as fast as velocity and acceleration limits allow."""
+
+    def _wanted(self, i: int) -> float:
+        return approach(self.position[i], self.target[i], self.limits.acceleration[i], self.period)
+
+
+class Filter(Stepwise):
+    """A second-order low-pass with damping 1, as in ROS End-Effector, inside all limits.
+
+    The response to a target x is that of x″ = ω²·(target − x) − 2·ω·x′, solved exactly for each
+    period. Its acceleration jumps with the target; position and velocity don't.
+
+    Args:
+        limits: Limits of the actuators.
+        period: Time between ticks [s].
+        bandwidth: ω / 2π [Hz].
+    """
+
+    def __init__(self, limits: Limits, period: float, bandwidth: float = 2.0) -> None:
+        super().__init__(limits, period)
+        self._omega = 2.0 * math.pi * bandwidth
+        self._decay = math.exp(-self._omega * period)
+        self._slope = [0.0] * self.size
+        self._next = [0.0] * self.size
+
+    def _seeded(self, positions: Collection[int]) -> None:
+        super()._seeded(positions)
+        for index in positions:
+            self._slope[index] = 0.0
+
+    def _wanted(self, i: int) -> float:
+        error = self.position[i] - self.target[i]
+        dt = self.period
+        if abs(error) < 1e-6 and abs(self.velocity[i]) < 1e-3 * self.limits.acceleration[i] * dt:
+            self._next[i] = 0.0
+            return -error / dt
+        impulse = self._slope[i] + self._omega * error
+        after = (error + impulse * dt) * self._decay
+        self._next[i] = (self._slope[i] - self._omega * impulse * dt) * self._decay
+        return (after - error) / dt
+
+    def _move(self, i: int, wanted: float, allowed: float) -> None:
+        super()._move(i, wanted, allowed)
+        self._slope[i] = self._next[i] if allowed == wanted and wanted != 0.0 else allowed
