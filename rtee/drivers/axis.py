@@ -54,6 +54,7 @@ class Axis:
     """
 
     __slots__ = (
+        "_now",
         "ambient",
         "cooling",
         "effort",
@@ -109,6 +110,7 @@ class Axis:
         self.heating = 0.5
         self.cooling = 0.01
         self.rating = max_effort
+        self._now: float | None = None
 
     @property
     def blocked(self) -> bool:
@@ -133,6 +135,12 @@ class Axis:
         if thing is None:
             return 0.0
         return max(0.0, (self.position - thing.contact) * thing.closing * thing.stiffness)
+
+    def step(self, now: float) -> None:
+        """Let time pass up to ``now`` [s]; the first call only sets the clock."""
+        if self._now is not None:
+            self.advance(now - self._now)
+        self._now = now if self._now is None else max(now, self._now)
 
     def advance(self, dt: float) -> None:
         """Let ``dt`` seconds pass."""

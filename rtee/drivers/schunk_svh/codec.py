@@ -51,7 +51,7 @@ class Command(IntEnum):
     GET_FIRMWARE_INFO = 0xC
 
 
-def checksums(data: bytes) -> tuple[int, int]:
+def checksums(data: bytes | bytearray) -> tuple[int, int]:
     """Return the sum modulo 256 and the exclusive-or of the data bytes."""
     return sum(data) & 0xFF, reduce(xor, data, 0)
 
@@ -151,13 +151,34 @@ class Parser:
                 return
             length = buffer[4] | buffer[5] << 8
             if length <= PAYLOAD and len(buffer) < length + 8:
-                return
+                inside = self._whole_inside()
+                if not inside:
+                    return
+                self.errors += 1
+                del buffer[:inside]
+                continue
             try:
                 packets.append(Packet.from_bytes(bytes(buffer[: length + 8])))
                 del buffer[: length + 8]
             except SvhFrameError:
                 self.errors += 1
                 del buffer[:1]
+
+    def _whole_inside(self) -> int:
+        """Return where a whole packet begins inside one that is incomplete, or 0.
+
+        A header found in noise announces bytes that never come; the packet after it must not wait.
+        """
+        buffer = self._buffer
+        start = buffer.find(SYNC, 1)
+        while 0 < start <= len(buffer) - 8:
+            length = buffer[start + 4] | buffer[start + 5] << 8
+            end = start + length + 8
+            fits = 0 < length <= PAYLOAD and end <= len(buffer)
+            if fits and bytes(checksums(buffer[start + 6 : end - 2])) == buffer[end - 2 : end]:
+                return start
+            start = buffer.find(SYNC, start + 1)
+        return 0
 
 
 def _unpack(form: struct.Struct, packet: Packet, what: str) -> tuple[float, ...]:

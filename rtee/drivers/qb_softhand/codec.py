@@ -1,0 +1,218 @@
+"""The qb SoftHand's serial protocol: frames, messages and a resynchronising parser. No I/O."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import reduce
+from operator import xor
+from typing import ClassVar, Self
+
+BAUDRATE = 2_000_000
+HEADER = b"\x3a\x3a"
+BROADCAST = 0
+LONGEST = 128
+"""Largest length byte that a device takes."""
+OVERHEAD = 4
+"""Bytes of a frame that its length byte does not count."""
+
+
+class QbFrameError(ValueError):
+    """Bytes that are no frame, or a frame whose data does not fit its command."""
+
+
+class Command(IntEnum):
+    """The commands that hands of several generations share."""
+
+    PING = 0
+    SET_ZEROS = 1
+    STORE_PARAMS = 3
+    GET_INFO = 6
+    GET_PARAM_LIST = 12
+    ACTIVATE = 128
+    GET_ACTIVATE = 129
+    SET_INPUTS = 130
+    GET_INPUTS = 131
+    GET_MEASUREMENTS = 132
+    GET_CURRENTS = 133
+    GET_CURR_AND_MEAS = 134
+    GET_VELOCITIES = 137
+    SET_WATCHDOG = 143
+    SET_BAUDRATE = 144
+    SET_INPUTS_ACK = 147
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame, either way; a legacy acknowledgement looks like a command without data.
+
+    Attributes:
+        device: Number of the device asked, or that answers.
+        command: What it is about.
+        data: Its data.
+    """
+
+    device: int
+    command: int
+    data: bytes = b""
+
+    def to_bytes(self) -> bytes:
+        """Return the frame as sent."""
+        length = len(self.data) + 2
+        if length > LONGEST or not 0 <= self.device <= 255:
+            raise QbFrameError(f"no frame can carry {self}")
+        body = bytes([self.command]) + self.data
+        return HEADER + bytes([self.device, length]) + body + bytes([reduce(xor, body)])
+
+    @classmethod
+    def from_bytes(cls, raw: bytes) -> Self:
+        """Return the frame that ``raw`` is, whole and nothing else.
+
+        Raises:
+            QbFrameError: if it is none.
+        """
+        if len(raw) < 6 or raw[:2] != HEADER:
+            raise QbFrameError("a frame begins with 3A 3A and has at least six bytes")
+        if not 2 <= raw[3] <= LONGEST or len(raw) != raw[3] + OVERHEAD:
+            raise QbFrameError(f"a length of {raw[3]} does not fit {len(raw)} bytes")
+        body = raw[4:-1]
+        if reduce(xor, body) != raw[-1]:
+            raise QbFrameError("the checksum does not match")
+        return cls(raw[2], body[0], body[1:])
+
+
+class Parser:
+    """Finds frames in a stream; a bad one costs itself, not the one that follows.
+
+    Attributes:
+        errors: Frames dropped for a bad length or checksum.
+    """
+
+    LIMIT: ClassVar[int] = 2 * (LONGEST + OVERHEAD)
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.errors = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept because a frame may still be completed."""
+        return len(self._buffer)
+
+    def reset(self) -> None:
+        """Forget what has come in."""
+        self._buffer.clear()
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take bytes as they come in and return the frames completed by them."""
+        frames: list[Frame] = []
+        for start in range(0, len(data), LONGEST):
+            self._buffer += data[start : start + LONGEST]
+            self._scan(frames)
+        return frames
+
+    def _scan(self, frames: list[Frame]) -> None:
+        buffer = self._buffer
+        while buffer:
+            start = buffer.find(HEADER)
+            if start < 0:
+                del buffer[: len(buffer) - (buffer[-1] == HEADER[0])]
+                return
+            del buffer[:start]
+            if len(buffer) < 4:
+                return
+            length = buffer[3] + OVERHEAD
+            if 2 <= buffer[3] <= LONGEST and len(buffer) < length:
+                inside = self._whole_inside()
+                if not inside:
+                    return
+                self.errors += 1
+                del buffer[:inside]
+                continue
+            try:
+                frames.append(Frame.from_bytes(bytes(buffer[:length])))
+                del buffer[:length]
+            except QbFrameError:
+                self.errors += 1
+                del buffer[:1]
+
+    def _whole_inside(self) -> int:
+        """Return where a whole frame begins inside one that is incomplete, or 0.
+
+        A header found in noise announces bytes that never come; the frame after it must not wait.
+        """
+        buffer = self._buffer
+        start = buffer.find(HEADER, 1)
+        while 0 < start <= len(buffer) - 6:
+            end = start + buffer[start + 3] + OVERHEAD
+            fits = 2 <= buffer[start + 3] <= LONGEST and end <= len(buffer)
+            if fits and reduce(xor, buffer[start + 4 : end - 1]) == buffer[end - 1]:
+                return start
+            start = buffer.find(HEADER, start + 1)
+        return 0
+
+
+def pack_int16(*values: float) -> bytes:
+    """Return values as big-endian 16-bit integers, clamped into their range."""
+    return struct.pack(f">{len(values)}h", *(min(max(round(v), -32768), 32767) for v in values))
+
+
+def read_int16(data: bytes, *, least: int = 1) -> tuple[int, ...]:
+    """Return the big-endian 16-bit integers in ``data``.
+
+    Raises:
+        QbFrameError: if there are fewer than ``least`` or an odd number of bytes.
+    """
+    if len(data) % 2 or len(data) < 2 * least:
+        raise QbFrameError(f"{least} or more 16-bit values do not fit {len(data)} bytes")
+    return struct.unpack(f">{len(data) // 2}h", data)
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentsAndPositions:
+    """Motor currents [mA] and encoder positions [ticks]."""
+
+    currents_ma: tuple[int, int]
+    positions: tuple[int, ...]
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read the data of an answer; raises `QbFrameError`."""
+        values = read_int16(data, least=5)
+        return cls((values[0], values[1]), values[2:])
+
+    def to_bytes(self) -> bytes:
+        """Return the data of the answer."""
+        return pack_int16(*self.currents_ma, *self.positions)
+
+
+def activation(data: bytes) -> int:
+    """Return the mask of active motors from an answer to GET_ACTIVATE; raises `QbFrameError`."""
+    if len(data) != 1:
+        raise QbFrameError(f"an activation is one byte, not {len(data)}")
+    return data[0] & 0x03
+
+
+def acknowledged(frame: Frame, command: int) -> bool | None:
+    """Return what an acknowledgement of a command says, in either generation's form.
+
+    ``None`` when the frame acknowledges something else.
+    """
+    if not frame.data and frame.command in {0, 1}:
+        return frame.command == 1
+    if frame.command == command and len(frame.data) == 1:
+        return frame.data[0] == 1
+    return None
+
+
+def watchdog_byte(seconds: float) -> int:
+    """Return the watchdog's byte for a period [s]: units of 20 ms, 0 is off, at most 5 s."""
+    if seconds <= 0.0:
+        return 0
+    return min(max(round(seconds / 0.02), 1), 250)
+
+
+def watchdog_seconds(value: int) -> float:
+    """Return the watchdog's period [s] of its byte."""
+    return value * 0.02

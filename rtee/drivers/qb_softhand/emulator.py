@@ -1,0 +1,270 @@
+"""Plays a qb SoftHand at the other end of the wire.
+
+What differs between generations of firmware, or is not known, is an option here: the form of
+acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE, SET_INPUTS_ACK.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+from operator import xor
+from typing import ClassVar, Literal
+
+from rtee.buses.emulator import Emulator
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.qb_softhand import codec
+from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
+from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
+
+_TEXT_REQUEST = b"?\r\n"
+
+
+@dataclass(frozen=True, slots=True)
+class QbOptions:
+    """What the emulated hand is like.
+
+    Attributes:
+        device: Its number on the line.
+        motors: 1 (SoftHand) or 2 (SoftHand 2).
+        generation: Form of acknowledgements and long packets.
+        limit: Upper limit of a motor [ticks]; the lower one is 0, or -4000 with two motors.
+        activation_mask: GET_ACTIVATE answers the true mask; else 3 or 0.
+        watchdog: SET_WATCHDOG is implemented: silence deactivates the motors.
+        inputs_ack: SET_INPUTS_ACK is implemented.
+        startup_active: The motors are active after power-up.
+        boot_time: After power-up it is silent for so long [s].
+        speed: Of a motor [ticks/s].
+        current_limit_ma: Of a motor [mA].
+        friction_ma: Current of a motor that moves freely [mA].
+        text: Its information text.
+    """
+
+    device: int = 1
+    motors: Literal[1, 2] = 1
+    generation: Literal["legacy", "modern"] = "legacy"
+    limit: int = 19_000
+    activation_mask: bool = True
+    watchdog: bool = False
+    inputs_ack: bool = False
+    startup_active: bool = False
+    boot_time: float = 0.0
+    speed: float = 25_000.0
+    current_limit_ma: float = 1500.0
+    friction_ma: float = 120.0
+    text: str = "Firmware: SoftHand (emulated)\r\nMotor control: position\r\n"
+
+    @property
+    def lower(self) -> int:
+        """Lower limit of a motor [ticks]."""
+        return -4_000 if self.motors == 2 else 0
+
+    @property
+    def upper(self) -> int:
+        """Upper limit of a motor [ticks]."""
+        return self.limit - self.lower
+
+
+class QbSoftHandEmulator(Emulator):
+    """The hand: one or two motors with encoders in ticks.
+
+    Attributes:
+        options: What it is like.
+        axes: Its motors.
+        baudrate: Rate the line is set to [baud].
+        watchdog: Period of the watchdog [s], 0 when it is off.
+        frames: Frames taken, by command.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "low_supply"}
+
+    def __init__(self, options: QbOptions | None = None) -> None:
+        super().__init__()
+        self.options = options or QbOptions()
+        made = self.options
+        self.axes = [
+            Axis(
+                lower=made.lower,
+                upper=made.upper,
+                max_velocity=made.speed,
+                max_effort=made.current_limit_ma,
+                friction=made.friction_ma,
+                resolution=0.5,
+            )
+            for _ in range(made.motors)
+        ]
+        self.frames: dict[int, int] = {}
+        self.power_cycle(0.0)
+
+    def power_cycle(self, now: float) -> None:
+        """Begin anew; the fingers stay where they are."""
+        self._parser = Parser()
+        self._boot = now
+        self._heard = now
+        self.baudrate = codec.BAUDRATE
+        self.watchdog = 0.0
+        self._references = [0.0, 0.0]
+        self._text = bytearray()
+        self._activate(0x03 if self.options.startup_active else 0)
+
+    def line_reset(self) -> None:
+        """Forget the bytes of an incomplete frame."""
+        self._parser.reset()
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the hand; a low supply takes the motors' power."""
+        super().inject(fault)
+        if fault == "low_supply":
+            self._activate(0)
+        self._hamper()
+
+    def clear(self, fault: str | None = None) -> None:
+        """Take a fault away."""
+        super().clear(fault)
+        self._hamper()
+
+    def _hamper(self) -> None:
+        for axis in self.axes:
+            axis.stuck = "stuck" in self.faults
+
+    def hold(self, closure: float, stiffness: float = 1.0) -> None:
+        """Put an object between the fingers, met at a closure; stiffness in mA per tick."""
+        for axis in self.axes:
+            axis.obstacle = VirtualObject(closure * self.options.limit, stiffness)
+
+    def _activate(self, mask: int) -> None:
+        for index, axis in enumerate(self.axes):
+            active = bool(mask >> index & 1) and "low_supply" not in self.faults
+            if active and not axis.enabled:
+                # On activation the firmware takes the present position for its reference: no jump.
+                axis.target = axis.position
+                self._references[index] = axis.position
+            axis.enabled = active
+
+    @property
+    def active(self) -> int:
+        """Mask of the active motors."""
+        return sum(axis.enabled << index for index, axis in enumerate(self.axes))
+
+    def step(self, now: float) -> list[bytes]:
+        """Let time pass; the hand says nothing unasked."""
+        for axis in self.axes:
+            axis.step(now)
+        if self.watchdog and now - self._heard > self.watchdog:
+            self._activate(0)
+        return []
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Take bytes from the host and return the hand's replies."""
+        self.step(now)
+        if "silent" in self.faults or now - self._boot < self.options.boot_time:
+            return []
+        replies: list[bytes] = []
+        self._text = (self._text + data)[-len(_TEXT_REQUEST) :]
+        if self._text.endswith(_TEXT_REQUEST):
+            replies.append(self.options.text.encode("ascii"))
+        for frame in self._parser.feed(data):
+            if frame.device not in {self._number, BROADCAST}:
+                continue
+            self._heard = now
+            self.frames[frame.command] = self.frames.get(frame.command, 0) + 1
+            reply = self._answer(frame)
+            if reply is not None:
+                replies.append(reply)
+        return replies
+
+    @property
+    def _number(self) -> int:
+        return self.options.device ^ (0x40 if "wrong_device" in self.faults else 0)
+
+    def _reply(self, command: int, data: bytes = b"") -> bytes:
+        return Frame(self._number, command, data).to_bytes()
+
+    def _acknowledge(self, command: int, good: bool = True) -> bytes:
+        if self.options.generation == "legacy":
+            return self._reply(int(good))
+        return self._reply(command, bytes([good]))
+
+    def _answer(self, frame: Frame) -> bytes | None:
+        command, data = frame.command, frame.data
+        match command:
+            case Command.PING:
+                return self._reply(command)
+            case Command.ACTIVATE if data:
+                self._activate(data[0])
+            case Command.GET_ACTIVATE:
+                mask = self.active
+                return self._reply(
+                    command, bytes([mask if self.options.activation_mask else 3 * bool(mask)])
+                )
+            case Command.SET_INPUTS if len(data) == 4:
+                self._inputs(data)
+            case Command.SET_INPUTS_ACK if len(data) == 4 and self.options.inputs_ack:
+                self._inputs(data)
+                return self._reply(command, b"\x01")
+            case Command.GET_INPUTS:
+                return self._reply(command, codec.pack_int16(*self._references))
+            case Command.GET_MEASUREMENTS:
+                return self._reply(command, codec.pack_int16(*self._positions()))
+            case Command.GET_CURRENTS:
+                return self._reply(command, codec.pack_int16(*self._currents()))
+            case Command.GET_CURR_AND_MEAS:
+                return self._reply(command, codec.pack_int16(*self._currents(), *self._positions()))
+            case Command.GET_VELOCITIES:
+                return self._reply(command, codec.pack_int16(*self._velocities()))
+            case Command.SET_WATCHDOG if data and self.options.watchdog:
+                self.watchdog = codec.watchdog_seconds(data[0])
+            case Command.SET_BAUDRATE if data:
+                self.baudrate = 460_800 if data[0] == 13 else codec.BAUDRATE
+            case Command.STORE_PARAMS | Command.SET_ZEROS:
+                return self._acknowledge(command)
+            case Command.GET_INFO:
+                return self._long(command, self.options.text.encode("ascii"))
+            case Command.GET_PARAM_LIST:
+                if len(data) == 2 and not any(data):
+                    return self._long(command, self._parameters())
+                return self._acknowledge(command)
+        return None
+
+    def _inputs(self, data: bytes) -> None:
+        self._references = [float(v) for v in codec.read_int16(data)]
+        for axis, reference in zip(self.axes, self._references, strict=False):
+            axis.target = min(max(reference, axis.lower), axis.upper)
+
+    def _positions(self) -> list[float]:
+        if len(self.axes) == 1:
+            return [self.axes[0].position, 0.0, 0.0]
+        first, second = (axis.position for axis in self.axes)
+        return [first, first, second, second]
+
+    def _velocities(self) -> list[float]:
+        if len(self.axes) == 1:
+            return [self.axes[0].velocity, 0.0, 0.0]
+        first, second = (axis.velocity for axis in self.axes)
+        return [first, first, second, second]
+
+    def _currents(self) -> list[float]:
+        return [self.axes[0].effort, self.axes[1].effort if len(self.axes) == 2 else 0.0]
+
+    def _parameters(self) -> bytes:
+        made = self.options
+        travel = (made.lower, made.upper) * made.motors
+        known = {
+            1: Parameter(2, (made.device,), "1 - Device ID:"),
+            4: Parameter(0, (int(made.startup_active),), "4 - Startup Activation:"),
+            7: Parameter(2, (3, 3, 3), "7 - Resolutions:"),
+            10: Parameter(0, (1,), "10 - Pos. limits active:"),
+            11: Parameter(5, travel, "11 - Pos. limits [tick]:"),
+            13: Parameter(3, (made.current_limit_ma,), "13 - Current limit [mA]:"),
+        }
+        slots = [known.get(i, Parameter(2, (0,), f"{i} - (not emulated)")) for i in range(1, 14)]
+        return bytes([len(slots)]) + b"".join(slot.to_bytes().ljust(SLOT) for slot in slots)
+
+    def _long(self, command: int, data: bytes) -> bytes:
+        body = bytes([command]) + data
+        if self.options.generation == "modern":
+            body += b"\x00" * (-(len(body) + 1) % 32)
+            length = (len(body) + 1) // 32
+        else:
+            length = (len(body) + 1) & 0xFF
+        return HEADER + bytes([self._number, length]) + body + bytes([reduce(xor, body)])

@@ -1,0 +1,156 @@
+"""The qb devices' list of parameters: fifty bytes each, in a packet longer than any frame."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import ClassVar, Self
+
+from rtee.drivers.qb_softhand.codec import HEADER, Command, QbFrameError
+
+SLOT = 50
+MOST = 64
+"""Most parameters a list may have; more means that the bytes are something else."""
+
+_FORMS = {0: "B", 1: "b", 2: "B", 3: "h", 4: "H", 5: "i", 6: "I", 7: "f", 8: "d"}
+
+
+class Index(IntEnum):
+    """The parameters that a driver needs, counted from 1."""
+
+    DEVICE = 1
+    STARTUP_ACTIVATION = 4
+    RESOLUTIONS = 7
+    USE_LIMITS = 10
+    LIMITS = 11
+    CURRENT_LIMIT = 13
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter.
+
+    Attributes:
+        kind: 0 flag, 1/2 8-bit, 3/4 16-bit, 5/6 32-bit (signed/unsigned), 7 float, 8 double.
+        values: Its values.
+        label: Its name in words.
+    """
+
+    kind: int
+    values: tuple[float, ...]
+    label: str = ""
+
+    def to_bytes(self) -> bytes:
+        """Return its slot of fifty bytes."""
+        form = _FORMS[self.kind]
+        values = [v if form in "fd" else int(v) for v in self.values]
+        body = struct.pack(f">{len(values)}{form}", *values)
+        slot = bytes([self.kind, len(values)]) + body
+        return slot.ljust(SLOT, b"\x00")[:SLOT] if not self.label else self._labelled(slot)
+
+    def _labelled(self, slot: bytes) -> bytes:
+        return (slot + self.label.encode("ascii", "replace")).ljust(SLOT, b"\x00")[:SLOT]
+
+    @classmethod
+    def from_bytes(cls, slot: bytes) -> Self:
+        """Read a slot.
+
+        Raises:
+            QbFrameError: if it is no slot.
+        """
+        if len(slot) != SLOT or slot[0] not in _FORMS:
+            raise QbFrameError("a parameter has fifty bytes and begins with its type")
+        form = f">{slot[1]}{_FORMS[slot[0]]}"
+        size = struct.calcsize(form)
+        if size + 2 > SLOT:
+            raise QbFrameError(f"{slot[1]} values of type {slot[0]} do not fit a parameter")
+        label = slot[2 + size :].split(b"\x00")[0].decode("ascii", "replace")
+        return cls(slot[0], struct.unpack_from(form, slot, 2), label)
+
+
+class ListParser:
+    """Reads a parameter list, by counting slots: the length byte of its packet says too little.
+
+    What follows the slots (menus, padding, checksum) differs between generations and is left alone.
+
+    Attributes:
+        errors: Lists that turned out to be none.
+    """
+
+    LIMIT: ClassVar[int] = 6 + MOST * SLOT
+
+    def __init__(self, device: int) -> None:
+        self._device = device
+        self._buffer = bytearray()
+        self.errors = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept because the list may still be completed."""
+        return len(self._buffer)
+
+    def reset(self) -> None:
+        """Forget what has come in."""
+        self._buffer.clear()
+
+    def feed(self, data: bytes) -> list[dict[int, Parameter]]:
+        """Take bytes and return the list completed by them, by index counted from 1."""
+        buffer = self._buffer
+        buffer += data[: self.LIMIT]
+        del buffer[self.LIMIT :]
+        head = HEADER + bytes([self._device])
+        while True:
+            start = buffer.find(head)
+            if start < 0:
+                del buffer[:-2]
+                return []
+            del buffer[:start]
+            if len(buffer) < 6:
+                return []
+            count = buffer[5]
+            if buffer[4] == Command.GET_PARAM_LIST and 0 < count <= MOST:
+                if len(buffer) < 6 + count * SLOT:
+                    return []
+                try:
+                    found = self._read(bytes(buffer[6 : 6 + count * SLOT]))
+                    buffer.clear()
+                    return [found]
+                except QbFrameError:
+                    pass
+            self.errors += 1
+            del buffer[:1]
+
+    @staticmethod
+    def _read(slots: bytes) -> dict[int, Parameter]:
+        return {
+            at // SLOT + 1: Parameter.from_bytes(slots[at : at + SLOT])
+            for at in range(0, len(slots), SLOT)
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Travel of one motor [ticks]."""
+
+    lower: int
+    upper: int
+
+
+def limits(parameters: Mapping[int, Parameter]) -> tuple[Limits, ...]:
+    """Return the motors' limits from a list, or nothing where it has none that make sense."""
+    found = parameters.get(Index.LIMITS)
+    if found is None or len(found.values) < 2 or found.kind not in {3, 5}:
+        return ()
+    pairs = zip(found.values[::2], found.values[1::2], strict=False)
+    made = tuple(Limits(int(low), int(high)) for low, high in pairs)
+    return made if all(m.lower < m.upper for m in made) else ()
+
+
+def current_limit(parameters: Mapping[int, Parameter]) -> float | None:
+    """Return the current limit [A] from a list, or ``None`` where it has none."""
+    found = parameters.get(Index.CURRENT_LIMIT)
+    if found is None or not found.values or not 0 < found.values[0] < 32768:
+        return None
+    return found.values[0] / 1000.0

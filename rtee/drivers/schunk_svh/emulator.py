@@ -1,0 +1,255 @@
+"""Plays an SVH at the other end of the wire.
+
+What is not known of the real hand is an option here: the length of replies, whether they echo the
+request's index, what a packet that comes too early does, which channels need the 12 V supply.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from rtee.buses.emulator import Emulator
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.schunk_svh import codec
+from rtee.drivers.schunk_svh.channels import (
+    channels_for,
+    current_settings,
+    position_settings,
+)
+from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
+
+
+@dataclass(frozen=True, slots=True)
+class SvhOptions:
+    """What the emulated hand is like.
+
+    Attributes:
+        name: Name in its firmware information; a genuine hand says ``SVH``.
+        firmware: Major and minor version.
+        text: Free text in its firmware information.
+        start: Closure at power-up, 0 (open) to 1; encoders read 0 there.
+        padded: Replies carry 64 bytes of data like requests; else their natural length.
+        echo_index: Replies carry the index of their request; else 0.
+        strict_gap: A packet sooner than `codec.GAP` after the previous one is lost.
+        supply_mask: Channels that move only while the 12 V supply is on.
+        friction_ma: Current of a channel that moves freely [mA].
+        hot: Temperature at which the over-temperature warning latches [°C].
+    """
+
+    name: str = "SVH"
+    firmware: tuple[int, int] = (1, 2)
+    text: str = "emulated"
+    start: float = 0.3
+    padded: bool = True
+    echo_index: bool = True
+    strict_gap: bool = False
+    supply_mask: int = 0x1FF
+    friction_ma: float = 40.0
+    hot: float = 90.0
+
+
+@dataclass(slots=True)
+class _Channel:
+    axis: Axis
+    position: codec.PositionSettings
+    current: codec.CurrentSettings
+
+
+class SvhEmulator(Emulator):
+    """The hand: nine axes behind cascaded controllers, and one reply to every packet.
+
+    Attributes:
+        options: What it is like.
+        channels: Its nine channels.
+        packets: Packets answered, by command.
+        early: Packets that came sooner after the previous one than the hand bears.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
+        "driver_fault", "over_temperature", "silent",
+    }  # fmt: skip
+
+    def __init__(self, options: SvhOptions | None = None) -> None:
+        super().__init__()
+        self.options = options or SvhOptions()
+        self.table = channels_for(self.options.firmware)
+        self.packets: dict[Command, int] = {}
+        self.early = 0
+        self._last = 0.0
+        self.channels: list[_Channel] = []
+        self.power_cycle(0.0)
+
+    def power_cycle(self, now: float) -> None:
+        """Begin anew: everything off, encoders at 0 where the fingers stand."""
+        closures = [self.options.start] * codec.CHANNELS
+        if self.channels:
+            closures = [self.closure(index) for index in range(codec.CHANNELS)]
+        self.channels = [self._channel(index, closures[index]) for index in range(codec.CHANNELS)]
+        self._state = ControllerState()
+        self._fault = 0
+        self._hot = 0
+        self._encoders = (1,) * codec.CHANNELS
+        self._parser = Parser()
+
+    def line_reset(self) -> None:
+        """Forget the bytes of an incomplete packet."""
+        self._parser.reset()
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the hand; driver faults and over-temperature stay latched."""
+        super().inject(fault)
+        if fault == "driver_fault":
+            self._fault = 0x01
+            self._state = ControllerState()
+            self._apply()
+        elif fault == "over_temperature":
+            self._hot = 0x01
+        self._hamper()
+
+    def clear(self, fault: str | None = None) -> None:
+        """Take a fault away; what it has latched stays latched."""
+        super().clear(fault)
+        self._hamper()
+
+    def _hamper(self) -> None:
+        for channel in self.channels:
+            channel.axis.stuck = "stuck" in self.faults
+
+    def _channel(self, index: int, closure: float) -> _Channel:
+        spec = self.table[index]
+        span = spec.max_offset - spec.min_offset
+        if spec.direction > 0:
+            stop = round(-spec.max_offset + closure * span)
+            lower, upper = stop + spec.min_offset - span // 50, stop
+        else:
+            stop = round(-spec.min_offset - closure * span)
+            lower, upper = stop, stop + spec.max_offset + span // 50
+        position, current = position_settings(index), current_settings(index)
+        axis = Axis(
+            lower=lower,
+            upper=upper,
+            max_velocity=position.max_rate,
+            max_effort=current.maximum,
+            friction=self.options.friction_ma,
+            resolution=1.0,
+        )
+        return _Channel(axis, position, current)
+
+    def stop_of(self, channel: int) -> int:
+        """Return where the stop is that homing meets [ticks]."""
+        axis = self.channels[channel].axis
+        return round(axis.upper if self.table[channel].direction > 0 else axis.lower)
+
+    def closure(self, channel: int) -> float:
+        """Return how far a channel is closed: 0 at the open soft limit, 1 at the other."""
+        spec = self.table[channel]
+        zero = spec.zero(self.stop_of(channel))
+        return spec.to_rad(self.channels[channel].axis.position, zero) / spec.range
+
+    def hold(self, channel: int, closure: float, stiffness: float = 0.5) -> None:
+        """Put an object in the way of a channel, met at a closure; stiffness in mA per tick."""
+        spec = self.table[channel]
+        zero = spec.zero(self.stop_of(channel))
+        contact = zero + closure * spec.range / spec.rad_per_tick
+        self.channels[channel].axis.obstacle = VirtualObject(contact, stiffness, -spec.direction)
+
+    def step(self, now: float) -> list[bytes]:
+        """Let time pass; the hand says nothing unasked."""
+        for index, channel in enumerate(self.channels):
+            channel.axis.step(now)
+            if channel.axis.temperature > self.options.hot:
+                self._hot |= 1 << index
+        return []
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Take bytes from the host and return the hand's replies."""
+        self.step(now)
+        replies = []
+        for packet in self._parser.feed(data):
+            early = now - self._last < codec.GAP
+            self._last = now
+            self.early += early
+            if (early and self.options.strict_gap) or "silent" in self.faults:
+                continue
+            self.packets[packet.command] = self.packets.get(packet.command, 0) + 1
+            try:
+                answer = self._answer(packet)
+            except SvhFrameError:
+                continue
+            index = packet.index if self.options.echo_index else 0
+            reply = Packet(packet.command, packet.channel, answer, index)
+            replies.append(reply.to_bytes(pad=self.options.padded))
+        return replies
+
+    def _feedback(self, index: int) -> codec.Feedback:
+        axis = self.channels[index].axis
+        return codec.Feedback(round(axis.position), round(axis.effort))
+
+    def _answer(self, packet: Packet) -> bytes:
+        command = packet.command
+        if command is Command.GET_FIRMWARE_INFO:
+            options = self.options
+            name = "XYZ" if "wrong_device" in self.faults else options.name
+            return codec.FirmwareInfo(name, *options.firmware, options.text).to_bytes()
+        if command in {Command.GET_CONTROLLER_STATE, Command.SET_CONTROLLER_STATE}:
+            return self._controller(packet)
+        if command in {Command.GET_ENCODER_VALUES, Command.SET_ENCODER_VALUES}:
+            if command is Command.SET_ENCODER_VALUES:
+                self._encoders = codec.read_encoders(packet)
+            return codec.encoders(self._encoders)
+        if command in {Command.GET_CONTROL_FEEDBACK_ALL, Command.SET_CONTROL_COMMAND_ALL}:
+            if command is Command.SET_CONTROL_COMMAND_ALL:
+                for index, target in enumerate(codec.read_targets(packet)):
+                    self._target(index, target)
+            every = [self._feedback(index) for index in range(codec.CHANNELS)]
+            return codec.FeedbackAll(
+                tuple(f.position for f in every), tuple(f.current_ma for f in every)
+            ).to_bytes()
+        if packet.channel >= codec.CHANNELS:
+            raise SvhFrameError(f"there is no channel {packet.channel}")
+        return self._single(packet)
+
+    def _single(self, packet: Packet) -> bytes:
+        channel = self.channels[packet.channel]
+        command = packet.command
+        if command is Command.SET_CONTROL_COMMAND:
+            self._target(packet.channel, codec.read_target(packet))
+        elif command is Command.SET_POSITION_SETTINGS:
+            channel.position = codec.PositionSettings.from_bytes(packet)
+            channel.axis.max_velocity = channel.position.max_rate
+        elif command is Command.SET_CURRENT_SETTINGS:
+            channel.current = codec.CurrentSettings.from_bytes(packet)
+            channel.axis.max_effort = max(channel.current.maximum, 0.0)
+        if command in {Command.GET_POSITION_SETTINGS, Command.SET_POSITION_SETTINGS}:
+            return channel.position.to_bytes()
+        if command in {Command.GET_CURRENT_SETTINGS, Command.SET_CURRENT_SETTINGS}:
+            return channel.current.to_bytes()
+        return self._feedback(packet.channel).to_bytes()
+
+    def _target(self, index: int, target: int) -> None:
+        settings = self.channels[index].position
+        clipped = min(max(float(target), settings.minimum), settings.maximum)
+        self.channels[index].axis.target = clipped
+
+    def _controller(self, packet: Packet) -> bytes:
+        if packet.command is Command.SET_CONTROLLER_STATE:
+            state = ControllerState.from_bytes(packet)
+            self._fault &= ~state.pwm_fault
+            self._hot &= ~state.pwm_otw
+            self._state = ControllerState() if self._fault else state
+            self._apply()
+        state = self._state
+        return ControllerState(
+            self._fault, self._hot, state.pwm_reset, state.pwm_active,
+            state.position_control, state.current_control,
+        ).to_bytes()  # fmt: skip
+
+    def _apply(self) -> None:
+        state = self._state
+        running = bool(state.position_control and state.current_control)
+        supplied = bool(state.pwm_reset & state.pwm_active & ControllerState.SUPPLY)
+        for index, channel in enumerate(self.channels):
+            bit = 1 << index
+            powered = supplied or not self.options.supply_mask & bit
+            channel.axis.enabled = bool(running and powered and state.enabled & bit)
