@@ -1,1 +1,1 @@
-
+"""Buses: ownership, deadlines, retries, reconnect, trace; and their simulated ends."""

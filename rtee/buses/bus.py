@@ -1,0 +1,143 @@
+"""What every bus has: owners, counters, a byte trace, one place where the link is opened."""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import asdict, dataclass
+
+from rtee.errors import BusBroken, BusClosed
+
+TraceHook = Callable[[str, str, bytes, float], None]
+"""Called as ``hook(bus, direction, data, stamp)``; ``tx`` or ``rx``, CLOCK_MONOTONIC [s]."""
+
+
+@dataclass(slots=True)
+class Counters:
+    """What happened on a bus since it was made.
+
+    Attributes:
+        transactions: Transactions begun.
+        retries: Requests sent again.
+        timeouts: Attempts that got no answer in time.
+        checksum_errors: Frames with a wrong checksum or a wrong shape.
+        strays: Bytes or frames that nobody had asked for.
+        bytes_sent: Bytes written.
+        bytes_received: Bytes read.
+        opened: Times the link was opened.
+        broken: Times the link broke by an external cause.
+    """
+
+    transactions: int = 0
+    retries: int = 0
+    timeouts: int = 0
+    checksum_errors: int = 0
+    strays: int = 0
+    bytes_sent: int = 0
+    bytes_received: int = 0
+    opened: int = 0
+    broken: int = 0
+
+    def as_mapping(self) -> Mapping[str, int]:
+        """Return the counters by name, for the device's status."""
+        return asdict(self)
+
+
+class Bus(ABC):
+    """One wire with one owner process; several devices of this process may share it.
+
+    A bus is either connected or not. It becomes connected by `connect` only, which is idempotent;
+    when the link breaks, every call raises `BusBroken` until somebody connects again. So a device
+    is always identified anew before it is used after a break.
+
+    Attributes:
+        name: The address as configured.
+        counters: What happened on it.
+        trace: Called with every piece of bytes sent and received; ``None`` switches it off.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.counters = Counters()
+        self.trace: TraceHook | None = None
+        self._owners: set[str] = set()
+        self._connecting = asyncio.Lock()
+        self._connected = False
+        self._cause: str = "it was never opened"
+        self._on_empty: Callable[[], Awaitable[None]] | None = None
+
+    @property
+    def connected(self) -> bool:
+        """Whether the link is open."""
+        return self._connected
+
+    @property
+    def owners(self) -> frozenset[str]:
+        """Names of the devices that use it."""
+        return frozenset(self._owners)
+
+    async def connect(self) -> None:
+        """Open the link unless it is open; the only place where a broken link is opened again.
+
+        Raises:
+            BusBusy: if another process owns it.
+            BusBroken: if it cannot be opened.
+        """
+        async with self._connecting:
+            if self._connected:
+                return
+            await self._open()
+            self._connected = True
+            self.counters.opened += 1
+
+    async def release(self, owner: str) -> None:
+        """Give the bus back; the last owner closes it. May be called any number of times."""
+        if owner not in self._owners:
+            return
+        self._owners.discard(owner)
+        if self._owners:
+            return
+        if self._on_empty is not None:
+            await self._on_empty()
+        else:
+            await self.close()
+
+    async def close(self) -> None:
+        """Close the link; idempotent."""
+        async with self._connecting:
+            self._cause = ""
+            self._connected = False
+            await self._close()
+
+    def check(self) -> None:
+        """Raise unless the link is open.
+
+        Raises:
+            BusClosed: if it was closed on this side.
+            BusBroken: if it broke.
+        """
+        if self._connected:
+            return
+        if not self._cause:
+            raise BusClosed(self.name, "is closed")
+        raise BusBroken(self.name, f"no link: {self._cause}")
+
+    def acquire(self, owner: str, on_empty: Callable[[], Awaitable[None]] | None = None) -> None:
+        """Note a device as an owner; called by the pool."""
+        self._owners.add(owner)
+        self._on_empty = on_empty
+
+    def _broke(self, cause: str) -> None:
+        if self._connected:
+            self.counters.broken += 1
+        self._connected = False
+        self._cause = cause or "the other end went away"
+
+    @abstractmethod
+    async def _open(self) -> None:
+        """Open the link."""
+
+    @abstractmethod
+    async def _close(self) -> None:
+        """Close the link, or what is left of it; idempotent."""

@@ -1,0 +1,263 @@
+"""A CAN bus: frames out, frames in by identifier, request and answer under a deadline."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rtee.buses.bus import Bus
+from rtee.buses.emulator import CanFrame
+from rtee.errors import BusBroken, BusTimeout
+
+if TYPE_CHECKING:
+    from rtee.buses.simulated import SimulatedCan
+
+_BUS_OFF = 0x40
+
+
+class CanBus(Bus):
+    """A channel of a python-can interface, read by its notifier into the event loop.
+
+    Attributes:
+        interface: Name of the python-can interface.
+        bitrate: Bits per second.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        interface: str = "socketcan",
+        bitrate: int = 1_000_000,
+        simulation: SimulatedCan | None = None,
+    ) -> None:
+        super().__init__(name)
+        self.interface = interface
+        self.bitrate = bitrate
+        self._simulation = simulation
+        self._bus: Any = None
+        self._notifier: Any = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._by_id: dict[int, list[Callable[[CanFrame], None]]] = {}
+        self._by_any: list[Callable[[CanFrame], None]] = []
+        self._waiting: set[asyncio.Future[CanFrame]] = set()
+
+    async def send(self, frame: CanFrame) -> None:
+        """Send a frame; returns when the controller's queue has taken it.
+
+        Raises:
+            BusBroken: if the bus is broken or its queue stays full.
+            BusClosed: if it is closed.
+        """
+        self.send_now(frame)
+
+    def send_now(self, frame: CanFrame) -> None:
+        """Send a frame without waiting; may be called from any thread. Errors as for `send`."""
+        import can
+
+        self.check()
+        message = can.Message(
+            arbitration_id=frame.id,
+            data=frame.data,
+            is_extended_id=frame.extended,
+            is_remote_frame=frame.remote,
+            check=False,
+        )
+        try:
+            self._bus.send(message, timeout=0)
+        except (can.CanError, OSError) as error:
+            raise BusBroken(self.name, f"cannot send: {error}") from error
+        self.counters.bytes_sent += len(frame.data)
+        if self.trace is not None:
+            self.trace(self.name, "tx", _traced(frame), time.monotonic())
+
+    async def request(
+        self,
+        frame: CanFrame,
+        accept: Callable[[CanFrame], bool],
+        deadline: float,
+        retries: int = 0,
+    ) -> CanFrame:
+        """Send a frame and return the first one that ``accept`` takes for its answer.
+
+        Args:
+            frame: The request.
+            accept: Tells whether a frame is the answer.
+            deadline: Longest time, retries included [s].
+            retries: How often it may be sent again within that time.
+
+        Raises:
+            BusTimeout: if no answer came.
+            BusBroken: if the bus is broken.
+            BusClosed: if it is closed.
+        """
+        self.counters.transactions += 1
+        end = time.monotonic() + deadline
+        for attempt in range(retries + 1):
+            if attempt:
+                self.counters.retries += 1
+            share = (end - time.monotonic()) / (retries + 1 - attempt)
+            answer: asyncio.Future[CanFrame] = asyncio.get_running_loop().create_future()
+            taking = self._taking(answer, accept)
+            self._by_any.append(taking)
+            self._waiting.add(answer)
+            try:
+                async with asyncio.timeout(max(share, 0.0)):
+                    self.send_now(frame)
+                    return await answer
+            except TimeoutError:
+                self.counters.timeouts += 1
+            finally:
+                self._by_any.remove(taking)
+                self._waiting.discard(answer)
+                if answer.done() and not answer.cancelled():
+                    answer.exception()
+        raise BusTimeout(self.name, f"no answer to frame {frame.id:#x} within {deadline:.3f} s")
+
+    @staticmethod
+    def _taking(
+        answer: asyncio.Future[CanFrame], accept: Callable[[CanFrame], bool]
+    ) -> Callable[[CanFrame], None]:
+        def take(frame: CanFrame) -> None:
+            if not answer.done() and accept(frame):
+                answer.set_result(frame)
+
+        return take
+
+    def subscribe(
+        self, callback: Callable[[CanFrame], None], identifier: int | None = None
+    ) -> Callable[[], None]:
+        """Call ``callback`` with every frame, or those of one identifier; returns how to undo it.
+
+        It is called in the event loop and must return at once.
+        """
+        listeners = self._by_any
+        if identifier is not None:
+            listeners = self._by_id.setdefault(identifier, [])
+        listeners.append(callback)
+
+        def undo() -> None:
+            with contextlib.suppress(ValueError):
+                listeners.remove(callback)
+
+        return undo
+
+    def _on_message(self, message: Any) -> None:
+        if message.is_error_frame:
+            self.counters.checksum_errors += 1
+            if self.interface == "socketcan" and message.arbitration_id & _BUS_OFF:
+                self._failed("bus-off: check the wiring, the termination and the bit rate")
+            return
+        frame = CanFrame(
+            message.arbitration_id,
+            bytes(message.data),
+            message.is_extended_id,
+            message.is_remote_frame,
+            time.monotonic(),
+        )
+        self.counters.bytes_received += len(frame.data)
+        if self.trace is not None:
+            self.trace(self.name, "rx", _traced(frame), frame.stamp)
+        for callback in (*self._by_id.get(frame.id, ()), *self._by_any):
+            callback(frame)
+
+    def _failed(self, cause: str) -> None:
+        """Note that the bus broke; in the event loop's thread."""
+        if not self._connected:
+            return
+        self._broke(cause)
+        for answer in list(self._waiting):
+            if not answer.done():
+                answer.set_exception(BusBroken(self.name, f"the bus broke: {cause}"))
+
+    def _failed_elsewhere(self, cause: str) -> None:
+        """Note that the bus broke; from any thread."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._failed, cause)
+
+    async def _open(self) -> None:
+        import can
+
+        await self._close()
+        if self._simulation is not None and not self._simulation.plugged:
+            raise BusBroken(self.name, "there is no such adapter")
+        loop = self._loop = asyncio.get_running_loop()
+        try:
+            bus = await loop.run_in_executor(None, self._opened)
+        except (can.CanError, OSError, ValueError) as error:
+            raise BusBroken(self.name, f"cannot be opened: {error}") from error
+        if self._simulation is not None:
+            self._simulation.on_unplug = lambda: self._failed_elsewhere("the adapter was unplugged")
+        self._bus = bus
+        self._notifier = can.Notifier(bus, [self._on_message], timeout=0.05, loop=loop)
+
+    def _opened(self) -> Any:
+        import can
+
+        raw = can.Bus(interface=self.interface, channel=self.name, bitrate=self.bitrate)
+        return _Guarded(raw, self._failed_elsewhere)
+
+    async def _close(self) -> None:
+        bus, notifier = self._bus, self._notifier
+        self._bus = self._notifier = None
+        for answer in list(self._waiting):
+            if not answer.done():
+                answer.set_exception(BusBroken(self.name, "the bus was closed meanwhile"))
+        if bus is None:
+            return
+        if bus.fileno_or_none() is not None:
+            notifier.stop()
+            bus.shutdown()
+            return
+
+        def stop() -> None:
+            notifier.stop()
+            bus.shutdown()
+
+        await asyncio.shield(asyncio.get_running_loop().run_in_executor(None, stop))
+
+
+class _Guarded:
+    """A python-can bus whose receiving never raises, so that the notifier cannot die of it."""
+
+    def __init__(self, bus: Any, failed: Callable[[str], None]) -> None:
+        self._bus = bus
+        self._failed = failed
+        self._dead = threading.Event()
+        self.channel_info = bus.channel_info
+
+    def fileno(self) -> int:
+        return int(self._bus.fileno())
+
+    def fileno_or_none(self) -> int | None:
+        try:
+            return int(self._bus.fileno())
+        except NotImplementedError:
+            return None
+
+    def recv(self, timeout: float | None = None) -> Any:
+        if self._dead.is_set():
+            time.sleep(timeout or 0.0)
+            return None
+        try:
+            return self._bus.recv(timeout)
+        except Exception as error:
+            self._dead.set()
+            self._failed(str(error))
+            return None
+
+    def send(self, message: Any, timeout: float | None = None) -> None:
+        self._bus.send(message, timeout)
+
+    def shutdown(self) -> None:
+        self._dead.set()
+        self._bus.shutdown()
+
+
+def _traced(frame: CanFrame) -> bytes:
+    return frame.id.to_bytes(4, "big") + frame.data

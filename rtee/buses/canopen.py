@@ -1,0 +1,103 @@
+"""A CANopen network on a CAN bus: PDOs and SYNC as frames, SDO in a worker thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from rtee.buses.can import CanBus
+from rtee.buses.emulator import CanFrame
+from rtee.buses.worker import Worker
+from rtee.errors import BusBroken, BusTimeout
+
+if TYPE_CHECKING:
+    from rtee.buses.simulated import SimulatedCan
+
+T = TypeVar("T")
+
+
+class CanopenBus(CanBus):
+    """A CAN bus with the ``canopen`` package on top of it.
+
+    The package's own notifier is not used: received frames are handed to ``network`` from the
+    event loop, and what it sends goes out through this bus. Its blocking calls (SDO) belong into
+    `run`, never into the event loop; process data should go by `send_now` and `subscribe`.
+
+    Attributes:
+        network: The ``canopen.Network``.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        interface: str = "socketcan",
+        bitrate: int = 1_000_000,
+        simulation: SimulatedCan | None = None,
+    ) -> None:
+        import canopen
+
+        super().__init__(name, interface=interface, bitrate=bitrate, simulation=simulation)
+        self.network: Any = canopen.Network()
+        self._worker = Worker(f"sdo {name}")
+        self.subscribe(self._notify)
+
+    async def run(self, function: Callable[[], T], deadline: float) -> T:
+        """Call a blocking function of ``canopen`` (SDO) in the worker thread.
+
+        Args:
+            function: Called without arguments; one at a time.
+            deadline: Longest time to wait for it [s].
+
+        Raises:
+            BusTimeout: if it has not returned in time, or the node did not answer.
+            BusBroken: if the bus is broken.
+            BusClosed: if it is closed.
+        """
+        import canopen
+
+        self.check()
+        self.counters.transactions += 1
+        try:
+            return await self._worker.run(function, deadline)
+        except TimeoutError:
+            self.counters.timeouts += 1
+            raise BusTimeout(self.name, f"no answer within {deadline:.3f} s") from None
+        except canopen.SdoCommunicationError as error:
+            self.counters.timeouts += 1
+            raise BusTimeout(self.name, str(error)) from error
+
+    def _notify(self, frame: CanFrame) -> None:
+        if not frame.remote:
+            self.network.notify(frame.id, bytearray(frame.data), frame.stamp)
+
+    async def _open(self) -> None:
+        await super()._open()
+        self.network.bus = _Outlet(self)
+
+    async def _close(self) -> None:
+        self.network.bus = None
+        await self._worker.close()
+        await super()._close()
+
+
+class _Outlet:
+    """What ``canopen`` takes for a python-can bus: only sending."""
+
+    def __init__(self, bus: CanopenBus) -> None:
+        self._bus = bus
+        self.channel_info = bus.name
+
+    def send(self, message: Any, timeout: float | None = None) -> None:
+        import can
+
+        frame = CanFrame(
+            message.arbitration_id,
+            bytes(message.data),
+            message.is_extended_id,
+            message.is_remote_frame,
+        )
+        try:
+            self._bus.send_now(frame)
+        except BusBroken as error:
+            raise can.CanOperationError(str(error)) from error

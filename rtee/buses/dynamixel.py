@@ -1,0 +1,144 @@
+"""A Dynamixel line: dynamixel-sdk's blocking port in one worker thread."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import dynamixel_sdk
+import serial
+
+from rtee.buses.bus import Bus
+from rtee.buses.link import Line, explained
+from rtee.buses.worker import Worker
+from rtee.errors import BusBroken, BusTimeout
+
+T = TypeVar("T")
+
+
+class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
+    """The SDK's port, waiting for bytes instead of spinning, with a latency of its own.
+
+    Attributes:
+        latency: Time allowed beyond the bytes' own on the line [ms].
+    """
+
+    def __init__(self, bus: DynamixelBus, address: str) -> None:
+        super().__init__(address)
+        self.is_open: bool = False
+        self.ser: Any = None
+        self._bus = bus
+        self.latency = 4.0
+        self.baudrate = bus.line.baudrate
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802 - the SDK's name
+        """Open the port exclusively and with low latency."""
+        if self.is_open:
+            self.closePort()
+        self.ser = serial.Serial(
+            port=self.port_name, baudrate=self.baudrate, bytesize=8, timeout=0, exclusive=True
+        )
+        with contextlib.suppress(Exception):
+            self.ser.set_low_latency_mode(True)
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 1000.0 / self.baudrate * 10.0
+        return True
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
+        """Return up to ``length`` bytes; waits for the first until the packet's timeout."""
+        waiting = self.ser.in_waiting
+        if not waiting:
+            left = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
+            self.ser.timeout = min(max(left, 0.0), 0.05)
+            data = bytes(self.ser.read(1))
+            self.ser.timeout = 0
+            if not data or length <= 1:
+                return self._bus.note("rx", data)
+            return self._bus.note("rx", data + bytes(self.ser.read(length - 1)))
+        return self._bus.note("rx", bytes(self.ser.read(length)))
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802 - the SDK's name
+        """Write a packet."""
+        return int(self.ser.write(self._bus.note("tx", bytes(packet))))
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802 - the SDK's name
+        """Start the time allowed for an answer of so many bytes."""
+        self.packet_start_time = self.getCurrentTime()
+        self.packet_timeout = self.tx_time_per_byte * packet_length + self.latency
+
+    def getCurrentTime(self) -> float:  # noqa: N802 - the SDK's name
+        """Return CLOCK_MONOTONIC [ms]."""
+        return time.monotonic() * 1000.0
+
+
+class DynamixelBus(Bus):
+    """A line of Dynamixels, used through dynamixel-sdk.
+
+    Attributes:
+        line: How the line is set.
+        port: The SDK's port handler, to be given to its packet and group handlers inside `run`.
+        packets: The SDK's packet handler for protocol 2.0.
+    """
+
+    def __init__(self, name: str, line: Line, *, address: Callable[[], str] | None = None) -> None:
+        super().__init__(name)
+        self.line = line
+        self._address = address or (lambda: name)
+        self._worker = Worker(f"dynamixel {name}")
+        self.port: Any = None
+        self.packets: Any = dynamixel_sdk.PacketHandler(2.0)
+
+    async def run(self, function: Callable[[], T], deadline: float) -> T:
+        """Call a blocking function of the SDK in the worker thread.
+
+        Args:
+            function: Called without arguments; one at a time.
+            deadline: Longest time to wait for it [s].
+
+        Raises:
+            BusTimeout: if it has not returned in time.
+            BusBroken: if the link breaks.
+            BusClosed: if the bus is closed.
+        """
+        self.check()
+        self.counters.transactions += 1
+        try:
+            return await self._worker.run(function, deadline)
+        except TimeoutError:
+            self.counters.timeouts += 1
+            raise BusTimeout(self.name, f"not done within {deadline:.3f} s") from None
+        except (OSError, TypeError) as error:
+            # pyserial raises TypeError when its port was closed under it.
+            self._broke(str(error))
+            raise BusBroken(self.name, f"the link broke: {error}") from error
+
+    def note(self, direction: str, data: bytes) -> bytes:
+        """Count and trace bytes, in the worker thread; returns them."""
+        if direction == "tx":
+            self.counters.bytes_sent += len(data)
+        else:
+            self.counters.bytes_received += len(data)
+        if self.trace is not None and data:
+            self.trace(self.name, direction, data, time.monotonic())
+        return data
+
+    async def _open(self) -> None:
+        await self._close()
+        port = DynamixelPort(self, self._address())
+        try:
+            opened = await self._worker.run(lambda: port.setBaudRate(self.line.baudrate), 3.0)
+        except (OSError, ValueError) as error:
+            raise explained(self.name, error) from error
+        if not opened:
+            raise BusBroken(self.name, f"dynamixel-sdk knows no baud rate {self.line.baudrate}")
+        self.port = port
+
+    async def _close(self) -> None:
+        await self._worker.close()
+        port, self.port = self.port, None
+        if port is not None and port.is_open:
+            with contextlib.suppress(OSError):
+                port.closePort()

@@ -1,0 +1,97 @@
+"""The contract of a device's emulator: sans-I/O, driven by bytes or frames and the time."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from rtee.errors import ConfigError, suggestion
+
+
+@dataclass(frozen=True, slots=True)
+class CanFrame:
+    """One frame on a CAN bus.
+
+    Attributes:
+        id: The identifier.
+        data: Up to eight bytes.
+        extended: Whether the identifier has 29 bits.
+        remote: Whether it asks for data instead of carrying it.
+        stamp: When it was received, CLOCK_MONOTONIC [s].
+    """
+
+    id: int
+    data: bytes = b""
+    extended: bool = False
+    remote: bool = False
+    stamp: float = 0.0
+
+
+class Emulator(ABC):
+    """Plays a device: takes what comes over the wire and says what the device would answer.
+
+    It does no I/O, has no clock and no thread: `rtee.buses.simulated` drives it over a pty, a TCP
+    port or a CAN channel, tests drive it by hand. Times are CLOCK_MONOTONIC [s] or any other that
+    only grows.
+
+    Attributes:
+        FAULTS: Names of the faults that `inject` knows; every emulator knows ``stuck`` (the
+            position does not follow) and ``wrong_device`` (another model answers).
+        turnaround: Time between a request's last byte and the answer's first [s].
+        period: How often `step` wants to be called without traffic [s]; 0: only with traffic.
+        faults: Faults injected at present.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = frozenset({"stuck", "wrong_device"})
+    turnaround: float = 0.0
+    period: float = 0.0
+
+    def __init__(self) -> None:
+        self.faults: set[str] = set()
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the emulator that fits a driver's options; the options are checked already."""
+        return cls()
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Take bytes from a line and return the answers, if any."""
+        return []
+
+    def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Take a frame from a CAN bus and return the answers, if any."""
+        return []
+
+    def step(self, now: float) -> list[bytes] | list[CanFrame]:
+        """Let time pass up to ``now``; return what the device sends unasked."""
+        return []
+
+    def line_reset(self) -> None:  # noqa: B027 - most devices have nothing to forget
+        """Forget the bytes of an incomplete request: somebody else connected to the line."""
+
+    @abstractmethod
+    def power_cycle(self, now: float) -> None:
+        """Lose what the device loses when its supply is cut and comes back."""
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the device, until `clear`.
+
+        Raises:
+            ConfigError: if this device does not know it.
+        """
+        if fault not in self.FAULTS:
+            raise ConfigError(f"unknown fault '{fault}'; {suggestion(fault, self.FAULTS)}")
+        self.faults.add(fault)
+
+    def clear(self, fault: str | None = None) -> None:
+        """Take one fault away, or all."""
+        if fault is None:
+            self.faults.clear()
+        else:
+            self.faults.discard(fault)
+
+
+EmulatorFactory = Callable[[], Emulator]
+"""Makes a device's emulator; given to the pool by a driver whose device is emulated."""

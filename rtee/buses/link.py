@@ -1,0 +1,233 @@
+"""Opening a byte link: a tty, ``socket://host:port``, ``tcp://host:port`` or ``rfc2217://host:port``.
+
+Whatever it is, the result is an asyncio transport, so that the layers above see no difference.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import serial
+import serial_asyncio
+
+from rtee.errors import BusBroken, BusBusy, BusError, ConfigError
+
+LinkProtocol = Callable[[], asyncio.Protocol]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """How a serial line is set.
+
+    Attributes:
+        baudrate: Bits per second.
+        parity: ``N``, ``E`` or ``O``.
+        stopbits: 1 or 2.
+    """
+
+    baudrate: int = 115200
+    parity: str = "N"
+    stopbits: int = 1
+
+    @property
+    def bits(self) -> int:
+        """Bits on the line for one byte: start, eight data, parity, stop."""
+        return 9 + (self.parity != "N") + self.stopbits
+
+
+def split_address(url: str, default_port: int | None = None) -> tuple[str, int]:
+    """Return host and port of a ``scheme://host[:port]`` address.
+
+    Raises:
+        ConfigError: if it is not of that form.
+    """
+    _, _, rest = url.partition("://")
+    host, colon, port = rest.partition("/")[0].rpartition(":")
+    if not colon and default_port is not None:
+        host, port = port, str(default_port)
+    host = host.strip("[]")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ConfigError(
+            f"'{url}' is no address; it looks like '{url.partition('://')[0]}://host:port'"
+        )
+    return host, int(port)
+
+
+async def open_link(
+    url: str, line: Line, protocol: LinkProtocol, *, timeout: float = 3.0, name: str | None = None
+) -> tuple[asyncio.Transport, asyncio.Protocol]:
+    """Open a byte link.
+
+    Args:
+        url: A tty, ``socket://``, ``tcp://`` (the same) or ``rfc2217://`` address.
+        line: How the line is set; without meaning for plain sockets.
+        protocol: Makes the asyncio protocol that the bytes go to.
+        timeout: Longest time to wait for a connection [s].
+        name: The address to name in errors, where it differs.
+
+    Raises:
+        BusBusy: if another process holds the port.
+        BusBroken: if it cannot be opened.
+        ConfigError: if the address is malformed.
+    """
+    name = name or url
+    loop = asyncio.get_running_loop()
+    try:
+        if url.startswith(("socket://", "tcp://")):
+            host, port = split_address(url, 502 if url.startswith("tcp://") else None)
+            async with asyncio.timeout(timeout):
+                return await loop.create_connection(protocol, host, port)
+        port_object = await _opened(url, line, timeout)
+        made = protocol()
+        if url.startswith("rfc2217://") or sys.platform == "win32":
+            return ThreadTransport(loop, made, port_object), made
+        return _Transport(loop, made, port_object), made
+    except TimeoutError as error:
+        raise BusBroken(name, f"no connection within {timeout:.1f} s") from error
+    except ConfigError:
+        raise
+    except (OSError, ValueError) as error:
+        raise explained(name, error) from error
+
+
+async def _opened(url: str, line: Line, timeout: float) -> Any:
+    """Open a pyserial port in a thread; nothing stays open when the wait is cancelled."""
+    loop = asyncio.get_running_loop()
+    opening = loop.run_in_executor(None, _open_port, url, line)
+    try:
+        async with asyncio.timeout(timeout):
+            return await asyncio.shield(opening)
+    except BaseException:
+        opening.add_done_callback(_close_unwanted)
+        raise
+
+
+def _close_unwanted(opening: asyncio.Future[Any]) -> None:
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()
+
+
+def _open_port(url: str, line: Line) -> Any:
+    port = serial.serial_for_url(
+        url,
+        do_not_open=True,
+        baudrate=line.baudrate,
+        parity=line.parity,
+        stopbits=line.stopbits,
+        timeout=0,
+    )
+    if "://" not in url and sys.platform != "win32":
+        port.exclusive = True
+    port.open()
+    if hasattr(port, "set_low_latency_mode"):
+        # Sets the latency timer of FTDI adapters to 1 ms; other ports refuse.
+        with contextlib.suppress(Exception):
+            port.set_low_latency_mode(True)
+    return port
+
+
+def explained(name: str, error: OSError | ValueError) -> BusError:
+    """Return the error of opening a port as a sentence with a hint."""
+    code = getattr(error, "errno", None)
+    if code in (errno.EAGAIN, errno.EBUSY):
+        return BusBusy(name, "another program has it open; `rtee doctor` names it")
+    if code == errno.ENOENT:
+        return BusBroken(
+            name, "there is no such port; is it plugged in? `rtee scan` lists the ports"
+        )
+    if code in (errno.EACCES, errno.EPERM):
+        return BusBroken(
+            name, "no permission; add yourself to the group 'dialout' and log in again"
+        )
+    if code == errno.ECONNREFUSED:
+        return BusBroken(name, "connection refused; nothing listens there")
+    return BusBroken(name, f"cannot be opened: {error}")
+
+
+class _Transport(serial_asyncio.SerialTransport):  # type: ignore[misc]
+    """pyserial-asyncio's transport, quiet when the adapter vanishes and quick to close."""
+
+    def _fatal_error(self, exc: Exception, message: str = "") -> None:
+        self._abort(exc)
+
+    def _call_connection_lost(self, exc: Exception | None) -> None:
+        # Closing drains the port, which may take long on a dead line: throw the output away before.
+        with contextlib.suppress(Exception):
+            self._serial.reset_output_buffer()
+        super()._call_connection_lost(exc)
+
+
+class ThreadTransport(asyncio.Transport):
+    """A pyserial port without a file descriptor (``rfc2217://``), read by a thread."""
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, protocol: asyncio.Protocol, port: Any
+    ) -> None:
+        super().__init__()
+        self._loop = loop
+        self._protocol = protocol
+        self._port = port
+        self._closing = False
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="serial-write")
+        port.timeout = 0.05
+        self._reader = threading.Thread(target=self._read, name="serial-read", daemon=True)
+        loop.call_soon(protocol.connection_made, self)
+        self._reader.start()
+
+    def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
+        """Hand bytes to the writing thread."""
+        if not self._closing:
+            self._writer.submit(self._write, bytes(data))
+
+    def close(self) -> None:
+        """Stop both threads and close the port; the protocol hears of it."""
+        self._finish(None)
+
+    def abort(self) -> None:
+        """Close without waiting for anything."""
+        self._finish(None)
+
+    def is_closing(self) -> bool:
+        """Whether it is closed or about to be."""
+        return self._closing
+
+    def _write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except (OSError, ValueError) as error:
+            self._post(self._finish, error)
+
+    def _read(self) -> None:
+        try:
+            while not self._closing:
+                data = self._port.read(max(1, min(self._port.in_waiting, 4096)))
+                if data:
+                    self._post(self._deliver, data)
+        except (OSError, ValueError, TypeError) as error:
+            self._post(self._finish, error if isinstance(error, OSError) else OSError(str(error)))
+        finally:
+            with contextlib.suppress(Exception):
+                self._port.close()
+
+    def _post(self, function: Callable[[Any], None], value: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # the event loop may be gone
+            self._loop.call_soon_threadsafe(function, value)
+
+    def _deliver(self, data: bytes) -> None:
+        if not self._closing:
+            self._protocol.data_received(data)
+
+    def _finish(self, error: Exception | None) -> None:
+        if self._closing:
+            return
+        self._closing = True
+        self._writer.shutdown(wait=False, cancel_futures=True)
+        self._loop.call_soon(self._protocol.connection_lost, error)

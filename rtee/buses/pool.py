@@ -1,0 +1,303 @@
+"""The buses of one process: shared by address, counted by owner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
+
+from rtee.buses.bus import Bus, TraceHook
+from rtee.buses.emulator import Emulator, EmulatorFactory
+from rtee.buses.link import Line
+from rtee.errors import BusBusy
+
+if TYPE_CHECKING:
+    from rtee.buses.can import CanBus
+    from rtee.buses.canopen import CanopenBus
+    from rtee.buses.dynamixel import DynamixelBus
+    from rtee.buses.modbus import ModbusBus
+    from rtee.buses.serial import SerialBus
+    from rtee.buses.simulated import SimulatedCan, SimulatedLine
+
+B = TypeVar("B", bound=Bus)
+
+
+class BusPool:
+    """Hands out buses; two devices that name the same address share one.
+
+    A driver whose device is emulated gives the factory of its emulator along; the pool then plays
+    it on a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to that
+    instead of to the address. The played device lives as long as the pool, like a real one
+    outlives its connection.
+
+    Attributes:
+        trace: Hook given to every bus made from now on.
+        wire_time: Whether simulated lines take the time that the bytes would take.
+    """
+
+    def __init__(self, *, trace: TraceHook | None = None, wire_time: bool = True) -> None:
+        self.trace = trace
+        self.wire_time = wire_time
+        self._buses: dict[str, tuple[Bus, type[Bus], object]] = {}
+        self._simulations: dict[str, SimulatedLine | SimulatedCan] = {}
+        self._played: dict[str, Emulator] = {}
+
+    @property
+    def simulations(self) -> Mapping[str, SimulatedLine | SimulatedCan]:
+        """The simulated ends by the address they stand in for."""
+        return MappingProxyType(self._simulations)
+
+    @property
+    def buses(self) -> tuple[Bus, ...]:
+        """The buses that somebody owns at present."""
+        return tuple(bus for bus, _, _ in self._buses.values())
+
+    def played(self, owner: str) -> Emulator:
+        """Return the emulator that is played for a device; raises `KeyError`."""
+        return self._played[owner]
+
+    def simulation(self, owner: str) -> SimulatedLine | SimulatedCan:
+        """Return the simulated wire of an emulated device; raises `KeyError`."""
+        emulator = self._played[owner]
+        return next(s for s in self._simulations.values() if emulator in s.emulators)
+
+    async def serial(
+        self,
+        url: str,
+        *,
+        owner: str,
+        baudrate: int = 115200,
+        parity: str = "N",
+        stopbits: int = 1,
+        gap: float = 0.0,
+        emulator: EmulatorFactory | None = None,
+    ) -> SerialBus:
+        """Return the line at a tty, ``socket://host:port`` or ``rfc2217://host:port``, connected.
+
+        Args:
+            url: Its address.
+            owner: The device that asks; give it back with ``bus.release(owner)``.
+            baudrate: Bits per second.
+            parity: ``N``, ``E`` or ``O``.
+            stopbits: 1 or 2.
+            gap: Silence to keep before each request [s].
+            emulator: Plays the device instead.
+
+        Raises:
+            BusBusy: if it is open in another way or by another program.
+            BusBroken: if it cannot be opened.
+            ConfigError: if the address is malformed.
+        """
+        from rtee.buses.serial import SerialBus
+
+        line = Line(baudrate, parity, stopbits)
+        address = self._simulated_line(url, owner, line, emulator)
+        return await self._acquire(
+            url,
+            SerialBus,
+            (line, gap),
+            owner,
+            lambda: SerialBus(url, line, address=address, gap=gap),
+        )
+
+    async def modbus(
+        self,
+        url: str,
+        *,
+        owner: str,
+        baudrate: int = 115200,
+        parity: str = "N",
+        stopbits: int = 1,
+        emulator: EmulatorFactory | None = None,
+    ) -> ModbusBus:
+        """Return the Modbus line or network connection at an address, connected.
+
+        A tty, ``socket://`` and ``rfc2217://`` speak Modbus RTU, ``tcp://host[:502]`` speaks
+        Modbus TCP. Arguments and errors as for `serial`.
+        """
+        from rtee.buses.modbus import ModbusBus
+
+        line = Line(baudrate, parity, stopbits)
+        address = self._simulated_line(url, owner, line, emulator)
+        return await self._acquire(
+            url, ModbusBus, line, owner, lambda: ModbusBus(url, line, address=address)
+        )
+
+    async def dynamixel(
+        self,
+        port: str,
+        *,
+        owner: str,
+        baudrate: int = 57600,
+        emulator: EmulatorFactory | None = None,
+    ) -> DynamixelBus:
+        """Return the Dynamixel line at a tty, connected. Arguments and errors as for `serial`."""
+        from rtee.buses.dynamixel import DynamixelBus
+
+        line = Line(baudrate)
+        address = self._simulated_line(port, owner, line, emulator)
+        return await self._acquire(
+            port, DynamixelBus, line, owner, lambda: DynamixelBus(port, line, address=address)
+        )
+
+    async def can(
+        self,
+        channel: str,
+        *,
+        owner: str,
+        interface: str = "socketcan",
+        bitrate: int = 1_000_000,
+        emulator: EmulatorFactory | None = None,
+    ) -> CanBus:
+        """Return the CAN bus at a channel of a python-can interface, connected.
+
+        Args:
+            channel: For example ``can0``.
+            owner: The device that asks; give it back with ``bus.release(owner)``.
+            interface: Name of a python-can interface.
+            bitrate: Bits per second.
+            emulator: Plays the node instead, on a virtual channel.
+
+        Raises:
+            BusBusy: if it is open in another way.
+            BusBroken: if it cannot be opened.
+        """
+        from rtee.buses.can import CanBus
+
+        interface, channel = self._simulated_can(channel, interface, bitrate, owner, emulator)
+        return await self._acquire(
+            channel,
+            CanBus,
+            (interface, bitrate),
+            owner,
+            lambda: CanBus(
+                channel,
+                interface=interface,
+                bitrate=bitrate,
+                simulation=self._can_simulation(channel),
+            ),
+        )
+
+    async def canopen(
+        self,
+        channel: str,
+        *,
+        owner: str,
+        interface: str = "socketcan",
+        bitrate: int = 1_000_000,
+        emulator: EmulatorFactory | None = None,
+    ) -> CanopenBus:
+        """Return the CANopen network at a channel, connected. Arguments and errors as for `can`."""
+        from rtee.buses.canopen import CanopenBus
+
+        interface, channel = self._simulated_can(channel, interface, bitrate, owner, emulator)
+        return await self._acquire(
+            channel,
+            CanopenBus,
+            (interface, bitrate),
+            owner,
+            lambda: CanopenBus(
+                channel,
+                interface=interface,
+                bitrate=bitrate,
+                simulation=self._can_simulation(channel),
+            ),
+        )
+
+    async def aclose(self) -> None:
+        """Close every bus and every simulation; idempotent."""
+        for bus, _, _ in list(self._buses.values()):
+            await bus.close()
+        self._buses.clear()
+        for simulation in self._simulations.values():
+            simulation.close()
+        self._simulations.clear()
+        self._played.clear()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        await self.aclose()
+
+    async def _acquire(
+        self, key: str, kind: type[B], settings: object, owner: str, make: Callable[[], B]
+    ) -> B:
+        entry = self._buses.get(key)
+        if entry is None:
+            bus = make()
+            bus.trace = self.trace
+            entry = self._buses[key] = (bus, kind, settings)
+        elif entry[1] is not kind or entry[2] != settings:
+            users = ", ".join(sorted(entry[0].owners))
+            raise BusBusy(key, f"'{users}' uses it with other settings than '{owner}' asks for")
+        found = cast("B", entry[0])
+
+        async def forget() -> None:
+            if self._buses.get(key, (None,))[0] is found:
+                del self._buses[key]
+            await found.close()
+
+        found.acquire(owner, forget)
+        try:
+            await found.connect()
+        except BaseException:
+            await found.release(owner)
+            raise
+        return found
+
+    def _simulated_line(
+        self, url: str, owner: str, line: Line, factory: EmulatorFactory | None
+    ) -> Callable[[], str] | None:
+        if factory is None:
+            return None
+        from rtee.buses.simulated import SimulatedLine
+
+        simulation = self._simulations.get(url)
+        if simulation is None:
+            network = url.startswith(("tcp://", "socket://", "rfc2217://"))
+            scheme = "tcp" if url.startswith("tcp://") else "socket"
+            simulation = SimulatedLine(
+                [],
+                name=url,
+                tcp=network,
+                scheme=scheme,
+                line=line,
+                wire_time=self.wire_time and scheme != "tcp",
+            ).start()
+            self._simulations[url] = simulation
+        self._play(owner, simulation, factory)
+        return lambda: cast("Any", simulation).address
+
+    def _simulated_can(
+        self,
+        channel: str,
+        interface: str,
+        bitrate: int,
+        owner: str,
+        factory: EmulatorFactory | None,
+    ) -> tuple[str, str]:
+        if factory is None:
+            return interface, channel
+        from rtee.buses.simulated import SimulatedCan
+
+        channel = f"emulated-{channel}-{id(self):x}"
+        simulation = self._simulations.get(channel)
+        if simulation is None:
+            simulation = SimulatedCan(
+                [], name=channel, channel=channel, bitrate=bitrate if self.wire_time else None
+            ).start()
+            self._simulations[channel] = simulation
+        self._play(owner, simulation, factory)
+        return "virtual", channel
+
+    def _can_simulation(self, channel: str) -> SimulatedCan | None:
+        return cast("SimulatedCan | None", self._simulations.get(channel))
+
+    def _play(
+        self, owner: str, simulation: SimulatedLine | SimulatedCan, factory: EmulatorFactory
+    ) -> None:
+        if owner not in self._played:
+            emulator = factory()
+            self._played[owner] = emulator
+            simulation.add(emulator)

@@ -1,0 +1,213 @@
+"""A line of bytes: request and answer under a deadline, with a retry budget."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from rtee.buses.bus import Bus
+from rtee.buses.link import Line, open_link
+from rtee.buses.parser import Parser
+from rtee.buses.timing import Pause
+from rtee.errors import BusBroken, BusTimeout, FrameError
+
+F = TypeVar("F")
+
+
+class SerialBus(Bus):
+    """A serial line, or a socket that leads to one; one transaction at a time.
+
+    Attributes:
+        line: How the line is set.
+        gap: Silence kept between the last byte received or sent and the next request [s].
+    """
+
+    def __init__(
+        self, name: str, line: Line, *, address: Callable[[], str] | None = None, gap: float = 0.0
+    ) -> None:
+        super().__init__(name)
+        self.line = line
+        self.gap = gap
+        self._address = address or (lambda: name)
+        self._transport: asyncio.Transport | None = None
+        self._protocol: asyncio.Protocol | None = None
+        self._lock = asyncio.Lock()
+        self._answer: asyncio.Future[Any] | None = None
+        self._parser: Parser[Any] | None = None
+        self._accept: Callable[[Any], bool] | None = None
+        self._listener: Callable[[bytes], None] | None = None
+        self._pause = Pause()
+        self._last = 0.0
+
+    async def transact(
+        self,
+        request: bytes,
+        parser: Parser[F],
+        deadline: float,
+        retries: int = 1,
+        *,
+        accept: Callable[[F], bool] | None = None,
+    ) -> F:
+        """Send a request and return the frame that answers it.
+
+        Args:
+            request: The bytes to send.
+            parser: Cuts the answer; it is reset before every attempt.
+            deadline: Longest time for the whole transaction, retries and waiting for the line
+                included [s].
+            retries: How often the request may be sent again within that time.
+            accept: Tells whether a frame is the answer; others are counted as strays.
+
+        Raises:
+            BusTimeout: if nothing came in time.
+            FrameError: if something came in time but no valid frame.
+            BusBroken: if the link is broken.
+            BusClosed: if the bus is closed.
+        """
+        end = time.monotonic() + deadline
+        errors = parser.errors
+        received = 0
+        try:
+            async with asyncio.timeout(deadline):
+                await self._lock.acquire()
+        except TimeoutError:
+            self.counters.timeouts += 1
+            raise BusTimeout(self.name, f"the line was not free within {deadline:.3f} s") from None
+        try:
+            self.check()
+            self.counters.transactions += 1
+            before = self.counters.bytes_received
+            for attempt in range(retries + 1):
+                if attempt:
+                    self.counters.retries += 1
+                share = (end - time.monotonic()) / (retries + 1 - attempt)
+                if share <= 0.0:
+                    break
+                frame, answered = await self._attempt(request, parser, share, accept)
+                if answered:
+                    return cast("F", frame)
+                self.counters.timeouts += 1
+            received = self.counters.bytes_received - before
+        finally:
+            self.counters.checksum_errors += parser.errors - errors
+            self._lock.release()
+        if received:
+            raise FrameError(self.name, f"{received} bytes but no valid answer in {deadline:.3f} s")
+        raise BusTimeout(self.name, f"no answer within {deadline:.3f} s")
+
+    async def _attempt(
+        self, request: bytes, parser: Parser[F], share: float, accept: Callable[[F], bool] | None
+    ) -> tuple[Any, bool]:
+        parser.reset()
+        answer = asyncio.get_running_loop().create_future()
+        try:
+            async with asyncio.timeout(share):
+                if self.gap:
+                    await self._pause.until(self._last + self.gap)
+                self._answer, self._parser, self._accept = answer, parser, accept
+                self._write(request)
+                return await answer, True
+        except TimeoutError:
+            return None, False
+        finally:
+            self._answer = self._parser = self._accept = None
+            if answer.done() and not answer.cancelled():
+                answer.exception()  # a break in the very moment of the timeout is known already
+
+    async def send(self, data: bytes, deadline: float = 0.1) -> None:
+        """Send bytes that nothing answers.
+
+        Raises:
+            BusTimeout: if the line was not free in time.
+            BusBroken: if the link is broken.
+            BusClosed: if the bus is closed.
+        """
+        try:
+            async with asyncio.timeout(deadline):
+                async with self._lock:
+                    self.check()
+                    self.counters.transactions += 1
+                    if self.gap:
+                        await self._pause.until(self._last + self.gap)
+                    self._write(data)
+        except TimeoutError:
+            self.counters.timeouts += 1
+            raise BusTimeout(self.name, f"the line was not free within {deadline:.3f} s") from None
+
+    def listen(self, listener: Callable[[bytes], None] | None) -> None:
+        """Hand bytes that nobody waits for to ``listener``, for devices that talk unasked."""
+        self._listener = listener
+
+    def _write(self, data: bytes) -> None:
+        self.check()
+        if self._transport is None:
+            raise BusBroken(self.name, "no link")
+        self._last = time.monotonic()
+        self.counters.bytes_sent += len(data)
+        if self.trace is not None:
+            self.trace(self.name, "tx", data, self._last)
+        self._transport.write(data)
+
+    def _received(self, data: bytes) -> None:
+        self._last = time.monotonic()
+        self.counters.bytes_received += len(data)
+        if self.trace is not None:
+            self.trace(self.name, "rx", data, self._last)
+        if self._parser is None or self._answer is None:
+            self.counters.strays += len(data)
+            if self._listener is not None:
+                self._listener(data)
+            return
+        for frame in self._parser.feed(data):
+            if self._answer.done() or (self._accept is not None and not self._accept(frame)):
+                self.counters.strays += 1
+            else:
+                self._answer.set_result(frame)
+
+    def _lost(self, protocol: asyncio.Protocol, error: Exception | None) -> None:
+        if protocol is not self._protocol:
+            return
+        self._transport = None
+        self._broke(str(error) if error else "")
+        if self._answer is not None and not self._answer.done():
+            self._answer.set_exception(BusBroken(self.name, f"the link broke: {self._cause}"))
+
+    async def _open(self) -> None:
+        await self._close()
+        transport, protocol = await open_link(
+            self._address(),
+            self.line,
+            lambda: _Protocol(self._received, self._lost),
+            name=self.name,
+        )
+        if transport.is_closing():
+            raise BusBroken(self.name, "the other end hung up at once")
+        self._transport, self._protocol = transport, protocol
+
+    async def _close(self) -> None:
+        self._protocol = None
+        self._pause.close()
+        transport, self._transport = self._transport, None
+        if self._answer is not None and not self._answer.done():
+            self._answer.set_exception(BusBroken(self.name, "the bus was closed meanwhile"))
+        if transport is not None:
+            transport.abort()
+            await asyncio.sleep(0)  # the transport closes its file descriptor in its next callback
+
+
+class _Protocol(asyncio.Protocol):
+    def __init__(
+        self,
+        received: Callable[[bytes], None],
+        lost: Callable[[asyncio.Protocol, Exception | None], None],
+    ) -> None:
+        self._hear = received
+        self._end = lost
+
+    def data_received(self, data: bytes) -> None:
+        self._hear(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._end(self, exc)

@@ -1,0 +1,180 @@
+"""The time that messages take on a simulated wire; sans-I/O."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Sequence
+
+from rtee.buses.emulator import CanFrame, Emulator
+from rtee.buses.faults import Faults
+from rtee.buses.timing import wire_time
+
+
+class Wire:
+    """A half-duplex line between a host and one or more emulated devices.
+
+    A pty is infinitely fast; here a message occupies the line for as long as its bytes would, the
+    device answers after its turn-around, and two messages never overlap.
+
+    Attributes:
+        emulators: The devices on the line; each hears everything.
+        baudrate: Bits per second; ``None`` takes no time (a network).
+        bits: Bits on the line per byte.
+        faults: What goes wrong.
+        bytes_in: Bytes that came from the host.
+        bytes_out: Bytes that went to the host.
+    """
+
+    def __init__(
+        self,
+        emulators: Sequence[Emulator],
+        *,
+        baudrate: float | None = None,
+        bits: float = 10.0,
+        faults: Faults | None = None,
+    ) -> None:
+        self.emulators = list(emulators)
+        self.baudrate = baudrate
+        self.bits = bits
+        self.faults = faults or Faults()
+        self.bytes_in = 0
+        self.bytes_out = 0
+        self._free = 0.0
+        self._number = itertools.count()
+        self._events: list[tuple[float, int, bool, bytes]] = []
+        self._stepped = 0.0
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes from the host; the devices hear them when the last one has passed."""
+        self.bytes_in += len(data)
+        self._free = max(now, self._free) + wire_time(len(data), self.baudrate, self.bits)
+        pieces = self.faults.apply(data) if self.faults.requests else [(0.0, data)]
+        for late, piece in pieces:
+            self._put(self._free + late, True, piece)
+
+    def step(self, now: float) -> list[bytes]:
+        """Let time pass up to ``now``; return what has reached the host."""
+        out: list[bytes] = []
+        while self._events and self._events[0][0] <= now:
+            when, _, inward, data = heapq.heappop(self._events)
+            if inward:
+                for emulator in self.emulators:
+                    self._answer(emulator, emulator.feed(data, when), when)
+            else:
+                self.bytes_out += len(data)
+                out.append(data)
+        if self._stepping and now - self._stepped >= self._stepping:
+            self._stepped = now
+            for emulator in self.emulators:
+                sent = [d for d in emulator.step(now) if isinstance(d, bytes)]
+                self._answer(emulator, sent, now)
+        return out
+
+    def next_due(self) -> float | None:
+        """Return when `step` is to be called next, or ``None``: only when bytes come."""
+        due = [self._events[0][0]] if self._events else []
+        if self._stepping:
+            due.append(self._stepped + self._stepping)
+        return min(due) if due else None
+
+    def reset(self) -> None:
+        """Forget everything that is under way: the line was cut."""
+        self._events.clear()
+        self._free = 0.0
+        for emulator in self.emulators:
+            emulator.line_reset()
+
+    @property
+    def _stepping(self) -> float:
+        return min((e.period for e in self.emulators if e.period), default=0.0)
+
+    def _answer(self, emulator: Emulator, answers: Sequence[bytes], when: float) -> None:
+        for answer in answers:
+            start = max(when + emulator.turnaround, self._free)
+            self._free = start + wire_time(len(answer), self.baudrate, self.bits)
+            for late, piece in self.faults.apply(answer):
+                self._put(self._free + late, False, piece)
+
+    def _put(self, when: float, inward: bool, data: bytes) -> None:
+        heapq.heappush(self._events, (when, next(self._number), inward, data))
+
+
+class CanWire:
+    """A CAN bus between a host and one or more emulated nodes.
+
+    Attributes:
+        emulators: The nodes; each hears every frame of the host.
+        bitrate: Bits per second; ``None`` takes no time.
+        faults: What goes wrong; a corrupted frame is a lost one, as the controllers drop it.
+    """
+
+    def __init__(
+        self,
+        emulators: Sequence[Emulator],
+        *,
+        bitrate: float | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        self.emulators = list(emulators)
+        self.bitrate = bitrate
+        self.faults = faults or Faults()
+        self._free = 0.0
+        self._number = itertools.count()
+        self._events: list[tuple[float, int, bool, CanFrame]] = []
+        self._stepped = 0.0
+
+    def receive(self, frame: CanFrame, now: float) -> None:
+        """Take a frame from the host."""
+        self._free = max(now, self._free) + frame_time(frame, self.bitrate)
+        for late in self.faults.copies() if self.faults.requests else [0.0]:
+            self._put(self._free + late, True, frame)
+
+    def step(self, now: float) -> list[CanFrame]:
+        """Let time pass up to ``now``; return what the nodes have sent."""
+        out: list[CanFrame] = []
+        while self._events and self._events[0][0] <= now:
+            when, _, inward, frame = heapq.heappop(self._events)
+            if inward:
+                for emulator in self.emulators:
+                    self._answer(emulator, emulator.on_frame(frame, when), when)
+            else:
+                out.append(frame)
+        period = min((e.period for e in self.emulators if e.period), default=0.0)
+        if period and now - self._stepped >= period:
+            self._stepped = now
+            for emulator in self.emulators:
+                sent = [f for f in emulator.step(now) if isinstance(f, CanFrame)]
+                self._answer(emulator, sent, now)
+        return out
+
+    def next_due(self) -> float | None:
+        """Return when `step` is to be called next, or ``None``: only when a frame comes."""
+        due = [self._events[0][0]] if self._events else []
+        period = min((e.period for e in self.emulators if e.period), default=0.0)
+        if period:
+            due.append(self._stepped + period)
+        return min(due) if due else None
+
+    def reset(self) -> None:
+        """Forget everything that is under way."""
+        self._events.clear()
+        self._free = 0.0
+
+    def _answer(self, emulator: Emulator, frames: Sequence[CanFrame], when: float) -> None:
+        for frame in frames:
+            start = max(when + emulator.turnaround, self._free)
+            self._free = start + frame_time(frame, self.bitrate)
+            for late in self.faults.copies():
+                self._put(self._free + late, False, frame)
+
+    def _put(self, when: float, inward: bool, frame: CanFrame) -> None:
+        heapq.heappush(self._events, (when, next(self._number), inward, frame))
+
+
+def frame_time(frame: CanFrame, bitrate: float | None) -> float:
+    """Return how long a frame occupies the bus [s], with a tenth of its bits stuffed."""
+    if not bitrate:
+        return 0.0
+    bits = (67 if frame.extended else 47) + 8 * len(frame.data)
+    return bits * 1.1 / bitrate

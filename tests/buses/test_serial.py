@@ -1,0 +1,230 @@
+"""The serial bus against a simulated line: pty, socket and rfc2217."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator
+
+import pytest
+
+from rtee.buses.faults import Faults
+from rtee.buses.link import Line
+from rtee.buses.pool import BusPool
+from rtee.buses.serial import SerialBus
+from rtee.buses.simulated import SimulatedLine
+from rtee.errors import BusBroken, BusBusy, BusClosed, BusTimeout, ConfigError, FrameError
+from tests.buses.devices import Echo, StarParser, frame_of
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["/dev/ttyUSB9", "socket://192.0.2.1:54321"])
+def url(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+async def pool() -> AsyncIterator[BusPool]:
+    async with BusPool(wire_time=False) as pool:
+        yield pool
+
+
+async def bus_in(pool: BusPool, url: str, owner: str = "a") -> SerialBus:
+    return await pool.serial(url, owner=owner, emulator=Echo)
+
+
+async def test_a_request_is_answered(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    assert await bus.transact(frame_of(b"hello"), StarParser(), 1.0) == b"HELLO"
+    assert bus.counters.transactions == 1
+    assert bus.counters.bytes_sent == bus.counters.bytes_received == 8
+    assert bus.counters.retries == bus.counters.timeouts == 0
+
+
+async def test_silence_is_a_timeout_after_the_retries(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    with pytest.raises(BusTimeout, match="no answer within 0.040 s"):
+        await bus.transact(frame_of(b"?"), StarParser(), 0.04, retries=3)
+    assert bus.counters.retries == 3
+    assert bus.counters.timeouts == 4
+    assert isinstance(pool.played("a"), Echo)
+    assert await bus.transact(frame_of(b"x"), StarParser(), 1.0) == b"X"
+
+
+async def test_garbage_only_is_a_frame_error(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    pool.simulation("a").faults = Faults(corrupt=1.0, requests=False)
+    with pytest.raises(FrameError, match="no valid answer"):
+        await bus.transact(frame_of(b"hello"), StarParser(), 0.05, retries=0)
+
+
+async def test_a_lost_answer_is_asked_for_again(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    pool.simulation("a").faults = Faults(drop=0.3, seed=4)
+    answers = [await bus.transact(frame_of(b"n"), StarParser(), 1.0, retries=20) for _ in range(20)]
+    assert answers == [b"N"] * 20
+    assert bus.counters.retries == pool.simulation("a").faults.injected["drop"] > 0
+
+
+async def test_an_answer_that_is_not_accepted_is_a_stray(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    with pytest.raises(FrameError):
+        await bus.transact(frame_of(b"a"), StarParser(), 0.03, accept=lambda frame: frame == b"B")
+    assert bus.counters.strays == 2
+
+
+async def test_transactions_wait_for_each_other(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    texts = [b"t" * (n + 1) for n in range(9)]
+    answers = await asyncio.gather(
+        *(bus.transact(frame_of(text), StarParser(), 2.0) for text in texts)
+    )
+    assert answers == [text.upper() for text in texts]
+
+
+async def test_a_cancelled_transaction_frees_the_line(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    task = asyncio.create_task(bus.transact(frame_of(b"?"), StarParser(), 10.0))
+    await asyncio.sleep(0.01)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert await bus.transact(frame_of(b"y"), StarParser(), 1.0) == b"Y"
+
+
+async def test_unplugging_breaks_and_connecting_mends(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    pool.simulation("a").unplug()
+    with pytest.raises((BusBroken, BusTimeout)):
+        await bus.transact(frame_of(b"a"), StarParser(), 0.5)
+    with pytest.raises(BusBroken):
+        await bus.transact(frame_of(b"a"), StarParser(), 0.5)
+    assert not bus.connected
+    with pytest.raises(BusBroken):
+        await bus.connect()
+    pool.simulation("a").replug()
+    await bus.connect()
+    assert await bus.transact(frame_of(b"a"), StarParser(), 1.0) == b"A"
+    assert bus.counters.broken == 1
+    assert bus.counters.opened == 2
+
+
+async def test_unplugging_ends_a_transaction_under_way_at_once(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    task = asyncio.create_task(bus.transact(frame_of(b"?"), StarParser(), 30.0))
+    await asyncio.sleep(0.02)
+    pool.simulation("a").unplug()
+    with pytest.raises(BusBroken, match="the link broke"):
+        await task
+
+
+async def test_plugging_a_hundred_times_leaks_nothing(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    simulation = pool.simulation("a")
+    tasks, files = len(asyncio.all_tasks()), open_files()
+    for _ in range(100):
+        simulation.unplug()
+        with pytest.raises((BusBroken, BusTimeout)):
+            await bus.transact(frame_of(b"a"), StarParser(), 0.2, retries=0)
+        simulation.replug()
+        await bus.connect()
+        assert await bus.transact(frame_of(b"a"), StarParser(), 1.0) == b"A"
+    assert len(asyncio.all_tasks()) == tasks
+    assert open_files() == files
+
+
+def open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+async def test_two_owners_share_and_the_last_one_closes(pool: BusPool, url: str) -> None:
+    first = await bus_in(pool, url, "a")
+    second = await bus_in(pool, url, "b")
+    assert first is second
+    assert first.owners == {"a", "b"}
+    assert len(pool.simulation("a").emulators) == 2
+    await first.release("a")
+    assert first.connected
+    await first.release("b")
+    await first.release("b")
+    assert not first.connected
+    with pytest.raises(BusClosed):
+        await first.transact(frame_of(b"a"), StarParser(), 1.0)
+    assert await bus_in(pool, url, "a") is not first
+
+
+async def test_other_settings_are_refused(pool: BusPool, url: str) -> None:
+    await bus_in(pool, url, "a")
+    with pytest.raises(BusBusy, match="'a' uses it with other settings than 'b' asks for"):
+        await pool.serial(url, owner="b", baudrate=9600)
+
+
+async def test_close_is_idempotent(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    await bus.close()
+    await bus.close()
+    await pool.aclose()
+    await pool.aclose()
+
+
+async def test_a_trace_shows_every_byte() -> None:
+    seen: list[tuple[str, bytes]] = []
+    async with BusPool(
+        trace=lambda bus, direction, data, stamp: seen.append((direction, data)), wire_time=False
+    ) as pool:
+        bus = await bus_in(pool, "/dev/ttyUSB9")
+        await bus.transact(frame_of(b"hi"), StarParser(), 1.0)
+    assert seen == [("tx", frame_of(b"hi")), ("rx", frame_of(b"HI"))]
+
+
+async def test_a_listener_hears_what_nobody_asked_for(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    heard: list[bytes] = []
+    bus.listen(heard.append)
+    await bus.send(frame_of(b"psst"))
+    async with asyncio.timeout(5):
+        while b"".join(heard) != frame_of(b"PSST"):
+            await asyncio.sleep(0.001)
+
+
+async def test_a_missing_port_is_named() -> None:
+    async with BusPool() as pool:
+        with pytest.raises(BusBroken, match="there is no such port"):
+            await pool.serial("/dev/there-is-none", owner="a")
+        assert pool.buses == ()
+
+
+async def test_a_port_that_nobody_serves_is_named() -> None:
+    with SimulatedLine([], tcp=True) as line:
+        address = line.address
+    async with BusPool() as pool:
+        with pytest.raises(BusBroken, match="connection refused"):
+            await pool.serial(address, owner="a")
+
+
+async def test_an_address_without_a_port_is_a_mistake_of_the_user() -> None:
+    async with BusPool() as pool:
+        with pytest.raises(ConfigError, match="looks like 'socket://host:port'"):
+            await pool.serial("socket://somewhere", owner="a")
+
+
+async def test_a_port_in_use_by_another_program_is_busy() -> None:
+    with SimulatedLine([Echo()]) as line:
+        async with BusPool() as one, BusPool() as other:
+            await one.serial(line.address, owner="a")
+            with pytest.raises(BusBusy, match="another program"):
+                await other.serial(line.address, owner="b")
+
+
+async def test_the_gap_before_a_request_is_kept() -> None:
+    with SimulatedLine([Echo()]) as line:
+        bus = SerialBus(line.address, Line(), gap=0.01)
+        await bus.connect()
+        stamps: list[float] = []
+        bus.trace = lambda name, direction, data, stamp: stamps.append(stamp)
+        for _ in range(3):
+            await bus.transact(frame_of(b"a"), StarParser(), 1.0)
+        await bus.close()
+    sent, received = stamps[0::2], stamps[1::2]
+    assert all(after - before >= 0.01 for before, after in zip(received, sent[1:], strict=False))
