@@ -1,1 +1,1 @@
-
+"""The hand: model, kinematics and geometry, configuration."""

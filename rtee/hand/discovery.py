@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from rtee.hand.fingers import Chain
+from rtee.hand.chains import Chain
 from rtee.hand.names import safe_name
 from rtee.hand.urdf import Urdf
 

@@ -1,189 +1,97 @@
-"""Which chains of a hand are fingers, as its SRDF says; the SRDF is checked against the URDF."""
+"""The fingers of a hand with the actuators that move them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
-from rtee.errors import ModelError, UnknownJoint, UnknownLink, suggestion
-from rtee.hand.srdf import Srdf, SrdfGroup
+from rtee.errors import ModelError
+from rtee.hand.chains import Chain, fingers_of
+from rtee.hand.discovery import discover_fingers
+from rtee.hand.model import Finger
+from rtee.hand.names import check_name
+from rtee.hand.srdf import Srdf
 from rtee.hand.urdf import Urdf
 
-GROUP_OF_FINGERS = "end_effector_fingers"
 
+def make_fingers(
+    urdf: Urdf, srdf: Srdf | None, movers: Mapping[str, str]
+) -> tuple[tuple[Finger, ...], list[str]]:
+    """Return the fingers that the SRDF names, or else those found from the tree.
 
-@dataclass(frozen=True, slots=True)
-class Chain:
-    """A finger before its actuators are known.
-
-    Attributes:
-        name: The finger's name.
-        links: Its links from base to end.
-        reason: Why this is a finger.
-        line: Line in the SRDF; 0 if it was found in the tree.
-    """
-
-    name: str
-    links: tuple[str, ...]
-    reason: str
-    line: int = 0
-
-    def tip(self, urdf: Urdf) -> str | None:
-        """Return the last link with collision geometry below the base, if there is one."""
-        below = reversed(self.links[1:] or self.links)
-        return next((link for link in below if urdf.links[link].collisions), None)
-
-
-def check_srdf(srdf: Srdf, urdf: Urdf) -> list[str]:
-    """Check an SRDF against its URDF.
+    Args:
+        urdf: The hand's URDF.
+        srdf: Its SRDF, if it has one.
+        movers: The actuator that moves a joint, by joint; joints that nothing moves are missing.
 
     Returns:
-        What is odd but harmless, one sentence each.
+        The fingers, and what was noticed, one sentence each.
 
     Raises:
-        ModelError: It names a link, joint or group that does not exist, or a chain whose tip is not
-            below its base; the message names file and line.
+        ModelError: Two fingers share a fingertip, or a group of fingers is not well defined.
+        ConfigError: A finger's name is not allowed.
     """
-    for group in srdf.groups.values():
-        _check_group(srdf, group, urdf)
-    notes = _check_passive(srdf, urdf)
-    for state in srdf.states:
-        for name in state.values:
-            if name not in urdf.joints:
-                raise UnknownJoint(name, tuple(urdf.joints), path=srdf.path, line=state.line)
-        if state.group not in srdf.groups:
-            notes.append(
-                f"group_state '{state.name}' (line {state.line} of the SRDF) belongs to the "
-                f"unknown group '{state.group}'"
-            )
-    for pair in srdf.disabled:
-        notes.extend(
-            f"disable_collisions (line {pair.line} of the SRDF) names the unknown link '{link}'"
-            for link in (pair.link1, pair.link2)
-            if link not in urdf.links
+    chains, notes = fingers_of(srdf, urdf) if srdf else (), []
+    if not chains:
+        chains = discover_fingers(urdf, frozenset(movers))
+        found = "no SRDF was given" if srdf is None else "the SRDF names no finger"
+        notes.append(f"{found}; the fingers were found from the tree")
+    tips = _tips(chains, urdf, srdf)
+    notes += [
+        f"finger '{name}' has no collision geometry: no pinches for it"
+        for name, tip in tips.items()
+        if tip is None
+    ]
+    moving = {
+        chain.name: _moving(urdf, tips[chain.name] or chain.links[-1], movers) for chain in chains
+    }
+    fingers = tuple(
+        Finger(
+            name=chain.name,
+            base=chain.links[0],
+            tip=tips[chain.name],
+            links=chain.links,
+            actuators=moving[chain.name],
+            own=_own(chain.name, moving),
+            reason=chain.reason,
         )
-    if srdf.name and srdf.name != urdf.name:
-        notes.append(f"the SRDF is for robot '{srdf.name}', the URDF is of '{urdf.name}'")
-    return notes
+        for chain in chains
+    )
+    return fingers, notes
 
 
-def _check_group(srdf: Srdf, group: SrdfGroup, urdf: Urdf) -> None:
-    for chain in group.chains:
-        for link in (chain.base, chain.tip):
-            if link not in urdf.links:
-                raise UnknownLink(link, tuple(urdf.links), path=srdf.path, line=chain.line)
-        if chain.base == chain.tip or urdf.chain(chain.base, chain.tip) is None:
+def _tips(chains: Sequence[Chain], urdf: Urdf, srdf: Srdf | None) -> dict[str, str | None]:
+    path = urdf.path if srdf is None else srdf.path
+    owner: dict[str, str] = {}
+    tips: dict[str, str | None] = {}
+    for chain in chains:
+        line = chain.line or None
+        check_name(chain.name, "finger", path, line)
+        tip = tips[chain.name] = chain.tip(urdf)
+        if tip is not None and owner.setdefault(tip, chain.name) != chain.name:
             raise ModelError(
-                f"tip '{chain.tip}' of the chain of group '{group.name}' is not below its base "
-                f"'{chain.base}'",
-                path=srdf.path,
-                line=chain.line,
+                f"fingers '{owner[tip]}' and '{chain.name}' have the same fingertip '{tip}'",
+                path=path,
+                line=line,
             )
-    for link, line in group.links.items():
-        if link not in urdf.links:
-            raise UnknownLink(link, tuple(urdf.links), path=srdf.path, line=line)
-    for joint, line in group.joints.items():
-        if joint not in urdf.joints:
-            raise UnknownJoint(joint, tuple(urdf.joints), path=srdf.path, line=line)
-    for name, line in group.subgroups.items():
-        if name not in srdf.groups:
-            hint = suggestion(name, srdf.groups)
-            raise ModelError(f"unknown group '{name}'; {hint}", path=srdf.path, line=line)
+    return tips
 
 
-def _check_passive(srdf: Srdf, urdf: Urdf) -> list[str]:
-    notes = []
-    for name, line in srdf.passive.items():
-        joint = urdf.joints.get(name)
-        if joint is None:
-            raise UnknownJoint(name, tuple(urdf.joints), path=srdf.path, line=line)
-        if not joint.moving:
-            notes.append(f"passive joint '{name}' (line {line} of the SRDF) is fixed")
-        elif joint.mimic is not None:
-            notes.append(f"joint '{name}' is both mimic and passive; it is taken as a mimic")
-    return notes
+def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the actuators that move a link, nearest the root first.
 
-
-def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
-    """Return the fingers that an SRDF names; none if it has no chains.
-
-    Where there is a group of groups, only its members are fingers: the group of the
-    ``<end_effector>``, or ``end_effector_fingers``, or the only one there is. Otherwise every
-    group that is a chain is a finger.
-
-    Raises:
-        ModelError: A member of the group of fingers is not a single chain, or groups contain one
-            another.
+    An actuator stands where its own joint stands on the way to the link, or else where the first
+    joint that follows it does.
     """
-    collection, why = _group_of_fingers(srdf)
-    if collection is None:
-        chains = (_chain(srdf, group, urdf, "chain") for group in srdf.groups.values())
-        return tuple(chain for chain in chains if chain is not None)
-    fingers = []
-    for group in _members(srdf, collection, ()):
-        chain = _chain(srdf, group, urdf, why)
-        if chain is None:
-            raise ModelError(
-                f"group '{group.name}' is in the group of fingers '{collection.name}' but is not "
-                "one chain of links",
-                path=srdf.path,
-                line=group.line,
-            )
-        fingers.append(chain)
-    return tuple(fingers)
+    place: dict[str, int] = {}
+    for position, joint in enumerate(urdf.path_to(link)):
+        actuator = movers.get(joint.name)
+        if actuator == joint.name:
+            place[actuator] = position
+        elif actuator is not None:
+            place.setdefault(actuator, position)
+    return tuple(sorted(place, key=place.__getitem__))
 
 
-def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
-    """Return the group of groups that lists the fingers, and how it was chosen."""
-    collections = [group for group in srdf.groups.values() if group.subgroups]
-    for effector in srdf.end_effectors:
-        group = srdf.groups.get(effector.group)
-        if group is not None and group.subgroups:
-            return group, f"end-effector '{effector.name}', group '{group.name}'"
-    for group in collections:
-        if group.name == GROUP_OF_FINGERS:
-            return group, f"group '{group.name}'"
-    if not collections:
-        return None, ""
-    named = [group for group in collections if "finger" in group.name.lower()]
-    group = max(named or collections, key=lambda g: len(g.subgroups))
-    return group, f"group '{group.name}'"
-
-
-def _members(srdf: Srdf, group: SrdfGroup, above: tuple[str, ...]) -> Iterator[SrdfGroup]:
-    """Yield the groups without subgroups inside a group, each once and in order."""
-    if group.name in above:
-        raise ModelError(f"group '{group.name}' contains itself", path=srdf.path, line=group.line)
-    for name in group.subgroups:
-        member = srdf.groups[name]
-        if member.subgroups:
-            yield from _members(srdf, member, (*above, group.name))
-        else:
-            yield member
-
-
-def _chain(srdf: Srdf, group: SrdfGroup, urdf: Urdf, why: str) -> Chain | None:
-    """Return a group as a chain, if it is a single one."""
-    if len(group.chains) == 1 and not group.links and not group.joints:
-        links = urdf.chain(group.chains[0].base, group.chains[0].tip)
-        line = group.chains[0].line
-    elif not group.chains and not group.subgroups:
-        links = _as_path({*group.links, *(urdf.joints[j].child for j in group.joints)}, urdf)
-        line = group.line
-    else:
-        return None
-    if links is None:
-        return None
-    return Chain(group.name, links, f"SRDF line {line}: {why}", line)
-
-
-def _as_path(links: set[str], urdf: Urdf) -> tuple[str, ...] | None:
-    """Return the path from the first to the last of some links if they all lie on one."""
-    if not links:
-        return None
-    deepest = max(sorted(links), key=lambda link: len(urdf.path_to(link)))
-    path = (urdf.root, *(joint.child for joint in urdf.path_to(deepest)))
-    if not links <= set(path):
-        return None
-    first = min(path.index(link) for link in links)
-    return path[max(first - 1, 0) :]
+def _own(name: str, moving: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    shared = {a for other, actuators in moving.items() if other != name for a in actuators}
+    return tuple(actuator for actuator in moving[name] if actuator not in shared)

@@ -2,73 +2,26 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING
 
-from rtee.errors import ModelError, UnknownActuator
-from rtee.hand.discovery import discover_fingers
-from rtee.hand.fingers import Chain, check_srdf, fingers_of
-from rtee.hand.model import Finger, Hand, Joint, JointRole
+from rtee.errors import ConfigError, ModelError, UnknownActuator, suggestion
+from rtee.hand.catalog import FILE_NAME, find_hand
+from rtee.hand.chains import check_srdf
+from rtee.hand.fingers import make_fingers
+from rtee.hand.limits import Limits, Overrides, actuator_spec, clamped, images_outside, rest_state
+from rtee.hand.model import Hand, Joint, JointRole
 from rtee.hand.names import check_name, safe_name
 from rtee.hand.srdf import Srdf, read_srdf
-from rtee.hand.transmission import Transmission, make_transmission, sample
+from rtee.hand.transmission import make_transmission
 from rtee.hand.urdf import Urdf, UrdfJoint, read_urdf
-from rtee.types import ActuatorSpec, JointKind, readonly
+from rtee.types import JointKind, readonly
 
-REST_STATES: Final = ("rest", "open", "home")
-"""Names of SRDF group states taken for the rest posture, the first one found."""
-
-ASSUMED_VELOCITY: Final = {JointKind.PRISMATIC: 0.1}
-ASSUMED_ANGULAR_VELOCITY: Final = 1.0
-ACCELERATION_TIME: Final = 0.1
-"""Time in which an actuator reaches its velocity limit [s], where no acceleration is configured."""
-JERK_TIME: Final = 0.05
-"""Time in which it reaches its acceleration limit [s], where no jerk is configured."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Limits of one actuator that tighten or complete the URDF's; ``None``: as in the URDF.
-
-    Attributes:
-        lower: Lower limit [rad | m].
-        upper: Upper limit [rad | m].
-        velocity: Velocity limit [rad/s | m/s].
-        acceleration: Acceleration limit [rad/s² | m/s²].
-        jerk: Jerk limit [rad/s³ | m/s³].
-        effort: Effort limit [N·m | N].
-    """
-
-    lower: float | None = None
-    upper: float | None = None
-    velocity: float | None = None
-    acceleration: float | None = None
-    jerk: float | None = None
-    effort: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Overrides:
-    """What a configuration adds to the model.
-
-    Attributes:
-        name: The hand's name; the robot's in the URDF if ``None``.
-        title: Its name for people.
-        package_dirs: Folders to look mesh packages up in.
-        rest: Rest positions by actuator [rad | m].
-        limits: Limits by actuator.
-        default_limits: Limits for actuators that have none of their own there.
-    """
-
-    name: str | None = None
-    title: str = ""
-    package_dirs: tuple[Path, ...] = ()
-    rest: Mapping[str, float] = field(default_factory=dict)
-    limits: Mapping[str, Limits] = field(default_factory=dict)
-    default_limits: Limits = field(default_factory=Limits)
+if TYPE_CHECKING:
+    from rtee.hand.config import HandConfig
+    from rtee.hand.yamlfile import YamlDocument
 
 
 def load_model(
@@ -98,58 +51,169 @@ def load_model(
     return build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
 
 
+def load_hand(name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()) -> Hand:
+    """Load a configured hand.
+
+    Args:
+        name_or_path: Its name, or the path of its folder or hand.yaml.
+        config_dirs: Folders to look the name up in, before the usual ones.
+
+    Raises:
+        ConfigError: There is no such hand, or its hand.yaml is wrong.
+        ModelError: Its URDF or SRDF cannot be read or does not describe a hand.
+    """
+    return load_configured(name_or_path, config_dirs=config_dirs)[0]
+
+
+def load_configured(
+    name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()
+) -> tuple[Hand, HandConfig]:
+    """Load a configured hand together with its configuration; see `load_hand`."""
+    from rtee.hand.config import read_document
+
+    folder, file = hand_folder(name_or_path, config_dirs=config_dirs)
+    config, document = read_document(file)
+    if not _is_path(name_or_path) and config.name != folder.name:
+        raise document.error(
+            ("name",), f"'{config.name}' should be the name of its folder, '{folder.name}'"
+        )
+    urdf = _beside(folder, config.urdf, "urdf", document)
+    srdf = None if config.srdf is None else _beside(folder, config.srdf, "srdf", document)
+    overrides = Overrides(
+        name=config.name,
+        title=config.title,
+        package_dirs=tuple(folder / package for package in config.package_dirs),
+        rest=config.rest,
+        limits={n: Limits(**dict(v)) for n, v in config.limits.actuators.items()},
+        default_limits=Limits(**dict(config.limits.defaults)),
+        error=document.error,
+    )
+    hand = build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
+    _check_devices(hand, config, document)
+    return hand, config
+
+
+def hand_folder(
+    name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()
+) -> tuple[Path, Path]:
+    """Return the folder and the hand.yaml of a hand given by name or path.
+
+    Raises:
+        ConfigError: There is no such hand.
+    """
+    if not _is_path(name_or_path):
+        folder = find_hand(str(name_or_path), config_dirs)
+        return folder, folder / FILE_NAME
+    path = Path(name_or_path)
+    file = path / FILE_NAME if path.is_dir() else path
+    if not file.is_file():
+        raise ConfigError(f"{FILE_NAME} does not exist", path=file)
+    return file.parent, file
+
+
+def _is_path(name_or_path: str | Path) -> bool:
+    if isinstance(name_or_path, Path):
+        return True
+    return "/" in name_or_path or name_or_path.endswith((".yaml", ".yml"))
+
+
+def _beside(folder: Path, name: str, key: str, document: YamlDocument) -> Path:
+    """Return a file named in hand.yaml."""
+    try:
+        if (folder / name).is_file():
+            return folder / name
+    except (OSError, ValueError):
+        pass
+    raise document.error((key,), f"the file '{name[:200]}' does not exist beside {FILE_NAME}")
+
+
+def _check_devices(hand: Hand, config: HandConfig, document: YamlDocument) -> None:
+    """Refuse unknown actuators and actuators that two devices drive."""
+    owner: dict[str, str] = {}
+    for name, device in config.devices.items():
+        chosen = hand.actuator_names if device.actuators == "all" else device.actuators
+        for i, actuator in enumerate(chosen):
+            place = ("devices", name, "actuators", *(() if device.actuators == "all" else (i,)))
+            if actuator not in hand.actuator_names:
+                hint = suggestion(actuator, hand.actuator_names)
+                raise document.error(place, f"unknown actuator '{actuator}'; {hint}")
+            if actuator in owner:
+                raise document.error(
+                    place, f"actuator '{actuator}' is already driven by '{owner[actuator]}'"
+                )
+            owner[actuator] = name
+    missing = [a for a in hand.actuator_names if config.devices and a not in owner]
+    if missing:
+        raise document.error(("devices",), f"no device drives the actuator '{missing[0]}'")
+
+
 def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     """Make a hand from what was read.
 
     Raises:
         ModelError: The files do not describe a hand.
-        ConfigError: The name is not allowed.
+        ConfigError: A name or a configured value is not allowed.
     """
     notes = check_srdf(srdf, urdf) if srdf else []
     passive = {n for n in srdf.passive if urdf.joints[n].moving} if srdf else set()
     joints = tuple(_joint(joint, passive) for joint in urdf.joints.values() if joint.moving)
-    driven = [urdf.joints[joint.name] for joint in joints if joint.role is JointRole.ACTUATOR]
+    driven = [joint.name for joint in joints if joint.role is JointRole.ACTUATOR]
     if not driven:
         raise ModelError(
             "no joint is an actuator: every moving joint is mimic or passive, or there is none",
             path=urdf.path,
         )
-    _check_names([joint.name for joint in driven], overrides, urdf)
-    state = _rest_state(srdf, notes)
+    _check_actuators(driven, overrides, urdf)
+    state_name, state = rest_state(srdf)
+    if state_name:
+        notes.append(f"the rest posture is the SRDF's group_state '{state_name}'")
+    specs = []
+    for name in driven:
+        spec, assumed = actuator_spec(urdf.joints[name], urdf, state, overrides)
+        specs.append(spec)
+        notes += assumed
     standing = {
-        joint.name: _inside(state.get(joint.name, 0.0), joint.lower, joint.upper)
+        joint.name: clamped(state.get(joint.name, 0.0), joint.lower, joint.upper)
         for joint in joints
         if joint.role is JointRole.PASSIVE
     }
-    transmission = make_transmission(urdf, [joint.name for joint in driven], standing)
-    specs = [_actuator(joint, overrides, state, urdf, srdf, notes) for joint in driven]
-    notes += _images(joints, specs, transmission)
-    fingers = _fingers(urdf, srdf, joints, specs, transmission, notes)
-    for i, spec in enumerate(specs):
-        moved = tuple(f.name for f in fingers if f.tip and spec.name in f.actuators)
-        specs[i] = replace(spec, fingers=moved)
+    transmission = make_transmission(urdf, driven, standing)
+    notes += images_outside(joints, specs, transmission)
+    moves = {joint.name: transmission.moves(i) for i, joint in enumerate(joints)}
+    fingers, found = make_fingers(
+        urdf, srdf, {joint: driven[i] for joint, i in moves.items() if i is not None}
+    )
     return Hand(
         name=check_name(overrides.name or safe_name(urdf.name), "hand"),
         base=urdf.root,
         joints=joints,
-        actuators=tuple(specs),
+        actuators=tuple(
+            replace(s, fingers=tuple(f.name for f in fingers if f.tip and s.name in f.actuators))
+            for s in specs
+        ),
         fingers=fingers,
         transmission=transmission,
         rest=readonly([spec.rest for spec in specs]),
         urdf=urdf,
-        disabled_collisions=tuple((d.link1, d.link2, d.reason) for d in srdf.disabled)
-        if srdf
-        else (),
-        notes=tuple(notes),
+        disabled_collisions=tuple(
+            (pair.link1, pair.link2, pair.reason) for pair in (srdf.disabled if srdf else ())
+        ),
+        notes=tuple(notes + found),
         package_dirs=overrides.package_dirs,
         description=overrides.title,
     )
 
 
-def _check_names(actuators: list[str], overrides: Overrides, urdf: Urdf) -> None:
-    for name in (*overrides.rest, *overrides.limits):
-        if name not in actuators:
-            raise UnknownActuator(name, actuators, path=urdf.path)
+def _check_actuators(actuators: list[str], overrides: Overrides, urdf: Urdf) -> None:
+    """Refuse a configuration of actuators that the hand does not have."""
+    for section, names in (("rest", overrides.rest), ("limits", overrides.limits)):
+        for name in names:
+            if name in actuators:
+                continue
+            if overrides.error is None:
+                raise UnknownActuator(name, actuators, path=urdf.path)
+            hint = suggestion(name, actuators)
+            raise overrides.error((section, name), f"unknown actuator; {hint}")
 
 
 def _joint(joint: UrdfJoint, passive: set[str]) -> Joint:
@@ -167,190 +231,3 @@ def _joint(joint: UrdfJoint, passive: set[str]) -> Joint:
         upper=joint.upper,
         line=joint.line,
     )
-
-
-def _rest_state(srdf: Srdf | None, notes: list[str]) -> dict[str, float]:
-    """Return the joint positions of the SRDF's rest posture, if it has one."""
-    for name in REST_STATES:
-        states = [state for state in srdf.states if state.name.lower() == name] if srdf else []
-        if states:
-            notes.append(f"the rest posture is the SRDF's group_state '{states[0].name}'")
-            return {joint: value for state in states for joint, value in state.values.items()}
-    return {}
-
-
-def _inside(value: float, lower: float, upper: float) -> float:
-    return min(max(value, lower), upper)
-
-
-def _actuator(
-    joint: UrdfJoint,
-    overrides: Overrides,
-    state: Mapping[str, float],
-    urdf: Urdf,
-    srdf: Srdf | None,
-    notes: list[str],
-) -> ActuatorSpec:
-    kind = JointKind(joint.kind)
-    own, common = overrides.limits.get(joint.name, Limits()), overrides.default_limits
-    lower, upper = _range(joint, own, urdf)
-    velocity = _tighter(joint.velocity, own.velocity, common.velocity)
-    if velocity <= 0:
-        velocity = ASSUMED_VELOCITY.get(kind, ASSUMED_ANGULAR_VELOCITY)
-        notes.append(f"actuator '{joint.name}' has no velocity limit; {velocity:g} is assumed")
-    acceleration = own.acceleration or common.acceleration or velocity / ACCELERATION_TIME
-    jerk = own.jerk or common.jerk or acceleration / JERK_TIME
-    effort = _tighter(joint.effort, own.effort, common.effort)
-    rest = overrides.rest.get(joint.name, state.get(joint.name))
-    if rest is None:
-        rest = _inside(0.0, lower, upper)
-        if rest:
-            notes.append(
-                f"actuator '{joint.name}' rests at {rest:g}: 0 lies outside its limits "
-                f"{lower:g} … {upper:g}"
-            )
-    elif not lower <= rest <= upper:
-        from_state = joint.name not in overrides.rest
-        raise ModelError(
-            f"rest position {rest:g} of actuator '{joint.name}' lies outside its limits "
-            f"{lower:g} … {upper:g}",
-            path=srdf.path if from_state and srdf else urdf.path,
-            line=None if from_state else joint.line,
-        )
-    return ActuatorSpec(
-        name=joint.name,
-        kind=kind,
-        lower=lower,
-        upper=upper,
-        velocity=velocity,
-        acceleration=acceleration,
-        jerk=jerk,
-        effort=effort if effort > 0 else math.inf,
-        rest=rest,
-    )
-
-
-def _range(joint: UrdfJoint, own: Limits, urdf: Urdf) -> tuple[float, float]:
-    """Return the position limits; the configuration may only tighten the URDF's."""
-    if joint.lower == joint.upper:
-        raise ModelError(
-            f"actuator '{joint.name}' has empty limits: lower and upper are both {joint.lower:g}",
-            path=urdf.path,
-            line=joint.line,
-        )
-    lower = joint.lower if own.lower is None else max(own.lower, joint.lower)
-    upper = joint.upper if own.upper is None else min(own.upper, joint.upper)
-    if lower >= upper:
-        raise ModelError(
-            f"actuator '{joint.name}' has empty limits: {lower:g} … {upper:g}",
-            path=urdf.path,
-            line=joint.line,
-        )
-    return lower, upper
-
-
-def _tighter(model: float, *configured: float | None) -> float:
-    """Return the first configured limit, not above the model's where that has one."""
-    value = next((v for v in configured if v is not None), None)
-    if value is None:
-        return model
-    return min(value, model) if model > 0 else value
-
-
-def _images(
-    joints: tuple[Joint, ...], specs: Sequence[ActuatorSpec], transmission: Transmission
-) -> list[str]:
-    """Note the mimic joints that their actuator drives outside their own limits."""
-    notes = []
-    for joint, coupling in zip(joints, transmission.couplings, strict=True):
-        if joint.role is not JointRole.MIMIC or coupling.actuator is None:
-            continue
-        if joint.kind is JointKind.CONTINUOUS:
-            continue
-        spec = specs[coupling.actuator]
-        image = [coupling.value(q) for q in sample(spec.lower, spec.upper)]
-        slack = 1e-3 * (joint.upper - joint.lower)
-        if min(image) < joint.lower - slack or max(image) > joint.upper + slack:
-            notes.append(
-                f"mimic joint '{joint.name}' moves {min(image):.4g} … {max(image):.4g}, outside "
-                f"its own limits {joint.lower:.4g} … {joint.upper:.4g}; the actuator's limits count"
-            )
-    return notes
-
-
-def _fingers(
-    urdf: Urdf,
-    srdf: Srdf | None,
-    joints: tuple[Joint, ...],
-    specs: Sequence[ActuatorSpec],
-    transmission: Transmission,
-    notes: list[str],
-) -> tuple[Finger, ...]:
-    chains = fingers_of(srdf, urdf) if srdf else ()
-    mover = {joint.name: transmission.moves(i) for i, joint in enumerate(joints)}
-    if not chains:
-        moved = frozenset(name for name, actuator in mover.items() if actuator is not None)
-        chains = discover_fingers(urdf, moved)
-        found = "no SRDF was given" if srdf is None else "the SRDF names no finger"
-        notes.append(f"{found}; the fingers were found from the tree")
-    _check_chains(chains, urdf, srdf)
-    tips = {chain.name: chain.tip(urdf) for chain in chains}
-    for chain in chains:
-        if tips[chain.name] is None:
-            notes.append(f"finger '{chain.name}' has no collision geometry: no pinches for it")
-    names = [spec.name for spec in specs]
-    moving = {
-        chain.name: _movers(urdf, tips[chain.name] or chain.links[-1], mover, names)
-        for chain in chains
-    }
-    return tuple(
-        Finger(
-            name=chain.name,
-            base=chain.links[0],
-            tip=tips[chain.name],
-            links=chain.links,
-            actuators=moving[chain.name],
-            own=tuple(
-                actuator
-                for actuator in moving[chain.name]
-                if not any(actuator in moving[c.name] for c in chains if c.name != chain.name)
-            ),
-            reason=chain.reason,
-        )
-        for chain in chains
-    )
-
-
-def _check_chains(chains: Sequence[Chain], urdf: Urdf, srdf: Srdf | None) -> None:
-    path = urdf.path if srdf is None else srdf.path
-    tips: dict[str, str] = {}
-    for chain in chains:
-        check_name(chain.name, "finger", path, chain.line or None)
-        tip = chain.tip(urdf)
-        if tip is not None and tips.setdefault(tip, chain.name) != chain.name:
-            raise ModelError(
-                f"fingers '{tips[tip]}' and '{chain.name}' have the same fingertip '{tip}'",
-                path=path,
-                line=chain.line or None,
-            )
-
-
-def _movers(
-    urdf: Urdf, tip: str, mover: Mapping[str, int | None], names: Sequence[str]
-) -> tuple[str, ...]:
-    """Return the actuators that move a link, nearest the root first.
-
-    An actuator stands where its own joint stands on the way to the link, or else where the first
-    joint that follows it does.
-    """
-    place: dict[str, int] = {}
-    for position, joint in enumerate(urdf.path_to(tip)):
-        index = mover.get(joint.name)
-        if index is None:
-            continue
-        actuator = names[index]
-        if actuator == joint.name:
-            place[actuator] = position
-        else:
-            place.setdefault(actuator, position)
-    return tuple(sorted(place, key=lambda name: place[name]))

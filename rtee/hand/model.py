@@ -1,4 +1,4 @@
-"""The hand as data: fingers, actuators, joints and what moves what. Needs neither Pinocchio nor Coal."""
+"""The hand as data: fingers, actuators, joints and what moves what."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Hand:
         name: Its name.
         base: Root link; the hand's base frame.
         joints: All moving joints in the order of the URDF's tree.
-        actuators: The actuators in the order of the URDF's tree; all actuator arrays have this order.
+        actuators: The actuators in the order of the URDF's tree, which all actuator arrays have.
         fingers: The fingers.
         transmission: From actuator positions to joint positions.
         rest: Rest posture ``(n,)`` [rad | m].

@@ -263,7 +263,8 @@ def _geometry(element: Element, link: str) -> UrdfGeometry:
             )
         case other:
             raise shape.error(
-                f"unknown geometry <{other}> of link '{link}'; there are mesh, box, sphere, cylinder"
+                f"unknown geometry <{other}> of link '{link}'; there are mesh, box, sphere and "
+                "cylinder"
             )
 
 

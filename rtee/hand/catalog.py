@@ -1,0 +1,69 @@
+"""Which hands there are, and where."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import rtee
+from rtee.errors import ConfigError, suggestion
+from rtee.hand.names import check_name
+
+VARIABLE: Final = "RTEE_CONFIG_PATH"
+FILE_NAME: Final = "hand.yaml"
+
+
+def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
+    """Return the folders that hold hands, those that take precedence first.
+
+    They are ``extra``, those in ``RTEE_CONFIG_PATH``, ``./config``, and the ones that came with
+    rtee.
+    """
+    candidates = [Path(folder) for folder in extra]
+    candidates += [Path(p) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    package = Path(rtee.__file__).resolve().parent
+    candidates += [Path("config"), package / "_config"]
+    if (package.parent / "pyproject.toml").is_file():
+        candidates.append(package.parent / "config")
+    found: dict[Path, Path] = {}
+    for folder in candidates:
+        if folder.is_dir():
+            found.setdefault(folder.resolve(), folder)
+    return list(found.values())
+
+
+def hands(extra: Sequence[Path | str] = ()) -> dict[str, Path]:
+    """Return the folders of all hands by name, sorted by name."""
+    found: dict[str, Path] = {}
+    for name, folder in _all(config_dirs(extra)):
+        found.setdefault(name, folder)
+    return dict(sorted(found.items()))
+
+
+def hand_names(extra: Sequence[Path | str] = ()) -> list[str]:
+    """Return the names of all hands, sorted."""
+    return list(hands(extra))
+
+
+def find_hand(name: str, extra: Sequence[Path | str] = ()) -> Path:
+    """Return the folder of a hand.
+
+    Raises:
+        ConfigError: There is no hand of that name, or the name is not allowed.
+    """
+    check_name(name, "hand")
+    for folder in config_dirs(extra):
+        if (folder / name / FILE_NAME).is_file():
+            return folder / name
+    raise ConfigError(
+        f"unknown hand '{name}'; {suggestion(name, hand_names(extra))} ('rtee hands' lists them, "
+        f"'rtee new' makes one)"
+    )
+
+
+def _all(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
+    for folder in folders:
+        for file in sorted(folder.glob(f"*/{FILE_NAME}")):
+            yield file.parent.name, file.parent

@@ -1,0 +1,189 @@
+"""Which chains of a hand are fingers, as its SRDF says; the SRDF is checked against the URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rtee.errors import ModelError, UnknownJoint, UnknownLink, suggestion
+from rtee.hand.srdf import Srdf, SrdfGroup
+from rtee.hand.urdf import Urdf
+
+GROUP_OF_FINGERS = "end_effector_fingers"
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A chain of links that is a finger, before its actuators are known.
+
+    Attributes:
+        name: The finger's name.
+        links: Its links from base to end.
+        reason: Why this is a finger.
+        line: Line in the SRDF; 0 if it was found in the tree.
+    """
+
+    name: str
+    links: tuple[str, ...]
+    reason: str
+    line: int = 0
+
+    def tip(self, urdf: Urdf) -> str | None:
+        """Return the last link with collision geometry below the base, if there is one."""
+        below = reversed(self.links[1:] or self.links)
+        return next((link for link in below if urdf.links[link].collisions), None)
+
+
+def check_srdf(srdf: Srdf, urdf: Urdf) -> list[str]:
+    """Check an SRDF against its URDF.
+
+    Returns:
+        What is odd but harmless, one sentence each.
+
+    Raises:
+        ModelError: It names a link, joint or group that does not exist, or a chain whose tip is not
+            below its base; the message names file and line.
+    """
+    for group in srdf.groups.values():
+        _check_group(srdf, group, urdf)
+    notes = _check_passive(srdf, urdf)
+    for state in srdf.states:
+        for name in state.values:
+            if name not in urdf.joints:
+                raise UnknownJoint(name, tuple(urdf.joints), path=srdf.path, line=state.line)
+        if state.group not in srdf.groups:
+            notes.append(
+                f"group_state '{state.name}' (line {state.line} of the SRDF) belongs to the "
+                f"unknown group '{state.group}'"
+            )
+    for pair in srdf.disabled:
+        notes.extend(
+            f"disable_collisions (line {pair.line} of the SRDF) names the unknown link '{link}'"
+            for link in (pair.link1, pair.link2)
+            if link not in urdf.links
+        )
+    if srdf.name and srdf.name != urdf.name:
+        notes.append(f"the SRDF is for robot '{srdf.name}', the URDF is of '{urdf.name}'")
+    return notes
+
+
+def _check_group(srdf: Srdf, group: SrdfGroup, urdf: Urdf) -> None:
+    for chain in group.chains:
+        for link in (chain.base, chain.tip):
+            if link not in urdf.links:
+                raise UnknownLink(link, tuple(urdf.links), path=srdf.path, line=chain.line)
+        if chain.base == chain.tip or urdf.chain(chain.base, chain.tip) is None:
+            raise ModelError(
+                f"tip '{chain.tip}' of the chain of group '{group.name}' is not below its base "
+                f"'{chain.base}'",
+                path=srdf.path,
+                line=chain.line,
+            )
+    for link, line in group.links.items():
+        if link not in urdf.links:
+            raise UnknownLink(link, tuple(urdf.links), path=srdf.path, line=line)
+    for joint, line in group.joints.items():
+        if joint not in urdf.joints:
+            raise UnknownJoint(joint, tuple(urdf.joints), path=srdf.path, line=line)
+    for name, line in group.subgroups.items():
+        if name not in srdf.groups:
+            hint = suggestion(name, srdf.groups)
+            raise ModelError(f"unknown group '{name}'; {hint}", path=srdf.path, line=line)
+
+
+def _check_passive(srdf: Srdf, urdf: Urdf) -> list[str]:
+    notes = []
+    for name, line in srdf.passive.items():
+        joint = urdf.joints.get(name)
+        if joint is None:
+            raise UnknownJoint(name, tuple(urdf.joints), path=srdf.path, line=line)
+        if not joint.moving:
+            notes.append(f"passive joint '{name}' (line {line} of the SRDF) is fixed")
+        elif joint.mimic is not None:
+            notes.append(f"joint '{name}' is both mimic and passive; it is taken as a mimic")
+    return notes
+
+
+def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
+    """Return the fingers that an SRDF names; none if it has no chains.
+
+    Where there is a group of groups, only its members are fingers: the group of the
+    ``<end_effector>``, or ``end_effector_fingers``, or the only one there is. Otherwise every
+    group that is a chain is a finger.
+
+    Raises:
+        ModelError: A member of the group of fingers is not a single chain, or groups contain one
+            another.
+    """
+    collection, why = _group_of_fingers(srdf)
+    if collection is None:
+        chains = (_chain(srdf, group, urdf, "chain") for group in srdf.groups.values())
+        return tuple(chain for chain in chains if chain is not None)
+    fingers = []
+    for group in _members(srdf, collection, ()):
+        chain = _chain(srdf, group, urdf, why)
+        if chain is None:
+            raise ModelError(
+                f"group '{group.name}' is in the group of fingers '{collection.name}' but is not "
+                "one chain of links",
+                path=srdf.path,
+                line=group.line,
+            )
+        fingers.append(chain)
+    return tuple(fingers)
+
+
+def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
+    """Return the group of groups that lists the fingers, and how it was chosen."""
+    collections = [group for group in srdf.groups.values() if group.subgroups]
+    for effector in srdf.end_effectors:
+        group = srdf.groups.get(effector.group)
+        if group is not None and group.subgroups:
+            return group, f"end-effector '{effector.name}', group '{group.name}'"
+    for group in collections:
+        if group.name == GROUP_OF_FINGERS:
+            return group, f"group '{group.name}'"
+    if not collections:
+        return None, ""
+    named = [group for group in collections if "finger" in group.name.lower()]
+    group = max(named or collections, key=lambda g: len(g.subgroups))
+    return group, f"group '{group.name}'"
+
+
+def _members(srdf: Srdf, group: SrdfGroup, above: tuple[str, ...]) -> Iterator[SrdfGroup]:
+    """Yield the groups without subgroups inside a group, each once and in order."""
+    if group.name in above:
+        raise ModelError(f"group '{group.name}' contains itself", path=srdf.path, line=group.line)
+    for name in group.subgroups:
+        member = srdf.groups[name]
+        if member.subgroups:
+            yield from _members(srdf, member, (*above, group.name))
+        else:
+            yield member
+
+
+def _chain(srdf: Srdf, group: SrdfGroup, urdf: Urdf, why: str) -> Chain | None:
+    """Return a group as a chain, if it is a single one."""
+    if len(group.chains) == 1 and not group.links and not group.joints:
+        links = urdf.chain(group.chains[0].base, group.chains[0].tip)
+        line = group.chains[0].line
+    elif not group.chains and not group.subgroups:
+        links = _as_path({*group.links, *(urdf.joints[j].child for j in group.joints)}, urdf)
+        line = group.line
+    else:
+        return None
+    if links is None:
+        return None
+    return Chain(group.name, links, f"SRDF line {line}: {why}", line)
+
+
+def _as_path(links: set[str], urdf: Urdf) -> tuple[str, ...] | None:
+    """Return the path from the first to the last of some links if they all lie on one."""
+    if not links:
+        return None
+    deepest = max(sorted(links), key=lambda link: len(urdf.path_to(link)))
+    path = (urdf.root, *(joint.child for joint in urdf.path_to(deepest)))
+    if not links <= set(path):
+        return None
+    first = min(path.index(link) for link in links)
+    return path[max(first - 1, 0) :]

@@ -1,0 +1,231 @@
+"""Limits and rest positions of actuators: the URDF's, tightened by a configuration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from rtee.errors import ModelError, UserError
+from rtee.hand.model import Joint, JointRole
+from rtee.hand.srdf import Srdf
+from rtee.hand.transmission import Transmission, sample
+from rtee.hand.urdf import Urdf, UrdfJoint
+from rtee.types import ActuatorSpec, JointKind
+
+REST_STATES: Final = ("rest", "open", "home")
+"""Names of SRDF group states taken for the rest posture; the first one found counts."""
+
+ACCELERATION_TIME: Final = 0.1
+"""Time in which an actuator reaches its velocity limit [s], where no acceleration is configured."""
+
+JERK_TIME: Final = 0.05
+"""Time in which it reaches its acceleration limit [s], where no jerk is configured."""
+
+_ASSUMED_VELOCITY: Final = {
+    JointKind.REVOLUTE: 1.0,
+    JointKind.CONTINUOUS: 1.0,
+    JointKind.PRISMATIC: 0.1,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits that tighten or complete the URDF's; ``None``: as in the URDF.
+
+    Attributes:
+        lower: Lower limit [rad | m].
+        upper: Upper limit [rad | m].
+        velocity: Velocity limit [rad/s | m/s].
+        acceleration: Acceleration limit [rad/s² | m/s²].
+        jerk: Jerk limit [rad/s³ | m/s³].
+        effort: Effort limit [N·m | N].
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    velocity: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+    effort: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Overrides:
+    """What a configuration adds to the model.
+
+    Attributes:
+        name: The hand's name; the robot's in the URDF if ``None``.
+        title: Its name for people.
+        package_dirs: Folders to look mesh packages up in.
+        rest: Rest positions by actuator [rad | m].
+        limits: Limits by actuator.
+        default_limits: Limits of actuators that have none of their own there.
+        error: Makes the error for a value of the configuration, from its place and a message.
+    """
+
+    name: str | None = None
+    title: str = ""
+    package_dirs: tuple[Path, ...] = ()
+    rest: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, Limits] = field(default_factory=dict)
+    default_limits: Limits = field(default_factory=Limits)
+    error: Callable[[tuple[str, ...], str], UserError] | None = None
+
+
+def rest_state(srdf: Srdf | None) -> tuple[str, dict[str, float]]:
+    """Return the name and the joint positions of the SRDF's rest posture, if it has one."""
+    for name in REST_STATES:
+        states = [state for state in srdf.states if state.name.lower() == name] if srdf else []
+        if states:
+            values = {joint: value for state in states for joint, value in state.values.items()}
+            return states[0].name, values
+    return "", {}
+
+
+def clamped(value: float, lower: float, upper: float) -> float:
+    """Return a value clamped into a range."""
+    return min(max(value, lower), upper)
+
+
+def actuator_spec(
+    joint: UrdfJoint, urdf: Urdf, state: Mapping[str, float], overrides: Overrides
+) -> tuple[ActuatorSpec, list[str]]:
+    """Return an actuator's limits and rest position.
+
+    Args:
+        joint: The actuator.
+        urdf: The hand's URDF.
+        state: Joint positions of the SRDF's rest posture [rad | m].
+        overrides: What the configuration says.
+
+    Returns:
+        The actuator, without its fingers, and what was assumed about it, one sentence each.
+
+    Raises:
+        UserError: Its limits are empty or wider than the URDF's, or it rests outside them.
+    """
+    reader = _Reader(joint, urdf, overrides)
+    lower, upper = reader.range()
+    velocity, effort = reader.tighter("velocity"), reader.tighter("effort")
+    notes = []
+    if velocity <= 0:
+        velocity = _ASSUMED_VELOCITY[JointKind(joint.kind)]
+        notes.append(f"actuator '{joint.name}' has no velocity limit; {velocity:g} is assumed")
+    acceleration = reader.configured("acceleration") or velocity / ACCELERATION_TIME
+    rest = reader.rest(state, lower, upper)
+    if rest is None:
+        rest = clamped(0.0, lower, upper)
+        if rest:
+            notes.append(
+                f"actuator '{joint.name}' rests at {rest:g}: 0 lies outside its limits "
+                f"{lower:g} … {upper:g}"
+            )
+    spec = ActuatorSpec(
+        name=joint.name,
+        kind=JointKind(joint.kind),
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        acceleration=acceleration,
+        jerk=reader.configured("jerk") or acceleration / JERK_TIME,
+        effort=effort if effort > 0 else math.inf,
+        rest=rest,
+    )
+    return spec, notes
+
+
+class _Reader:
+    """Reads the values of one actuator; the configuration may only tighten the URDF's."""
+
+    def __init__(self, joint: UrdfJoint, urdf: Urdf, overrides: Overrides) -> None:
+        self.joint = joint
+        self.urdf = urdf
+        self.overrides = overrides
+        self.own = overrides.limits.get(joint.name, Limits())
+
+    def configured(self, key: str) -> float | None:
+        own: float | None = getattr(self.own, key)
+        common: float | None = getattr(self.overrides.default_limits, key)
+        return common if own is None else own
+
+    def range(self) -> tuple[float, float]:
+        """Return the position limits [rad | m]."""
+        joint = self.joint
+        if joint.lower == joint.upper:
+            raise ModelError(
+                f"actuator '{joint.name}' has empty limits: lower and upper are both "
+                f"{joint.lower:g}",
+                path=self.urdf.path,
+                line=joint.line,
+            )
+        lower, upper = joint.lower, joint.upper
+        for key in ("lower", "upper"):
+            value: float | None = getattr(self.own, key)
+            if value is None:
+                continue
+            if not joint.lower <= value <= joint.upper:
+                raise self.error(
+                    ("limits", joint.name, key),
+                    f"{value:g} is outside the URDF's limits {joint.lower:g} … {joint.upper:g}",
+                )
+            lower, upper = (value, upper) if key == "lower" else (lower, value)
+        if lower >= upper:
+            raise self.error(("limits", joint.name), f"the limits {lower:g} … {upper:g} are empty")
+        return lower, upper
+
+    def tighter(self, key: str) -> float:
+        """Return the velocity or effort limit; 0 where neither URDF nor configuration has one."""
+        model: float = getattr(self.joint, key)
+        own: float | None = getattr(self.own, key)
+        if own is not None and 0 < model < own:
+            raise self.error(
+                ("limits", self.joint.name, key),
+                f"{own:g} is above the URDF's {key} limit {model:g}",
+            )
+        value = self.configured(key)
+        if value is None:
+            return model
+        return min(value, model) if model > 0 else value
+
+    def rest(self, state: Mapping[str, float], lower: float, upper: float) -> float | None:
+        """Return the rest position given for the actuator, if there is one [rad | m]."""
+        name = self.joint.name
+        configured = self.overrides.rest.get(name)
+        value = state.get(name) if configured is None else configured
+        if value is None or lower <= value <= upper:
+            return value
+        message = f"rest position {value:g} lies outside the limits {lower:g} … {upper:g}"
+        if configured is None:
+            message = f"actuator '{name}': the SRDF's {message}"
+            raise ModelError(message, path=self.urdf.path, line=self.joint.line)
+        raise self.error(("rest", name), message)
+
+    def error(self, location: tuple[str, ...], message: str) -> UserError:
+        """Return an error that points at the configuration, or else at the joint."""
+        if self.overrides.error is not None:
+            return self.overrides.error(location, message)
+        return ModelError(
+            f"actuator '{self.joint.name}': {message}", path=self.urdf.path, line=self.joint.line
+        )
+
+
+def images_outside(
+    joints: Sequence[Joint], specs: Sequence[ActuatorSpec], transmission: Transmission
+) -> list[str]:
+    """Note the mimic joints that their actuator drives outside their own limits."""
+    notes = []
+    for joint, coupling in zip(joints, transmission.couplings, strict=True):
+        if joint.role is not JointRole.MIMIC or coupling.actuator is None:
+            continue
+        spec = specs[coupling.actuator]
+        image = [coupling.value(q) for q in sample(spec.lower, spec.upper)]
+        slack = 1e-3 * (joint.upper - joint.lower)
+        if min(image) < joint.lower - slack or max(image) > joint.upper + slack:
+            notes.append(
+                f"mimic joint '{joint.name}' moves {min(image):.4g} … {max(image):.4g}, outside "
+                f"its own limits {joint.lower:.4g} … {joint.upper:.4g}; the actuator's limits count"
+            )
+    return notes

@@ -1,0 +1,23 @@
+"""The JSON schema of ``hand.yaml``, for editors."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Final
+
+SCHEMA_FILE: Final = "hand.schema.json"
+SCHEMA_LINE: Final = f"# yaml-language-server: $schema=../{SCHEMA_FILE}\n"
+"""First line of a hand.yaml; the schema lies beside the hands' folders."""
+
+
+def hand_schema() -> dict[str, Any]:
+    """Return the JSON schema of ``hand.yaml``."""
+    from rtee.hand.config import HandConfig
+
+    schema = HandConfig.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def schema_text() -> str:
+    """Return the JSON schema as the text of its file."""
+    return json.dumps(hand_schema(), indent=2, ensure_ascii=False) + "\n"
