@@ -1,0 +1,128 @@
+"""The CAN and CANopen buses on python-can's virtual and udp_multicast interfaces."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+
+from rtee.buses.can import CanBus
+from rtee.buses.emulator import CanFrame
+from rtee.buses.faults import Faults
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import SimulatedCan
+from rtee.errors import BusBroken, BusClosed, BusTimeout
+from tests.buses.devices import CanCounter
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+async def pool() -> AsyncIterator[BusPool]:
+    async with BusPool() as pool:
+        yield pool
+
+
+async def bus_in(pool: BusPool, owner: str = "a") -> CanBus:
+    return await pool.can("can0", owner=owner, emulator=CanCounter)
+
+
+def answer(frame: CanFrame) -> bool:
+    return frame.id == 0x11
+
+
+async def test_a_request_is_answered(pool: BusPool) -> None:
+    bus = await bus_in(pool)
+    found = await bus.request(CanFrame(0x10, b"abc"), answer, 1.0)
+    assert (found.id, found.data) == (0x11, b"cba")
+
+
+async def test_no_answer_is_a_timeout(pool: BusPool) -> None:
+    bus = await bus_in(pool)
+    with pytest.raises(BusTimeout, match="no answer to frame 0x12"):
+        await bus.request(CanFrame(0x12), answer, 0.05, retries=2)
+    assert bus.counters.retries == 2
+    assert bus.counters.timeouts == 3
+
+
+async def test_lost_frames_are_sent_again(pool: BusPool) -> None:
+    bus = await bus_in(pool)
+    pool.simulation("a").faults = Faults(drop=0.3, corrupt=0.1, delay=0.1, seed=3)
+    for _ in range(20):
+        await bus.request(CanFrame(0x10, b"1"), answer, 5.0, retries=50)
+    assert bus.counters.retries > 0
+
+
+async def test_frames_by_identifier_reach_their_listener_until_undone(pool: BusPool) -> None:
+    bus = await bus_in(pool)
+    beats: list[CanFrame] = []
+    undo = bus.subscribe(beats.append, 0x700)
+    async with asyncio.timeout(5):
+        while len(beats) < 3:
+            await asyncio.sleep(0.005)
+    undo()
+    undo()
+    count = len(beats)
+    await bus.request(CanFrame(0x10, b"1"), answer, 1.0)
+    await asyncio.sleep(0.03)
+    assert len(beats) == count
+    assert {beat.id for beat in beats} == {0x700}
+
+
+async def test_unplugging_breaks_and_connecting_mends(pool: BusPool) -> None:
+    bus = await bus_in(pool)
+    task = asyncio.create_task(bus.request(CanFrame(0x12), answer, 30.0))
+    await asyncio.sleep(0.02)
+    pool.simulation("a").unplug()
+    with pytest.raises(BusBroken, match="unplugged"):
+        await task
+    with pytest.raises(BusBroken, match="no such adapter"):
+        await bus.connect()
+    pool.simulation("a").replug()
+    await bus.connect()
+    assert (await bus.request(CanFrame(0x10, b"z"), answer, 1.0)).data == b"z"
+
+
+async def test_a_closed_bus_says_so(pool: BusPool) -> None:
+    bus = await bus_in(pool)
+    await bus.release("a")
+    with pytest.raises(BusClosed):
+        await bus.send(CanFrame(0x10))
+
+
+async def test_an_interface_that_is_not_there_is_named() -> None:
+    async with BusPool() as pool:
+        with pytest.raises(BusBroken, match="cannot be opened"):
+            await pool.can("nocan7", owner="a")
+
+
+async def test_udp_multicast_carries_frames_too() -> None:
+    channel = "239.74.163.77"
+    try:
+        simulation = SimulatedCan([CanCounter()], channel=channel, interface="udp_multicast").start()
+    except Exception as error:  # the machine may have no multicast route
+        pytest.skip(f"no multicast here: {error}")
+    try:
+        async with BusPool() as pool:
+            bus = await pool.can(channel, owner="a", interface="udp_multicast")
+            try:
+                found = await bus.request(CanFrame(0x10, b"net"), answer, 1.0, retries=3)
+            except (BusTimeout, BusBroken) as error:
+                pytest.skip(f"multicast does not come back here: {error}")
+            assert found.data == b"ten"
+    finally:
+        simulation.close()
+
+
+async def test_blocking_calls_have_a_deadline(pool: BusPool) -> None:
+    import canopen
+
+    bus = await pool.canopen("can3", owner="a", emulator=CanCounter)
+    node = bus.network.add_node(5, canopen.ObjectDictionary())
+    with pytest.raises(BusTimeout, match="No SDO response"):
+        await bus.run(lambda: node.sdo.upload(0x1000, 0), 2.0)
+    node.sdo.RESPONSE_TIMEOUT = 0.2
+    with pytest.raises(BusTimeout, match="within 0.050 s"):
+        await bus.run(lambda: node.sdo.upload(0x1000, 0), 0.05)
+    assert bus.network.nmt is not None
