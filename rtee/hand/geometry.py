@@ -1,0 +1,214 @@
+"""The hand's collision geometry: as given in the URDF, and as convex parts, with Coal."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from rtee.errors import ModelError
+from rtee.hand.kinematics import Kinematics, pose
+from rtee.hand.meshes import check_mesh
+from rtee.hand.model import Hand
+from rtee.hand.tessellation import Triangles, box, cylinder, sphere
+from rtee.hand.urdf import UrdfGeometry
+from rtee.types import FloatArray
+
+_FLAT: Final = 1e-4
+"""A mesh flatter than this part of its extent has no proper convex hull and is thickened."""
+
+_THICKNESS: Final = 1e-5
+"""Half the thickness that a flat mesh gets [m]."""
+
+
+class Shape:
+    """One collision shape of a link.
+
+    Attributes:
+        link: The link's name.
+        body: The joint that carries it, 0 for the base.
+        placement: Its pose in that joint's frame.
+        in_link: Its pose in the link's frame.
+        exact: The shape as given: a solid primitive, or the triangles of a mesh.
+        source: Its definition in the URDF.
+    """
+
+    def __init__(
+        self,
+        link: str,
+        body: int,
+        of_link: pin.SE3,
+        exact: coal.CollisionGeometry,
+        source: UrdfGeometry,
+    ) -> None:
+        self.link = link
+        self.body = body
+        self.in_link = pose(source.xyz, source.rpy)
+        self.placement = of_link * self.in_link
+        self.exact = exact
+        self.source = source
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether it is a mesh and not a solid primitive."""
+        return self.source.kind == "mesh"
+
+    @cached_property
+    def convex(self) -> coal.ShapeBase:
+        """The convex part: the primitive itself, or the convex hull of the mesh."""
+        return _hull(self.exact) if self.is_mesh else self.exact
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        """Vertices ``(v, 3)`` [m] in the shape's own frame and faces ``(f, 3)``."""
+        kind, source = self.source.kind, self.source
+        if kind == "box":
+            return box(source.size)
+        if kind == "sphere":
+            return sphere(source.radius)
+        if kind == "cylinder":
+            return cylinder(source.radius, source.length)
+        corners = (self.exact.tri_indices(i) for i in range(self.exact.num_tris))
+        faces = [(c[0], c[1], c[2]) for c in corners]
+        return np.array(self.exact.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """Points ``(k, 3)`` [m] in the shape's own frame whose hull contains the shape."""
+        kind, source = self.source.kind, self.source
+        if kind == "mesh":
+            return np.array(self.convex.points())
+        half = {
+            "box": np.array(source.size) / 2,
+            "sphere": np.full(3, source.radius),
+            "cylinder": np.array([source.radius, source.radius, source.length / 2]),
+        }[kind]
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        corners: FloatArray = signs * half
+        return corners
+
+
+class HandGeometry:
+    """The collision geometry of all links of a hand.
+
+    Attributes:
+        kinematics: The hand's kinematics.
+        shapes: All collision shapes, link by link in the order of the URDF's tree.
+    """
+
+    def __init__(self, hand: Hand, kinematics: Kinematics | None = None) -> None:
+        """Read the shapes.
+
+        Raises:
+            ModelError: A mesh is missing or cannot be read.
+        """
+        self.hand = hand
+        self.kinematics = kinematics or Kinematics(hand)
+        loader = _Meshes(hand)
+        self.shapes = tuple(
+            Shape(link, body, placement, _exact(source, loader), source)
+            for link, (body, placement) in self.kinematics.bodies.items()
+            for source in hand.urdf.links[link].collisions
+        )
+
+    def of_link(self, link: str) -> tuple[int, ...]:
+        """Return the indices of a link's shapes."""
+        return tuple(i for i, shape in enumerate(self.shapes) if shape.link == link)
+
+    def model(self, shapes: tuple[int, ...], *, convex: bool) -> pin.GeometryModel:
+        """Return a Pinocchio geometry model of some shapes, in their order, without pairs."""
+        model = pin.GeometryModel()
+        for i in shapes:
+            shape = self.shapes[i]
+            body = shape.convex if convex else shape.exact
+            model.addGeometryObject(pin.GeometryObject(str(i), shape.body, shape.placement, body))
+        return model
+
+    def triangles(self, link: str) -> Triangles:
+        """Return a link's collision geometry as triangles, for pictures.
+
+        Returns:
+            Vertices ``(v, 3)`` [m] in the link's frame and faces ``(f, 3)``, counter-clockwise seen
+            from outside where the source is.
+        """
+        vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
+        for i in self.of_link(link):
+            shape = self.shapes[i]
+            points, triangles = shape.triangles
+            vertices.append(points @ shape.in_link.rotation.T + shape.in_link.translation)
+            faces.append(triangles + count)
+            count += len(points)
+        return np.concatenate(vertices), np.concatenate(faces)
+
+
+class _Meshes:
+    """Loads meshes, each content once."""
+
+    def __init__(self, hand: Hand) -> None:
+        self._hand = hand
+        self._loader = coal.MeshLoader(coal.NODE_TYPE.BV_OBBRSS)
+        self._known: dict[tuple[object, ...], coal.BVHModelBase] = {}
+
+    def load(self, source: UrdfGeometry) -> coal.BVHModelBase:
+        path = check_mesh(source, self._hand.urdf, self._hand.package_dirs)
+        key = (_identity(path), source.scale)
+        if key not in self._known:
+            self._known[key] = self._read(path, source)
+        return self._known[key]
+
+    def _read(self, path: Path, source: UrdfGeometry) -> coal.BVHModelBase:
+        try:
+            mesh = self._loader.load(str(path), np.array(source.scale))
+        except (ValueError, RuntimeError) as error:
+            lines = str(error).splitlines()
+            why = next((s for s in lines if not s.startswith(_COAL_PREFIXES)), "unknown reason")
+            raise self._refusal(source, f"cannot be read: {why}") from None
+        if mesh.num_tris == 0:
+            raise self._refusal(source, "has no triangles")
+        if not np.isfinite(mesh.vertices()).all():
+            raise self._refusal(source, "has a vertex that is not finite")
+        return mesh
+
+    def _refusal(self, source: UrdfGeometry, why: str) -> ModelError:
+        return ModelError(
+            f"mesh '{source.mesh}' {why}", path=self._hand.urdf.path, line=source.line
+        )
+
+
+_COAL_PREFIXES: Final = ("From file", "in function", "at line", "message", "Hint")
+
+
+def _identity(path: Path) -> object:
+    """Return what tells a mesh's content; an STL file stands alone, other formats may refer."""
+    if path.suffix.lower() == ".stl":
+        return hashlib.blake2b(path.read_bytes(), digest_size=16).digest()
+    return path
+
+
+def _exact(source: UrdfGeometry, meshes: _Meshes) -> coal.CollisionGeometry:
+    if source.kind == "box":
+        return coal.Box(*source.size)
+    if source.kind == "sphere":
+        return coal.Sphere(source.radius)
+    if source.kind == "cylinder":
+        return coal.Cylinder(source.radius, source.length)
+    return meshes.load(source)
+
+
+def _hull(mesh: coal.BVHModelBase) -> coal.ConvexBase:
+    """Return the convex hull of a mesh; a flat or thin one is first thickened by 10 µm."""
+    vertices = mesh.vertices()
+    spread = np.linalg.eigvalsh(np.cov(vertices.T))
+    if len(vertices) >= 4 and spread[0] > _FLAT**2 * spread[-1]:
+        mesh.buildConvexHull(True, "Qt")
+        return mesh.convex
+    points = coal.StdVec_Vec3s()
+    for corner in np.array(np.meshgrid(*[(-_THICKNESS, _THICKNESS)] * 3)).T.reshape(-1, 3):
+        for vertex in vertices:
+            points.append(vertex + corner)
+    return coal.Convex.convexHull(points, True, "Qt")

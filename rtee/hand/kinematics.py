@@ -1,0 +1,144 @@
+"""Where the hand's links are: forward kinematics and Jacobians with Pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+
+from rtee.errors import ModelError, UnknownLink
+from rtee.hand.model import Hand
+from rtee.hand.urdf import Triple, UrdfJoint
+from rtee.types import FloatArray
+
+
+class Kinematics:
+    """Forward kinematics of a hand.
+
+    Every moving joint of the URDF is a joint of the Pinocchio model, in the order of
+    ``hand.joints``; couplings between joints come from the hand's transmission alone. Links joined
+    by fixed joints form one body. A continuous joint is a revolute one without limits, so that a
+    joint position is always one number.
+
+    Attributes:
+        hand: The hand.
+        model: Its Pinocchio model; joint ``i + 1`` is ``hand.joints[i]``.
+        bodies: Per link, the joint that carries it (0: the base) and its pose in that joint's
+            frame.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        self.hand = hand
+        self.model = pin.Model()
+        self.model.name = hand.name
+        base = pin.SE3.Identity()
+        self.bodies: dict[str, tuple[int, pin.SE3]] = {hand.base: (0, base)}
+        index = {joint.name: i for i, joint in enumerate(hand.joints)}
+        for joint in hand.urdf.joints.values():
+            parent, placement = self.bodies[joint.parent]
+            placement = placement * pose(joint.xyz, joint.rpy)
+            if joint.moving:
+                added = self.model.addJoint(parent, _joint_model(joint), placement, joint.name)
+                if added != index[joint.name] + 1:
+                    raise ModelError(
+                        f"joint '{joint.name}' does not stand in the order of the tree",
+                        path=hand.urdf.path,
+                        line=joint.line,
+                    )
+                self.bodies[joint.child] = (added, pin.SE3.Identity())
+            else:
+                self.bodies[joint.child] = (parent, placement)
+        self.data = self.model.createData()
+
+    def body(self, link: str) -> int:
+        """Return the joint that carries a link, 0 for the base.
+
+        Raises:
+            UnknownLink: The hand has no such link.
+        """
+        return self._body(link)[0]
+
+    def support(self, body: int) -> FloatArray:
+        """Return which joints move a body: 1 or 0 per joint ``(m,)``."""
+        mask = np.zeros(self.model.nv)
+        for joint in self.model.supports[body]:
+            if joint:
+                mask[joint - 1] = 1.0
+        return mask
+
+    def link_pose(self, u: FloatArray, link: str) -> FloatArray:
+        """Return a link's pose in the hand's base frame.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m].
+            link: The link's name.
+
+        Returns:
+            Homogeneous transform ``(4, 4)``, lengths in metres.
+
+        Raises:
+            UnknownLink: The hand has no such link.
+        """
+        body, placement = self._body(link)
+        self._forward(u)
+        return np.array((self.data.oMi[body] * placement).homogeneous)
+
+    def placements(self, u: FloatArray) -> Mapping[str, FloatArray]:
+        """Return the pose ``(4, 4)`` of every link in the hand's base frame, by link.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m].
+        """
+        self._forward(u)
+        return {
+            link: np.array((self.data.oMi[body] * placement).homogeneous)
+            for link, (body, placement) in self.bodies.items()
+        }
+
+    def tip_jacobian(self, u: FloatArray, finger: str) -> FloatArray:
+        """Return the Jacobian of a fingertip with respect to the actuators.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m].
+            finger: The finger's name.
+
+        Returns:
+            ``(6, n)``: linear velocity of the origin of the tip's link, then angular velocity, both
+            in the axes of the hand's base frame, per unit of actuator velocity.
+
+        Raises:
+            UnknownFinger: The hand has no such finger.
+            ModelError: The finger has no fingertip.
+        """
+        tip = self.hand.finger(finger).tip
+        if tip is None:
+            raise ModelError(f"finger '{finger}' has no fingertip: no link with geometry")
+        body, placement = self._body(tip)
+        pin.computeJointJacobians(self.model, self.data, self.hand.transmission.joints(u))
+        origin = (self.data.oMi[body] * placement).translation
+        jacobian = self.data.J * self.support(body)
+        jacobian[:3] += np.cross(jacobian[3:], origin, axis=0)
+        result: FloatArray = jacobian @ self.hand.transmission.jacobian(u)
+        return result
+
+    def _body(self, link: str) -> tuple[int, pin.SE3]:
+        try:
+            return self.bodies[link]
+        except KeyError:
+            raise UnknownLink(link, tuple(self.bodies)) from None
+
+    def _forward(self, u: FloatArray) -> None:
+        pin.forwardKinematics(self.model, self.data, self.hand.transmission.joints(u))
+
+
+def pose(xyz: Triple, rpy: Triple) -> pin.SE3:
+    """Return the transform of a URDF ``origin``: position [m], then roll, pitch, yaw [rad]."""
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+
+
+def _joint_model(joint: UrdfJoint) -> pin.JointModel:
+    axis = np.array(joint.axis)
+    if joint.kind == "prismatic":
+        return pin.JointModelPrismaticUnaligned(axis)
+    return pin.JointModelRevoluteUnaligned(axis)

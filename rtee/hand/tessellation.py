@@ -1,0 +1,73 @@
+"""Boxes, spheres and cylinders as triangles."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.types import FloatArray
+
+Triangles = tuple[FloatArray, NDArray[np.int64]]
+"""Vertices ``(v, 3)`` [m] and faces ``(f, 3)``, counter-clockwise seen from outside."""
+
+_AROUND: Final = 32
+_RINGS: Final = 16
+
+
+def box(size: tuple[float, float, float]) -> Triangles:
+    """Return a box centred at the origin.
+
+    Args:
+        size: Edge lengths [m].
+    """
+    corners = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    return np.array(corners) * np.array(size), np.array(faces, dtype=np.int64)
+
+
+def cylinder(radius: float, length: float) -> Triangles:
+    """Return a cylinder centred at the origin, its axis along z.
+
+    Args:
+        radius: Radius [m].
+        length: Length [m].
+    """
+    rings = [(0.0, -length / 2), (radius, -length / 2), (radius, length / 2), (0.0, length / 2)]
+    return _revolve(rings)
+
+
+def sphere(radius: float) -> Triangles:
+    """Return a sphere centred at the origin.
+
+    Args:
+        radius: Radius [m].
+    """
+    angles = np.linspace(-np.pi / 2, np.pi / 2, _RINGS + 1)
+    return _revolve([(radius * float(np.cos(a)), radius * float(np.sin(a))) for a in angles])
+
+
+def _revolve(profile: list[tuple[float, float]]) -> Triangles:
+    """Return the surface that a profile of (radius, height) sweeps around z, from below to above.
+
+    The first and the last point lie on the axis.
+    """
+    turn = np.arange(_AROUND) * (2 * np.pi / _AROUND)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    inner = profile[1:-1]
+    rings = [np.column_stack([r * circle, np.full(_AROUND, z)]) for r, z in inner]
+    bottom, top = len(inner) * _AROUND, len(inner) * _AROUND + 1
+    poles = np.array([[0.0, 0.0, profile[0][1]], [0.0, 0.0, profile[-1][1]]])
+    faces: list[tuple[int, int, int]] = []
+    for i in range(_AROUND):
+        j = (i + 1) % _AROUND
+        faces.append((bottom, j, i))
+        for low, high in pairwise(range(len(inner))):
+            a, b = low * _AROUND, high * _AROUND
+            faces += [(a + i, a + j, b + j), (a + i, b + j, b + i)]
+        last = (len(inner) - 1) * _AROUND
+        faces.append((top, last + i, last + j))
+    return np.concatenate([*rings, poles]), np.array(faces, dtype=np.int64)
