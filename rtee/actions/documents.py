@@ -12,7 +12,8 @@ from rtee.actions.yamltext import read_canonical
 from rtee.errors import ActionError, suggestion
 from rtee.hand.files import read_bytes
 
-Keys = tuple[str | int, ...]
+Key = str | int | tuple[str, ...]
+Keys = tuple[Key, ...]
 
 
 @dataclass(frozen=True)
@@ -26,15 +27,19 @@ class Document:
     def line(self, keys: Keys) -> int | None:
         """Return the line, counted from 1, where an entry stands; ``None`` if it has none."""
         from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
         from ruamel.yaml.nodes import MappingNode, SequenceNode
 
-        node: Any = YAML(typ="safe", pure=True).compose(self.text)
+        try:
+            node: Any = YAML(typ="safe", pure=True).compose(self.text)
+        except (YAMLError, ValueError, RecursionError):
+            return None
         if node is None:
             return None
         line: int = node.start_mark.line + 1
         for key in keys:
             if isinstance(node, MappingNode):
-                pair = next((p for p in node.value if str(p[0].value) == str(key)), None)
+                pair = next((p for p in node.value if _key_of(p[0]) == key), None)
                 if pair is None:
                     break
                 line, node = pair[0].start_mark.line + 1, pair[1]
@@ -71,7 +76,7 @@ class Node:
         named = [key for key in self.keys if isinstance(key, str)]
         return f"'{named[-1]}'" if named else "the file"
 
-    def child(self, key: str | int, value: Any) -> Node:
+    def child(self, key: Key, value: Any) -> Node:
         """Return an entry inside this one."""
         return Node(value, self.document, (*self.keys, key))
 
@@ -81,14 +86,20 @@ class Node:
         Raises:
             ActionError: if it is none, is empty, or has keys that are no text.
         """
+        found = {}
+        for key, node in self.pairs():
+            if not isinstance(key, str):
+                raise self.error(f"the key {key!r} in {self.what} must be a name")
+            found[key] = node
+        return found
+
+    def pairs(self) -> list[tuple[Any, Node]]:
+        """Return the entries of a mapping with keys of any kind; raises `ActionError`."""
         if not isinstance(self.value, dict):
             raise self.error(f"{self.what} must be a mapping, not {_kind(self.value)}")
         if not self.value:
             raise self.error(f"{self.what} is empty")
-        for key in self.value:
-            if not isinstance(key, str):
-                raise self.error(f"the key {key!r} in {self.what} must be a name")
-        return {key: self.child(key, value) for key, value in self.value.items()}
+        return [(key, self.child(key, value)) for key, value in self.value.items()]
 
     def fields(self, required: Collection[str], optional: Collection[str] = ()) -> dict[str, Node]:
         """Return the entries of a mapping with known keys.
@@ -145,6 +156,12 @@ class Node:
         if len(items) != count:
             raise self.error(f"{self.what} must have {count} numbers, not {len(items)}")
         return tuple(item.number() for item in items)
+
+
+def _key_of(node: Any) -> Key:
+    if isinstance(node.value, list):
+        return tuple(str(getattr(item, "value", item)) for item in node.value)
+    return str(node.value)
 
 
 def _kind(value: Any) -> str:

@@ -281,7 +281,7 @@ class ActionLibrary:
             for other in changed:
                 if normalise(other.name) == new or self.is_stored(other.name):
                     write_custom(self._home(), other)
-            if new_name != action.name:
+            if new != old:
                 delete_custom(self._home(), action)
             del self._stored[old]
             self._stored[new] = new_name

@@ -20,6 +20,7 @@ _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
 _NUMBER = re.compile(r"-?[0-9]+(\.[0-9]+(e[+-][0-9]+)?)?")
 _KEY = re.compile(r'((?:"(?:[^"\\]|\\.)*")|[^\s:#"\[\]{},][^\s:]*):(?: (\S.*))?')
 _TOKEN = re.compile(r'\s*([\[\],]|"(?:[^"\\]|\\.)*"|[^\[\],\s"]+)')
+_CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f]")
 _WORDS: Mapping[str, Any] = {"true": True, "false": False, "null": None}
 _RESERVED = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", "n", "nan", "inf"})
 
@@ -41,8 +42,17 @@ def emit_scalar(value: object) -> str:
             return _emit_number(value)
         case str():
             plain = _PLAIN.fullmatch(value) and value.lower() not in _RESERVED
-            return value if plain else json.dumps(value)
+            return value if plain else _emit_string(value)
     raise TypeError(f"cannot write a {type(value).__name__} as YAML")
+
+
+def _emit_string(value: str) -> str:
+    def escaped(character: str) -> str:
+        if character in '"\\':
+            return "\\" + character
+        return character if character.isprintable() else f"\\U{ord(character):08x}"
+
+    return f'"{"".join(map(escaped, value))}"'
 
 
 def _emit_number(value: float) -> str:
@@ -170,6 +180,8 @@ class _Lines:
 
 def read_canonical(text: str) -> dict[str, Any] | None:
     """Return the document if its text is exactly what `emit` writes for it, else ``None``."""
+    if not text.isascii() or _CONTROL.search(text):
+        return None
     lines = text.split("\n")
     body = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
     comments = [line[1:].removeprefix(" ") for line in lines[:body]]

@@ -1,0 +1,115 @@
+"""What several commands share: the hand they are about, its actions, and shell completion."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.errors import ConfigError, RteeError
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+
+HAND_VARIABLE = "RTEE_HAND"
+
+
+def complete_hand(incomplete: str) -> list[str]:
+    """Return the hands there are that begin like this."""
+    from rtee.hand.catalog import hand_names
+
+    try:
+        return [name for name in hand_names() if name.startswith(incomplete)]
+    except (RteeError, OSError):
+        return []
+
+
+def complete_action(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the actions of the hand in question that begin like this, however spelled."""
+    from rtee.actions.naming import normalise
+
+    wanted = normalise(incomplete)
+    try:
+        names = actions_of(_hand_asked(ctx)).names
+    except (RteeError, OSError):
+        return []
+    return [name for name in names if normalise(name).startswith(wanted)]
+
+
+def complete_element(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the elements that go with the action and the elements typed so far."""
+    typed = list(ctx.params.get("elements") or ())
+    try:
+        library = actions_of(_hand_asked(ctx))
+        names = {primitive.name for primitive in library.all("primitive")}
+        action = str(ctx.params.get("action") or "")
+        found = library.all("primitive", action if action else None, typed)
+        if not names or not found:
+            return []
+        there = {e for primitive in found for e in getattr(primitive, "elements", ())}
+    except (RteeError, OSError):
+        return []
+    return sorted(e for e in there - set(typed) if e.startswith(incomplete))
+
+
+def _hand_asked(ctx: typer.Context) -> str | None:
+    asked = ctx.params.get("hand") or ctx.params.get("hand_name")
+    return str(asked) if asked else None
+
+
+Hand = Annotated[
+    str,
+    typer.Argument(
+        metavar="HAND", help="Name of a hand, or its folder.", autocompletion=complete_hand
+    ),
+]
+HandOption = Annotated[
+    str | None,
+    typer.Option(
+        "--hand",
+        envvar=HAND_VARIABLE,
+        help="Name of a hand, or its folder; not needed where there is only one.",
+        autocompletion=complete_hand,
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def hand_folder(name: str | None) -> Path:
+    """Return the folder of a hand given by name or path; of the only hand if none is given.
+
+    Raises:
+        ConfigError: if there is no such hand, or several and none is given.
+    """
+    from rtee.hand.catalog import FILE_NAME, find_hand, hand_names
+
+    if name is None:
+        names = hand_names()
+        if len(names) == 1:
+            return find_hand(names[0])
+        raise ConfigError(
+            f"which hand? give --hand or set {HAND_VARIABLE}; there are: {', '.join(names)}"
+        )
+    path = Path(name)
+    if path.name == FILE_NAME and path.is_file():
+        return path.parent
+    if (path / FILE_NAME).is_file():
+        return path
+    if os.sep in name:
+        raise ConfigError("is no folder of a hand: it holds no hand.yaml", path=path)
+    return find_hand(name)
+
+
+def actions_of(name: str | None) -> ActionLibrary:
+    """Return the stored actions of a hand.
+
+    Raises:
+        UserError: if the hand or one of its files cannot be used.
+    """
+    from rtee.actions.library import ActionLibrary
+    from rtee.hand.load import load_hand
+
+    folder = hand_folder(name)
+    return ActionLibrary.load(load_hand(folder), folder / "actions")

@@ -1,0 +1,69 @@
+"""`rtee import`: take over the actions of ROS End-Effector."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import HandOption, actions_of
+from rtee.errors import ActionError
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+    from rtee.actions.types import Action
+
+app = typer.Typer()
+
+
+@app.command(name="import")
+def import_(
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", exists=True, file_okay=False, help="Folder of action files."),
+    ],
+    hand: HandOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Write to this folder, not to the hand's own actions."),
+    ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace actions of the same name.")
+    ] = False,
+) -> None:
+    """Import action files of ROS End-Effector."""
+    from rtee.actions.library import ActionLibrary
+    from rtee.actions.ros_end_effector import import_folder
+
+    library = actions_of(hand)
+    imported = import_folder(library.hand, folder)
+    if out is not None:
+        library = ActionLibrary.load(library.hand, out)
+    kept = _add(library, imported.actions, replace)
+    library.save(out)
+    for note in imported.notes:
+        print(f"note: {note}")
+    for action in kept:
+        print(f"note: {action} is there already and stays; --replace would replace it")
+    count = len(imported.actions) - len(kept)
+    print(f"{count} actions from {imported.files} files are now in {library.folder}")
+
+
+def _add(library: ActionLibrary, actions: list[Action], replace: bool) -> list[str]:
+    from rtee.actions.naming import label
+    from rtee.actions.types import Primitive
+
+    kept = []
+    for action in actions:
+        elements = action.elements if isinstance(action, Primitive) else ()
+        try:
+            library.find(action.name, elements)
+        except ActionError:
+            library.add(action)
+            continue
+        if replace:
+            library.add(action, replace_same=True)
+        else:
+            kept.append(label(action.name, elements))
+    return kept

@@ -1,0 +1,223 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from rtee.actions.build import generic
+from rtee.actions.library import ActionLibrary
+from rtee.actions.types import ActionKind, ActionReference, Composed, Primitive, Timed, kind_of
+from rtee.errors import ActionError, ConfigError, UnknownAction
+from rtee.hand.model import Hand
+
+Use = ActionReference
+
+
+@pytest.mark.parametrize("name", ["pinchTight", "PinchTight", "pinch_tight", "PINCH TIGHT"])
+@pytest.mark.parametrize("elements", [("index", "thumb"), ("thumb", "index"), ("Thumb", "INDEX")])
+def test_find_whatever_the_spelling_and_order(
+    library: ActionLibrary, name: str, elements: tuple[str, ...]
+) -> None:
+    found = library.find(name, elements)
+    assert isinstance(found, Primitive)
+    assert (found.name, found.elements) == ("PinchTight", ("index", "thumb"))
+
+
+def test_counted_kinds_resolve_without_their_count(library: ActionLibrary) -> None:
+    assert library.find("MultiPinchTight", ("thumb", "middle", "index")).name == "MultiPinchTight_3"
+    assert library.find("multipinchtight_3", ("thumb", "middle", "index"))
+    assert library.find("singleJointMultipleTips", ("spread",)).name == "SingleJointMultipleTips_3"
+
+
+def test_elements_are_needed_only_where_there_is_a_choice(library: ActionLibrary) -> None:
+    assert library.find("SingleJointMultipleTips_3").name == "SingleJointMultipleTips_3"
+    with pytest.raises(ActionError, match="Trig needs elements; there are: index, middle, thumb"):
+        library.find("trig")
+
+
+def test_wrong_elements_name_the_possible_ones(library: ActionLibrary) -> None:
+    with pytest.raises(ActionError, match="'index middle'; it does with: index thumb, middle th"):
+        library.find("PinchTight", ("index", "middle"))
+    with pytest.raises(ActionError, match="does not exist with 'index index thumb'"):
+        library.find("PinchTight", ("index", "index", "thumb"))
+    with pytest.raises(ActionError, match="takes no elements"):
+        library.find("point", ("index",))
+
+
+def test_kind_decides_where_given(library: ActionLibrary) -> None:
+    assert kind_of(library.find("point", kind="generic")) is ActionKind.GENERIC
+    with pytest.raises(UnknownAction):
+        library.find("point", kind="timed")
+    with pytest.raises(UnknownAction):
+        library.find("trig", ("index",), kind="composed")
+    with pytest.raises(ActionError, match="unknown kind 'tined'; did you mean 'timed'"):
+        library.find("point", kind="tined")
+
+
+def test_filters(library: ActionLibrary) -> None:
+    assert len(library.all()) == len(library) == 10
+    assert [a.name for a in library.all("timed")] == ["drill"]
+    assert len(library.all(name="pinch_tight")) == 2
+    assert [a.name for a in library.all(name="MultiPinchTight")] == ["MultiPinchTight_3"]
+    with_thumb = library.all("primitive", elements=("thumb",))
+    assert [a.name for a in with_thumb] == ["Trig", "PinchTight", "PinchTight", "MultiPinchTight_3"]
+    assert library.all("generic", elements=("thumb",)) == []
+
+
+def test_aggregated_view(library: ActionLibrary) -> None:
+    groups = {group.name: group for group in library.primitives()}
+    assert list(groups) == ["Trig", "PinchTight", "MultiPinchTight_3", "SingleJointMultipleTips_3"]
+    pinch = groups["PinchTight"]
+    assert (pinch.selectable, pinch.count) == (("index", "middle", "thumb"), 2)
+    assert pinch.combinations == (("index", "thumb"), ("middle", "thumb"))
+
+
+def test_partners_never_contain_the_element_itself(library: ActionLibrary) -> None:
+    assert library.partners("pinch_tight", "thumb") == ("index", "middle")
+    assert library.partners("PinchTight", "index") == ("thumb",)
+    assert library.partners("Trig", "index") == ()
+    with pytest.raises(ActionError, match="PinchTight does not exist with 'ring'"):
+        library.partners("PinchTight", "ring")
+    with pytest.raises(UnknownAction):
+        library.partners("drill", "index")
+
+
+def test_order_does_not_depend_on_the_order_given(
+    hand: Hand, primitives: tuple[Primitive, ...]
+) -> None:
+    forward, backward = ActionLibrary(hand, primitives), ActionLibrary(hand, primitives[::-1])
+    assert list(forward) == list(backward)
+
+
+def test_same_names_are_refused(library: ActionLibrary) -> None:
+    with pytest.raises(ActionError, match="already is an action"):
+        library.add(generic(library.hand, "Schunk_Grasp", {"spread": 0.01}))
+    assert isinstance(library.find("schunkGrasp"), Composed)
+
+
+def test_replacing_brings_users_up_to_date(library: ActionLibrary) -> None:
+    library.add(library.compose("schunkGrasp", [Use("trig", ("index",), 0.5)]), replace_same=True)
+    drill = library.find("drill")
+    assert isinstance(drill, Timed)
+    assert drill.steps[0].posture.position["index_joint"] == pytest.approx(0.5)
+
+
+def test_an_action_cannot_come_to_contain_itself(library: ActionLibrary) -> None:
+    library.add(library.compose("outer", [Use("schunkGrasp")]))
+    with pytest.raises(ActionError, match="would contain itself"):
+        library.add(library.compose("schunkGrasp", [Use("outer")]), replace_same=True)
+    with pytest.raises(ActionError, match="would contain itself"):
+        library.add(library.compose("outer", [Use("outer")]), replace_same=True)
+    assert library.users("schunkGrasp") == ("outer", "drill")
+
+
+def test_remove_is_refused_while_used(library: ActionLibrary) -> None:
+    with pytest.raises(ActionError, match="'point' is used by drill"):
+        library.remove("point")
+    library.remove("drill")
+    library.remove("point")
+    with pytest.raises(UnknownAction):
+        library.find("point")
+    with pytest.raises(ActionError, match="is a primitive"):
+        library.remove("SingleJointMultipleTips")
+
+
+def test_save_and_load(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    assert sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.yaml")) == [
+        "composed/schunkGrasp.yaml",
+        "generic/point.yaml",
+        "primitives/MultiPinchTight_3.yaml",
+        "primitives/PinchTight.yaml",
+        "primitives/SingleJointMultipleTips_3.yaml",
+        "primitives/Trig.yaml",
+        "timed/drill.yaml",
+    ]
+    again = ActionLibrary.load(library.hand, tmp_path)
+    assert [a.name for a in again] == [a.name for a in library]
+    again.save()
+    assert list(ActionLibrary.load(library.hand, tmp_path)) == list(again)
+
+
+def test_missing_folder_holds_no_actions(hand: Hand, tmp_path: Path) -> None:
+    assert len(ActionLibrary.load(hand, tmp_path / "none")) == 0
+
+
+def test_added_actions_are_stored_when_asked(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    library.add(generic(library.hand, "volatile", {"spread": 0.01}))
+    library.add(generic(library.hand, "kept", {"spread": 0.02}), store=True)
+    names = ActionLibrary.load(library.hand, tmp_path).names
+    assert "kept" in names
+    assert "volatile" not in names
+    with pytest.raises(ActionError, match="uses 'volatile', which is not stored"):
+        library.add(library.compose("on", [Use("volatile")]), store=True)
+    library.store("volatile")
+    assert "volatile" in ActionLibrary.load(library.hand, tmp_path).names
+
+
+def test_removed_actions_lose_their_file(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    library.remove("drill")
+    assert not (tmp_path / "timed" / "drill.yaml").exists()
+    assert not library.changed()
+
+
+def test_storing_without_a_folder_is_refused(library: ActionLibrary) -> None:
+    with pytest.raises(ActionError, match="no folder"):
+        library.save()
+    with pytest.raises(ActionError, match="no folder"):
+        library.add(generic(library.hand, "x", {"spread": 0.01}), store=True)
+    assert "x" not in library.names
+
+
+def test_rename_everywhere(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    library.rename("schunkGrasp", "fist")
+    assert not (tmp_path / "composed" / "schunkGrasp.yaml").exists()
+    again = ActionLibrary.load(library.hand, tmp_path)
+    assert again.users("fist") == ("drill",)
+    assert list(again) == list(library)
+    with pytest.raises(ActionError, match="already is"):
+        library.rename("fist", "Point")
+    with pytest.raises(ActionError, match="primitive"):
+        library.rename("SingleJointMultipleTips", "all")
+    with pytest.raises(ConfigError):
+        library.rename("fist", "../fist")
+
+
+def test_rename_to_another_spelling(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    library.rename("schunkGrasp", "schunk_grasp")
+    assert "schunk_grasp" in ActionLibrary.load(library.hand, tmp_path).names
+
+
+def test_reload_when_files_changed(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    library.add(generic(library.hand, "volatile", {"spread": 0.01}))
+    assert not library.reload()
+    path = tmp_path / "generic" / "point.yaml"
+    path.write_text(path.read_text().replace("0.8", "0.25"))
+    os.utime(path, ns=(1, 1))
+    assert library.changed()
+    assert library.reload()
+    drill = library.find("drill")
+    assert isinstance(drill, Timed)
+    assert drill.steps[2].posture.position["middle_joint"] == 0.25
+    assert "volatile" in library.names
+
+
+def test_failed_reload_leaves_the_library_as_it_was(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    (tmp_path / "generic" / "point.yaml").write_text("name: point\n")
+    before = list(library)
+    with pytest.raises(ActionError, match="lacks the key 'set_points'"):
+        library.reload()
+    assert list(library) == before
+
+
+def test_unwritable_folder_is_one_sentence(library: ActionLibrary, tmp_path: Path) -> None:
+    (tmp_path / "generic").write_text("a file, not a folder")
+    with pytest.raises(ConfigError, match="cannot be"):
+        library.save(tmp_path)
