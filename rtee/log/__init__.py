@@ -1,1 +1,1 @@
-
+"""The log: recorder, reader, recovery, plots, export and replay of MCAP files."""

@@ -1,0 +1,206 @@
+"""Chunks of an MCAP file: messages collected, compressed and indexed in memory."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Chunk, McapRecord
+from numpy.typing import NDArray
+
+MESSAGE = struct.Struct("<BQHIQQ")
+"""Head of a message record: opcode, length, channel, sequence, log time and publish time [ns]."""
+
+INDEX = struct.Struct("<BQHI")
+"""Head of a message index record: opcode, length, channel, bytes of entries."""
+
+INDEX_ENTRY = 16
+"""Bytes of an entry of a message index: log time and offset."""
+
+_AFTER_LENGTH = MESSAGE.size - 9
+_INDEX_AFTER_LENGTH = INDEX.size - 9
+
+
+Entries = Mapping[int, tuple[NDArray[np.uint64], NDArray[np.uint64]]]
+"""Channel to log times [ns since 1970] and offsets of its messages in a chunk."""
+
+
+def _array(values: list[int]) -> NDArray[np.uint64]:
+    return np.array(values, dtype=np.uint64)
+
+
+def message_head(channel: int, sequence: int, time: int, size: int) -> bytes:
+    """Return the head of the record of a message of ``size`` bytes at ``time`` [ns]."""
+    return MESSAGE.pack(Opcode.MESSAGE, _AFTER_LENGTH + size, channel, sequence, time, time)
+
+
+def record_bytes(record: McapRecord) -> bytes:
+    """Return the bytes of a record."""
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+@dataclass(frozen=True, slots=True)
+class PackedChunk:
+    """A compressed chunk with its index, ready to be written.
+
+    Attributes:
+        record: The chunk record.
+        index: The message index records that follow it.
+        index_offsets: Channel to the offset of its record in ``index``.
+        counts: Channel to its number of messages.
+        start: Earliest log time [ns since 1970].
+        end: Latest log time [ns since 1970].
+        compressed_size: Bytes of messages, compressed.
+        uncompressed_size: Bytes of messages.
+        compression: How: ``zstd``, ``lz4`` or empty.
+    """
+
+    record: bytes
+    index: bytes
+    index_offsets: Mapping[int, int]
+    counts: Mapping[int, int]
+    start: int
+    end: int
+    compressed_size: int
+    uncompressed_size: int
+    compression: str = "zstd"
+
+    @property
+    def size(self) -> int:
+        """Bytes it takes in a file."""
+        return len(self.record) + len(self.index)
+
+    @property
+    def messages(self) -> int:
+        """Number of its messages."""
+        return sum(self.counts.values())
+
+
+def index_records(entries: Entries) -> tuple[bytes, dict[int, int]]:
+    """Return message index records and the offset of each channel's.
+
+    Args:
+        entries: Channel to log times [ns] and offsets of its messages in the chunk.
+    """
+    records = bytearray()
+    where: dict[int, int] = {}
+    for channel, (times, offsets) in entries.items():
+        where[channel] = len(records)
+        size = INDEX_ENTRY * len(times)
+        records += INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_AFTER_LENGTH + size, channel, size)
+        table = np.empty((len(times), 2), dtype="<u8")
+        table[:, 0] = times
+        table[:, 1] = offsets
+        records += table.tobytes()
+    return bytes(records), where
+
+
+class ChunkBuilder:
+    """Collects messages until they are packed.
+
+    Besides single messages it takes blocks: the same messages on the same channels every time, as
+    the recorder writes them at every tick; their index is made when the chunk is packed.
+
+    Args:
+        block: Channel and offset of each message record in a block.
+        level: Level of zstd compression.
+    """
+
+    def __init__(self, block: Sequence[tuple[int, int]] = (), level: int = 3) -> None:
+        self._block = tuple(block)
+        self._compressor = zstandard.ZstdCompressor(level=level, write_content_size=True)
+        self._clear()
+
+    def _clear(self) -> None:
+        self._data = bytearray()
+        self._times: dict[int, list[int]] = {}
+        self._offsets: dict[int, list[int]] = {}
+        self._block_times: list[int] = []
+        self._block_offsets: list[int] = []
+
+    @property
+    def size(self) -> int:
+        """Bytes collected."""
+        return len(self._data)
+
+    @property
+    def blocks(self) -> int:
+        """Blocks collected."""
+        return len(self._block_times)
+
+    def add(self, channel: int, sequence: int, time: int, data: bytes) -> None:
+        """Add a message of log time ``time`` [ns since 1970]."""
+        self._times.setdefault(channel, []).append(time)
+        self._offsets.setdefault(channel, []).append(len(self._data))
+        self._data += message_head(channel, sequence, time, len(data))
+        self._data += data
+
+    def add_block(self, time: int, block: bytes | bytearray) -> None:
+        """Add the message records of one tick of log time ``time`` [ns since 1970]."""
+        self._block_times.append(time)
+        self._block_offsets.append(len(self._data))
+        self._data += block
+
+    def pack(self) -> PackedChunk | None:
+        """Return what was collected as a chunk, ``None`` if nothing was, and start a new one."""
+        if not self._data:
+            return None
+        entries = {
+            channel: (_array(self._times[channel]), _array(self._offsets[channel]))
+            for channel in self._times
+        }
+        if self._block_times:
+            times = _array(self._block_times)
+            offsets = _array(self._block_offsets)
+            for channel, begin in self._block:
+                entries[channel] = (times, offsets + np.uint64(begin))
+        data = self._data
+        self._clear()
+        return pack(data, entries, self._compressor)
+
+
+def pack(
+    data: bytes | bytearray,
+    entries: Entries,
+    compressor: zstandard.ZstdCompressor,
+) -> PackedChunk:
+    """Return message records as a chunk.
+
+    Args:
+        data: The records, one after the other.
+        entries: Channel to log times [ns] and offsets of its messages in ``data``.
+        compressor: What compresses them.
+    """
+    compressed = compressor.compress(data)
+    start = min(int(times.min()) for times, _ in entries.values())
+    end = max(int(times.max()) for times, _ in entries.values())
+    record = record_bytes(
+        Chunk(
+            compression="zstd",
+            data=compressed,
+            message_start_time=start,
+            message_end_time=end,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
+    )
+    index, where = index_records(entries)
+    return PackedChunk(
+        record=record,
+        index=index,
+        index_offsets=where,
+        counts={channel: len(times) for channel, (times, _) in entries.items()},
+        start=start,
+        end=end,
+        compressed_size=len(compressed),
+        uncompressed_size=len(data),
+    )

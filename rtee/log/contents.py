@@ -1,0 +1,122 @@
+"""What a recording consists of: its channels, and what stands before the first message."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import PurePosixPath
+
+from mcap.records import Attachment, Channel, Schema
+
+from rtee.hand.model import Hand
+from rtee.log.chunks import ChunkBuilder, PackedChunk
+from rtee.log.mcapfile import Preamble
+from rtee.log.rotation import METADATA
+from rtee.messages.convert import encode_string
+from rtee.messages.schema import message_type
+from rtee.messages.topics import ROBOT_DESCRIPTION, TYPES, log_topic
+
+FORMAT = "1"
+"""Version of what a recording consists of."""
+
+CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES, start=1)}
+"""Name of a topic to the identifier of its channel."""
+
+_LATCHED = (
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline: {sec: 0, nsec: 0}\n"
+    "  lifespan: {sec: 0, nsec: 0}\n  liveliness: 1\n"
+    "  liveliness_lease_duration: {sec: 0, nsec: 0}\n  avoid_ros_namespace_conventions: false\n"
+)
+_MEDIA_TYPES = {
+    ".urdf": "application/xml",
+    ".srdf": "application/xml",
+    ".yaml": "application/yaml",
+    ".json": "application/json",
+}
+
+
+def library_name() -> str:
+    """Return the name and the version of this software."""
+    try:
+        return f"rtee {version('rtee')}"
+    except PackageNotFoundError:
+        return "rtee"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What recordings of a hand have in common.
+
+    Attributes:
+        hand: The hand.
+        rate: Rate of its loop [Hz].
+        attachments: Files to attach, by name: hand.yaml, SRDF, actions. The URDF is always there.
+        metadata: Further metadata.
+    """
+
+    hand: Hand
+    rate: float
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+    def _values(self, **more: str) -> dict[str, str]:
+        return {
+            "hand": self.hand.name,
+            "format": FORMAT,
+            "rate": repr(self.rate),
+            "actuators": " ".join(self.hand.actuator_names),
+            **self.metadata,
+            **more,
+        }
+
+    def preamble(self, wall_ns: int, **more: str) -> Preamble:
+        """Return what stands before the first chunk of a file.
+
+        Args:
+            wall_ns: The time [ns since 1970].
+            more: Further metadata of this file.
+        """
+        names = sorted(set(TYPES.values()))
+        schemas = [
+            Schema(
+                id=number, name=name, encoding="ros2msg", data=message_type(name).schema.encode()
+            )
+            for number, name in enumerate(names, start=1)
+        ]
+        channels = [
+            Channel(
+                id=CHANNELS[topic],
+                topic=log_topic(self.hand.name, topic),
+                message_encoding="cdr",
+                metadata={"offered_qos_profiles": _LATCHED if topic == ROBOT_DESCRIPTION else ""},
+                schema_id=names.index(kind) + 1,
+            )
+            for topic, kind in TYPES.items()
+        ]
+        files = {f"{self.hand.name}.urdf": self.hand.urdf.text.encode(), **self.attachments}
+        return Preamble(
+            library=library_name(),
+            metadata={METADATA: self._values(**more)},
+            attachments=[
+                Attachment(
+                    create_time=wall_ns,
+                    log_time=wall_ns,
+                    name=name,
+                    media_type=_MEDIA_TYPES.get(PurePosixPath(name).suffix, "text/plain"),
+                    data=data,
+                )
+                for name, data in files.items()
+            ],
+            schemas=schemas,
+            channels=channels,
+        )
+
+    def description(self, wall_ns: int) -> PackedChunk:
+        """Return the chunk with the robot's description, the first one of every file."""
+        builder = ChunkBuilder(level=9)
+        text = encode_string(self.hand.urdf.text)
+        builder.add(CHANNELS[ROBOT_DESCRIPTION], 0, wall_ns, text)
+        chunk = builder.pack()
+        assert chunk is not None  # noqa: S101 - narrows the type
+        return chunk

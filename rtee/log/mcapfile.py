@@ -1,0 +1,246 @@
+"""Writing an MCAP file so that at any moment everything before the last chunk can be read.
+
+Whatever a reader needs (metadata, attachments, schemas, channels) stands before the first chunk.
+A chunk is written whole or not at all: after a failed write the file is cut back to the end of the
+chunk before. What `mcap.writer` offers cannot do that, so the file is laid out here, with the
+records of `mcap.records`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from rtee.log.chunks import PackedChunk, record_bytes
+
+MAGIC = b"\x89MCAP0\r\n"
+PROFILE = "ros2"
+FOOTER_SIZE = 9 + 20
+
+
+@dataclass(frozen=True, slots=True)
+class Preamble:
+    """What stands in a file before its first chunk.
+
+    Attributes:
+        library: Name and version of the software that writes it.
+        metadata: Records of metadata by name.
+        attachments: The attachments.
+        schemas: The schemas.
+        channels: The channels.
+    """
+
+    library: str
+    metadata: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    attachments: Sequence[Attachment] = ()
+    schemas: Sequence[Schema] = ()
+    channels: Sequence[Channel] = ()
+
+
+class McapFile:
+    """An MCAP file being written.
+
+    Args:
+        path: The file; it must not exist.
+        preamble: What stands before its first chunk.
+        sync: Flush every chunk to the disk, so that it also survives a power cut.
+
+    Raises:
+        OSError: if the file cannot be made or written; it is removed again then.
+    """
+
+    def __init__(self, path: Path, preamble: Preamble, *, sync: bool = True) -> None:
+        self.path = path
+        self._sync = sync
+        self._preamble = preamble
+        self._chunks: list[ChunkIndex] = []
+        self._counts: dict[int, int] = {}
+        self._start = 0
+        self._end = 0
+        self._indexes: list[McapRecord] = []
+        begin = self._begin()
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._size = 0
+        try:
+            self._append(begin)
+        except OSError:
+            os.close(self._descriptor)
+            path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes written."""
+        return self._size
+
+    @property
+    def start(self) -> int:
+        """Earliest log time [ns since 1970]; 0 while there is no message."""
+        return self._start
+
+    @property
+    def end(self) -> int:
+        """Latest log time [ns since 1970]; 0 while there is no message."""
+        return self._end
+
+    def _begin(self) -> bytes:
+        data = bytearray(
+            MAGIC + record_bytes(Header(profile=PROFILE, library=self._preamble.library))
+        )
+        for name, values in self._preamble.metadata.items():
+            record = record_bytes(Metadata(name=name, metadata=dict(values)))
+            self._indexes.append(MetadataIndex(offset=len(data), length=len(record), name=name))
+            data += record
+        for attachment in self._preamble.attachments:
+            record = record_bytes(attachment)
+            self._indexes.append(
+                AttachmentIndex(
+                    offset=len(data),
+                    length=len(record),
+                    log_time=attachment.log_time,
+                    create_time=attachment.create_time,
+                    data_size=len(attachment.data),
+                    name=attachment.name,
+                    media_type=attachment.media_type,
+                )
+            )
+            data += record
+        for definition in (*self._preamble.schemas, *self._preamble.channels):
+            data += record_bytes(definition)
+        return bytes(data)
+
+    def _append(self, *parts: bytes) -> None:
+        """Write all parts or nothing."""
+        try:
+            for part in parts:
+                view = memoryview(part)
+                while view:
+                    view = view[os.write(self._descriptor, view) :]
+            if self._sync:
+                os.fdatasync(self._descriptor)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._descriptor, self._size)
+            with contextlib.suppress(OSError):
+                os.lseek(self._descriptor, self._size, os.SEEK_SET)
+            raise
+        self._size += sum(len(part) for part in parts)
+
+    def write(self, chunk: PackedChunk) -> None:
+        """Append a chunk.
+
+        Raises:
+            OSError: if it cannot be written; the file is as before, and the next one may fit.
+        """
+        offset = self._size
+        self._append(chunk.record, chunk.index)
+        after = offset + len(chunk.record)
+        self._chunks.append(
+            ChunkIndex(
+                message_start_time=chunk.start,
+                message_end_time=chunk.end,
+                chunk_start_offset=offset,
+                chunk_length=len(chunk.record),
+                message_index_offsets={k: after + v for k, v in chunk.index_offsets.items()},
+                message_index_length=len(chunk.index),
+                compression=chunk.compression,
+                compressed_size=chunk.compressed_size,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+        self._start = min(self._start, chunk.start) if self._start else chunk.start
+        self._end = max(self._end, chunk.end)
+        for channel, count in chunk.counts.items():
+            self._counts[channel] = self._counts.get(channel, 0) + count
+
+    def close(self) -> None:
+        """Write the summary and close the file; may be called again.
+
+        Raises:
+            OSError: if the summary cannot be written; the file is closed all the same, without
+                it, and can be recovered.
+        """
+        if self._descriptor < 0:
+            return
+        try:
+            self._append(self._ending())
+            os.fsync(self._descriptor)
+        finally:
+            descriptor, self._descriptor = self._descriptor, -1
+            os.close(descriptor)
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self._preamble.attachments),
+            channel_count=len(self._preamble.channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()),
+            metadata_count=len(self._preamble.metadata),
+            message_start_time=self._start,
+            message_end_time=self._end,
+            schema_count=len(self._preamble.schemas),
+        )
+
+    def _ending(self) -> bytes:
+        data_end = record_bytes(DataEnd(0))
+        summary_start = self._size + len(data_end)
+        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
+            (Opcode.SCHEMA, self._preamble.schemas),
+            (Opcode.CHANNEL, self._preamble.channels),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (
+                Opcode.ATTACHMENT_INDEX,
+                [index for index in self._indexes if isinstance(index, AttachmentIndex)],
+            ),
+            (
+                Opcode.METADATA_INDEX,
+                [index for index in self._indexes if isinstance(index, MetadataIndex)],
+            ),
+        ]
+        summary = bytearray()
+        offsets = bytearray()
+        for opcode, records in groups:
+            begin = len(summary)
+            for record in records:
+                summary += record_bytes(record)
+            if len(summary) > begin:
+                offsets += record_bytes(
+                    SummaryOffset(
+                        group_opcode=opcode,
+                        group_start=summary_start + begin,
+                        group_length=len(summary) - begin,
+                    )
+                )
+        offset_start = summary_start + len(summary)
+        summary += offsets
+        footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)
+        footer = Footer(
+            summary_start=summary_start,
+            summary_offset_start=offset_start,
+            summary_crc=zlib.crc32(footer_head, zlib.crc32(summary)),
+        )
+        return data_end + bytes(summary) + record_bytes(footer) + MAGIC

@@ -1,0 +1,245 @@
+"""The recorder: watches the loop without ever holding it up."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Final, Self
+
+from rtee.errors import LogError
+from rtee.hand.model import Hand
+from rtee.log.contents import Contents
+from rtee.log.settings import RecorderSettings, RecorderStatus
+from rtee.log.sink import reason
+from rtee.log.writer import Item, LogWriter
+from rtee.loop.observer import TickRecord
+from rtee.types import (
+    Command,
+    DeviceStatus,
+    Event,
+    Feedback,
+    Goal,
+    LoopStatistics,
+    Result,
+)
+
+_YIELD: Final = 50e-6
+_LEAST_QUEUE: Final = 200
+_CLOSING: Final = 10.0
+
+Work = TickRecord | tuple[Item, float] | Callable[[], None] | None
+
+
+class Recorder:
+    """Records a hand: an observer of its loop with a writer of its own.
+
+    What the loop tells goes into a bounded queue and is worked off item by item in a thread that
+    gives way after each, so that it never holds the interpreter for longer than one item takes.
+    When the queue is full, ticks are dropped and counted.
+
+    Args:
+        hand: The hand.
+        settings: How to record.
+        rate: Rate of the loop [Hz].
+        attachments: Files to attach by name: ``hand.yaml``, SRDF, actions; the URDF always is.
+        metadata: Further metadata: name to value.
+        notify: Told of lost and resumed recording and of written flight files, as events; called
+            in the writer's thread.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        settings: RecorderSettings,
+        *,
+        rate: float,
+        attachments: Mapping[str, bytes] | None = None,
+        metadata: Mapping[str, str] | None = None,
+        notify: Callable[[Event], None] | None = None,
+    ) -> None:
+        self._settings = settings
+        contents = Contents(hand, rate, dict(attachments or {}), dict(metadata or {}))
+        self._writer = LogWriter(contents, settings, notify)
+        self._writer.dropped = lambda: self._dropped
+        self._queue: queue.SimpleQueue[Work] = queue.SimpleQueue()
+        self._limit = max(_LEAST_QUEUE, int(settings.queue_time * rate))
+        self._dropped = 0
+        self._failed = 0
+        self._failure = ""
+        self._thread: threading.Thread | None = None
+
+    # --- life --------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Begin to record.
+
+        Raises:
+            LogError: if it shall record to the disk and the folder cannot be written.
+        """
+        if self._thread is not None:
+            return
+        if self._settings.enabled:
+            try:
+                self._writer.sink.start(time.time_ns())
+            except OSError as error:
+                raise LogError(
+                    f"no recording can be written here: {reason(error)}",
+                    path=self._settings.directory,
+                ) from error
+        self._thread = threading.Thread(target=self._run, name="rtee-recorder", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Write what is queued, close the file and end; may be called again. Waits for the disk."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            self._queue.put(None)
+            thread.join(_CLOSING)
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    async def __aenter__(self) -> Self:
+        self.open()
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        import anyio
+        import anyio.to_thread
+
+        with anyio.CancelScope(shield=True):
+            await anyio.to_thread.run_sync(self.close)
+
+    # --- observing the loop ------------------------------------------------------------------
+
+    def on_tick(self, record: TickRecord) -> None:
+        """Record a tick, or drop it when the writer is too far behind."""
+        if self._queue.qsize() >= self._limit:
+            self._dropped += 1
+        else:
+            self._queue.put(record)
+
+    def _put(self, item: Item, stamp: float) -> None:
+        # What is not a tick is rare and worth more: it may wait beyond the bound, to twice of it.
+        if self._queue.qsize() >= 2 * self._limit:
+            self._dropped += 1
+        else:
+            self._queue.put((item, stamp))
+
+    def on_goal(self, goal: Goal, stamp: float) -> None:
+        """Record a goal."""
+        self._put(goal, stamp)
+
+    def on_command(self, command: Command) -> None:
+        """Record a command."""
+        self._put(command, command.stamp)
+
+    def on_feedback(self, feedback: Feedback) -> None:
+        """Record a goal's progress."""
+        self._put(feedback, feedback.stamp)
+
+    def on_result(self, result: Result) -> None:
+        """Record how a goal ended."""
+        self._put(result, time.monotonic())
+
+    def on_event(self, event: Event) -> None:
+        """Record an event; a fault makes the flight recorder write."""
+        self._put(event, event.stamp)
+
+    def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
+        """Record how devices and clock are doing."""
+        now = time.monotonic()
+        for status in statuses:
+            self._put(status, now)
+        self._put(statistics, now)
+
+    # --- while it runs -----------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin a new recording on the disk, unless one is being written; returns at once."""
+        self._queue.put(self._writer.start)
+
+    def stop(self) -> None:
+        """End the recording on the disk; the flight recorder goes on. Returns at once."""
+        self._queue.put(self._writer.stop)
+
+    def mark(self, text: str) -> None:
+        """Put a mark with a text into the recording."""
+        self._put(Event("mark", "user", text, time.monotonic()), time.monotonic())
+
+    def fault(self, cause: str) -> None:
+        """Have the flight recorder write what it holds; returns at once."""
+        self._queue.put(lambda: self._writer.fault(cause))
+
+    @property
+    def dropped(self) -> int:
+        """Records dropped because the writer fell behind."""
+        return self._dropped
+
+    def status(self) -> RecorderStatus:
+        """Return how the recorder is doing."""
+        writer = self._writer
+        return RecorderStatus(
+            recording=writer.sink.wanted,
+            path=writer.sink.path,
+            size=writer.sink.size,
+            ticks=writer.sink.written_ticks,
+            dropped=self._dropped + self._failed,
+            lost=writer.sink.lost_ticks,
+            problem=writer.sink.problem or self._failure,
+            flight_seconds=writer.flight.seconds if writer.flight else 0.0,
+            flight_files=tuple(writer.flight_files),
+        )
+
+    # --- the writer's thread -----------------------------------------------------------------
+
+    def _run(self) -> None:
+        # A loop with real-time priority made this thread; recording must not compete with it.
+        with contextlib.suppress(OSError, AttributeError):
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        writer = self._writer
+        while True:
+            try:
+                work = self._queue.get(timeout=writer.waiting())
+            except queue.Empty:
+                self._do(writer.poll)
+                continue
+            if work is None:
+                break
+            if isinstance(work, TickRecord):
+                self._do(writer.tick, work)
+            elif isinstance(work, tuple):
+                self._do(writer.item, *work)
+            else:
+                self._do(work)
+            self._do(writer.poll)
+            if not self._queue.empty():
+                time.sleep(_YIELD)
+        self._do(writer.close)
+
+    def _do(self, call: Callable[..., None], *arguments: object) -> None:
+        # One record that cannot be written must not end the recording of all others.
+        try:
+            call(*arguments)
+        except Exception as error:
+            self._failed += 1
+            self._failure = f"{type(error).__name__}: {error}"

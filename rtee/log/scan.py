@@ -1,0 +1,148 @@
+"""Walking through the records of an MCAP file, whole or cut off, without believing it anything."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, BinaryIO
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+
+from rtee.log.mcapfile import MAGIC
+
+_HEAD = struct.Struct("<BQ")
+_LARGEST_CHUNK = 1 << 30
+
+
+class DamagedRecordError(ValueError):
+    """A record whose content makes no sense."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Where a record stands.
+
+    Attributes:
+        opcode: Its kind.
+        offset: Where its content begins in the file.
+        length: Bytes of its content.
+    """
+
+    opcode: int
+    offset: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """Where it ends in the file."""
+        return self.offset + self.length
+
+    def read(self, stream: BinaryIO, most: int | None = None) -> bytes:
+        """Return its content, at most ``most`` bytes of it."""
+        stream.seek(self.offset)
+        length = self.length if most is None else min(most, self.length)
+        data = stream.read(length)
+        if len(data) != length:
+            raise DamagedRecordError("the file ends within a record")
+        return data
+
+
+def scan(stream: BinaryIO) -> Iterator[Record]:
+    """Yield the records of a file one after the other, up to the footer or where it is cut off."""
+    size = os.fstat(stream.fileno()).st_size
+    position = len(MAGIC)
+    while position + _HEAD.size <= size:
+        stream.seek(position)
+        head = stream.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            return
+        opcode, length = _HEAD.unpack(head)
+        record = Record(opcode, position + _HEAD.size, length)
+        if record.end > size or opcode == 0:
+            return
+        yield record
+        if opcode == Opcode.FOOTER:
+            return
+        position = record.end
+
+
+def _parsed(read: Callable[[ReadDataStream], Any], content: bytes) -> Any:
+    try:
+        return read(ReadDataStream(BytesIO(content)))
+    except (McapError, UnicodeDecodeError, struct.error, EOFError) as error:
+        raise DamagedRecordError(f"damaged record: {error}") from error
+
+
+def header_of(content: bytes) -> Header:
+    """Return the header in a record; raises `DamagedRecordError`, as do those below."""
+    header: Header = _parsed(Header.read, content)
+    return header
+
+
+def metadata_of(content: bytes) -> tuple[str, dict[str, str]]:
+    """Return the name and the values of a metadata record."""
+    metadata: Metadata = _parsed(Metadata.read, content)
+    return metadata.name, metadata.metadata
+
+
+def attachment_of(content: bytes) -> Attachment:
+    """Return the attachment in a record."""
+    attachment: Attachment = _parsed(Attachment.read, content)
+    if int.from_bytes(content[-4:], "little") not in (0, zlib.crc32(content[:-4])):
+        raise DamagedRecordError(f"attachment '{attachment.name}' fails its checksum")
+    return attachment
+
+
+def schema_of(content: bytes) -> Schema:
+    """Return the schema in a record."""
+    schema: Schema = _parsed(Schema.read, content)
+    return schema
+
+
+def channel_of(content: bytes) -> Channel:
+    """Return the channel in a record."""
+    channel: Channel = _parsed(Channel.read, content)
+    return channel
+
+
+def messages_of(content: bytes) -> tuple[bytes, Chunk]:
+    """Return the uncompressed records of a chunk, and the chunk."""
+    chunk: Chunk = _parsed(Chunk.read, content)
+    if chunk.uncompressed_size > _LARGEST_CHUNK:
+        raise DamagedRecordError("a chunk is larger than any")
+    data = _decompressed(chunk)
+    if len(data) != chunk.uncompressed_size:
+        raise DamagedRecordError("a chunk has not the size it says")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise DamagedRecordError("a chunk fails its checksum")
+    return data, chunk
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    if not chunk.compression:
+        return chunk.data
+    if chunk.compression == "zstd":
+        try:
+            if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:
+                raise DamagedRecordError("a chunk has not the size it says")
+            decompressor = zstandard.ZstdDecompressor()
+            return decompressor.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+        except zstandard.ZstdError as error:
+            raise DamagedRecordError(f"a chunk cannot be decompressed: {error}") from None
+    if chunk.compression == "lz4":
+        import lz4.frame
+
+        try:
+            data: bytes = lz4.frame.decompress(chunk.data)
+        except RuntimeError as error:
+            raise DamagedRecordError(f"a chunk cannot be decompressed: {error}") from None
+        return data
+    raise DamagedRecordError(f"a chunk is compressed by '{chunk.compression}', which is unknown")

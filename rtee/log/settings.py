@@ -1,0 +1,72 @@
+"""What the recorder is told and what it tells: plain data without pydantic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderSettings:
+    """How a hand is recorded.
+
+    Attributes:
+        directory: Folder of the recordings; made when it does not exist.
+        enabled: Record to the disk from the start.
+        max_file_size: A file that has grown to this size is followed by the next part [bytes].
+        max_file_time: A file that has run for this long is followed by the next part [s].
+        max_total_size: Space that all recordings of the hand in the folder may take [bytes]; the
+            oldest are removed first.
+        flight_recorder: How much is kept in memory and written out on a fault [s]; 0 for nothing.
+        flight_size: Memory that this may take [bytes].
+        decimation: Record every n-th tick.
+        chunk_time: A chunk is written after this time [s]; what a killed process loses.
+        queue_time: Ticks that may wait for the writer, as time [s]; more are dropped and counted.
+        sync: Flush every chunk to the disk, so that it also survives a power cut.
+        level: Level of zstd compression.
+    """
+
+    directory: Path = Path("logs")
+    enabled: bool = True
+    max_file_size: float = 1e9
+    max_file_time: float = 3600.0
+    max_total_size: float = 2e10
+    flight_recorder: float = 60.0
+    flight_size: float = 64e6
+    decimation: int = 1
+    chunk_time: float = 0.5
+    queue_time: float = 5.0
+    sync: bool = True
+    level: int = 3
+
+    @property
+    def part_size(self) -> float:
+        """Size at which a file is followed by the next part, so that old ones can make room."""
+        return min(self.max_file_size, self.max_total_size / 4)
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderStatus:
+    """How the recorder is doing.
+
+    Attributes:
+        recording: A recording is being written, or will be as soon as the disk takes it.
+        path: The file that is written, ``None`` if none is.
+        size: Its size [bytes].
+        ticks: Ticks written to the disk.
+        dropped: Records dropped because the writer fell behind.
+        lost: Ticks lost because the disk did not take them.
+        problem: Why the disk does not take them now, empty if it does.
+        flight_seconds: What the flight recorder holds [s].
+        flight_files: Files that the flight recorder has written.
+    """
+
+    recording: bool = False
+    path: Path | None = None
+    size: int = 0
+    ticks: int = 0
+    dropped: int = 0
+    lost: int = 0
+    problem: str = ""
+    flight_seconds: float = 0.0
+    flight_files: tuple[Path, ...] = ()

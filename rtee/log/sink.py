@@ -1,0 +1,201 @@
+"""The files on the disk: parts of a recording one after the other, failures, the bound on space."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rtee.log.chunks import PackedChunk
+from rtee.log.contents import Contents
+from rtee.log.mcapfile import McapFile
+from rtee.log.rotation import Retention, flight_path, part_path, session_name
+from rtee.log.settings import RecorderSettings
+
+_NAME_TRIES = 50
+_LOOK_EVERY = 60.0
+
+
+def reason(error: OSError) -> str:
+    """Return what an operating system's error says, without path and number."""
+    return error.strerror or str(error) or type(error).__name__
+
+
+class DiskSink:
+    """Writes chunks to the parts of a recording.
+
+    While the disk takes nothing the chunks are lost, and the next one is tried anew: recording goes
+    on as soon as there is room.
+
+    Args:
+        contents: What the recordings have in common.
+        settings: Sizes, times, folder.
+        monotonic: Clock for the times of parts [s].
+
+    Attributes:
+        wanted: A recording is to be written.
+        problem: Why the last chunk could not be written, empty if it could.
+        written_ticks: Ticks written.
+        lost_ticks: Ticks lost.
+    """
+
+    def __init__(
+        self,
+        contents: Contents,
+        settings: RecorderSettings,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._contents = contents
+        self._settings = settings
+        self._monotonic = monotonic
+        self._file: McapFile | None = None
+        self._session = ""
+        self._part = 0
+        self._opened = 0.0
+        self._looked = 0.0
+        self._retention = Retention(settings.directory, contents.hand.name, settings.max_total_size)
+        self.wanted = False
+        self.problem = ""
+        self.written_ticks = 0
+        self.lost_ticks = 0
+
+    @property
+    def path(self) -> Path | None:
+        """The file that is being written."""
+        return self._file.path if self._file else None
+
+    @property
+    def size(self) -> int:
+        """Its size [bytes]."""
+        return self._file.size if self._file else 0
+
+    def start(self, wall_ns: int) -> None:
+        """Begin a recording at a time [ns since 1970].
+
+        Raises:
+            OSError: if its first file cannot be made; it is tried again at the next chunk.
+        """
+        if self.wanted:
+            return
+        self.wanted = True
+        self._session = session_name(wall_ns)
+        self._part = 0
+        self._open(wall_ns)
+
+    def stop(self) -> None:
+        """End the recording and close its file."""
+        self.wanted = False
+        self._close()
+        self.problem = ""
+
+    def _open(self, wall_ns: int) -> None:
+        folder = self._settings.directory
+        folder.mkdir(parents=True, exist_ok=True)
+        hand = self._contents.hand.name
+        for _ in range(_NAME_TRIES):
+            path = part_path(folder, hand, self._session, self._part)
+            preamble = self._contents.preamble(wall_ns, session=self._session, part=str(self._part))
+            try:
+                file = McapFile(path, preamble, sync=self._settings.sync)
+            except FileExistsError:
+                if self._part == 0:
+                    wall_ns += 1_000_000
+                    self._session = session_name(wall_ns)
+                else:
+                    self._part += 1
+                continue
+            break
+        else:
+            raise FileExistsError(f"no free name for a recording of '{hand}'")
+        try:
+            file.write(self._contents.description(wall_ns))
+        except OSError:
+            with contextlib.suppress(OSError):
+                file.close()
+            path.unlink(missing_ok=True)
+            raise
+        self._file = file
+        self._part += 1
+        self._opened = self._monotonic()
+        self._make_room(look=True)
+
+    def _close(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            # Without its summary the file is still readable up to its last chunk.
+            with contextlib.suppress(OSError):
+                file.close()
+
+    def _make_room(self, *, look: bool) -> None:
+        now = self._monotonic()
+        current = (self._file.path,) if self._file else ()
+        if look or now - self._looked > _LOOK_EVERY:
+            self._retention.look(*current)
+            self._looked = now
+        self._retention.keep_within(self.size, *current)
+
+    def write(self, chunk: PackedChunk, ticks: int) -> None:
+        """Write a chunk with a number of ticks, or lose it and note the problem."""
+        if not self.wanted:
+            return
+        try:
+            if self._file is not None and not _linked(self._file.path):
+                self._close()
+            if self._file is None:
+                self._open(chunk.start)
+            assert self._file is not None  # noqa: S101 - narrows the type
+            self._file.write(chunk)
+        except OSError as error:
+            self.problem = reason(error)
+            self.lost_ticks += ticks
+            return
+        self.problem = ""
+        self.written_ticks += ticks
+        full = self._file.size >= self._settings.part_size
+        if full or self._monotonic() - self._opened >= self._settings.max_file_time:
+            self._close()
+        self._make_room(look=full)
+
+    def write_flight(
+        self, chunks: tuple[PackedChunk, ...], wall_ns: int, cause: str
+    ) -> Path | None:
+        """Write what the flight recorder holds to a file of its own; ``None`` if that fails.
+
+        Args:
+            chunks: What it holds, at least one chunk.
+            wall_ns: The time of the fault [ns since 1970].
+            cause: The fault in words.
+        """
+        settings = self._settings
+        path = flight_path(settings.directory, self._contents.hand.name, session_name(wall_ns))
+        partial = path.with_name(f".{path.name}.partial")
+        preamble = self._contents.preamble(chunks[0].start, cause=cause)
+        try:
+            settings.directory.mkdir(parents=True, exist_ok=True)
+            partial.unlink(missing_ok=True)
+            file = McapFile(partial, preamble, sync=False)
+            try:
+                file.write(self._contents.description(chunks[0].start))
+                for chunk in chunks:
+                    file.write(chunk)
+            finally:
+                file.close()
+            os.replace(partial, path)
+        except OSError as error:
+            self.problem = reason(error)
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
+            return None
+        self._make_room(look=True)
+        return path
+
+
+def _linked(path: Path) -> bool:
+    """Whether the file still has its name: somebody may have removed it."""
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        return False
+    return True

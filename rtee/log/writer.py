@@ -1,0 +1,282 @@
+"""The writer's side of the recorder: from what the loop told to chunks and files."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from rtee.log.chunks import ChunkBuilder
+from rtee.log.contents import CHANNELS, Contents
+from rtee.log.flight import FlightRecorder
+from rtee.log.settings import RecorderSettings
+from rtee.log.sink import DiskSink
+from rtee.log.tickblock import TickChannels, TickEncoder
+from rtee.loop.observer import TickRecord
+from rtee.messages import convert, topics
+from rtee.messages.schema import message_type
+from rtee.messages.topics import (
+    ACTUATOR_STATES,
+    COMMANDS,
+    DEVICE_STATUS,
+    EVENTS,
+    FEEDBACK,
+    GOALS,
+    JOINT_STATES,
+    LOOP_STATISTICS,
+    REFERENCE,
+    RESULTS,
+)
+from rtee.types import (
+    Command,
+    DeviceStatus,
+    Event,
+    Feedback,
+    Goal,
+    LoopStatistics,
+    Result,
+)
+
+Item = Goal | Command | Feedback | Result | Event | DeviceStatus | LoopStatistics
+"""What is recorded besides ticks."""
+
+FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
+"""Kinds of events that make the flight recorder write; so does every event of severity error."""
+
+_SECOND = 1_000_000_000
+_FLIGHT_PAUSE = 10.0
+
+
+class LogWriter:
+    """Encodes items, packs them into chunks in time, and hands the chunks on.
+
+    It runs in the writer's thread and has no thread of its own; nothing in it waits but for the
+    disk.
+
+    Args:
+        contents: What the recordings have in common.
+        settings: How to record.
+        notify: Told of lost and resumed recording and of written flight files.
+        monotonic: Clock [s].
+        wall: Clock [ns since 1970].
+
+    Attributes:
+        sink: The files.
+        flight: The flight recorder; ``None`` if there is none.
+        flight_files: Files that it has written.
+        failed: Items that could not be encoded.
+    """
+
+    def __init__(
+        self,
+        contents: Contents,
+        settings: RecorderSettings,
+        notify: Callable[[Event], None] | None = None,
+        monotonic: Callable[[], float] = time.monotonic,
+        wall: Callable[[], int] = time.time_ns,
+    ) -> None:
+        hand = contents.hand
+        self._settings = settings
+        self._notify = notify
+        self._monotonic = monotonic
+        self._wall = wall
+        self._encoder = TickEncoder(
+            hand.joint_names,
+            hand.actuator_names,
+            hand.transmission,
+            TickChannels(CHANNELS[JOINT_STATES], CHANNELS[ACTUATOR_STATES], CHANNELS[REFERENCE]),
+        )
+        self._builder = ChunkBuilder(self._encoder.layout, settings.level)
+        self._due: float | None = None
+        self._anchor: int | None = None
+        self._sequences = dict.fromkeys(CHANNELS.values(), 0)
+        self._channels_type = message_type("rtee_msgs/msg/Channels")
+        self._extras: dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
+        self._lost_told = 0
+        self._dropped_told = 0
+        self._flight_due: float | None = None
+        self._flight_cause = ""
+        self._flight_done = -float("inf")
+        self.sink = DiskSink(contents, settings, monotonic)
+        self.flight = (
+            FlightRecorder(settings.flight_recorder, settings.flight_size)
+            if settings.flight_recorder > 0
+            else None
+        )
+        self.flight_files: list[Path] = []
+        self.failed = 0
+        self.dropped: Callable[[], int] = lambda: 0
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing needs to be encoded: no recording and no flight recorder."""
+        return self.flight is None and not self.sink.wanted
+
+    def wall_of(self, stamp: float) -> int:
+        """Return the time since 1970 [ns] of a CLOCK_MONOTONIC time [s].
+
+        Both clocks are compared once per file: a step of the wall clock disturbs no recording.
+        """
+        if self._anchor is None:
+            self._anchor = self._wall() - round(self._monotonic() * _SECOND)
+        return self._anchor + round(stamp * _SECOND)
+
+    def tick(self, record: TickRecord) -> None:
+        """Take what was known at a tick."""
+        if self.idle or record.tick % self._settings.decimation:
+            return
+        if self._anchor is None:
+            self._anchor = record.wall_ns - round(record.stamp * _SECOND)
+        wall = self.wall_of(record.stamp)
+        self._builder.add_block(wall, self._encoder.encode(record, wall))
+        if record.extras:
+            self._add_extras(record, wall)
+        self._begun()
+
+    def _add_extras(self, record: TickRecord, wall: int) -> None:
+        """Record further channels when a value has changed."""
+        if all(self._extras.get(name) is values for name, values in record.extras.items()):
+            return
+        self._extras = dict(record.extras)
+        values = [np.asarray(value, dtype=np.float64).ravel() for value in record.extras.values()]
+        self._add(
+            topics.CHANNELS,
+            wall,
+            self._channels_type.encode(
+                {
+                    "header": convert.header(wall),
+                    "tick": record.tick,
+                    "name": list(record.extras),
+                    "length": [value.size for value in values],
+                    "value": np.concatenate(values) if values else [],
+                }
+            ),
+        )
+
+    def item(self, item: Item, stamp: float) -> None:
+        """Take anything else that came at ``stamp``, CLOCK_MONOTONIC [s]."""
+        if self.idle:
+            return
+        wall = self.wall_of(stamp)
+        match item:
+            case Goal():
+                self._add(GOALS, wall, convert.encode_goal(item, time=stamp, wall=wall))
+            case Command():
+                self._add(COMMANDS, wall, convert.encode_command(item, wall=wall))
+            case Feedback():
+                self._add(FEEDBACK, wall, convert.encode_feedback(item, wall=wall))
+            case Result():
+                self._add(RESULTS, wall, convert.encode_result(item, time=stamp, wall=wall))
+            case Event():
+                self._add(EVENTS, wall, convert.encode_event(item, wall=wall))
+                if item.severity == "error" or item.kind in FAULTS:
+                    self.fault(f"{item.kind}: {item.text}")
+            case DeviceStatus():
+                self._add(DEVICE_STATUS, wall, convert.encode_device_status(item, wall=wall))
+            case LoopStatistics():
+                data = convert.encode_loop_statistics(item, wall=wall)
+                self._add(LOOP_STATISTICS, wall, data)
+        self._begun()
+
+    def _add(self, topic: str, wall: int, data: bytes) -> None:
+        channel = CHANNELS[topic]
+        sequence = self._sequences[channel] = (self._sequences[channel] + 1) & 0xFFFFFFFF
+        self._builder.add(channel, sequence, wall, data)
+
+    def _begun(self) -> None:
+        if self._due is None:
+            self._due = self._monotonic() + self._settings.chunk_time
+
+    def start(self) -> None:
+        """Begin a recording on the disk."""
+        if self.sink.wanted:
+            return
+        self.flush()
+        self._anchor = None
+        try:
+            self.sink.start(self._wall())
+        except OSError:
+            self.sink.problem = "the folder or the disk does not take it"
+
+    def stop(self) -> None:
+        """End the recording on the disk."""
+        self.flush()
+        self.sink.stop()
+
+    def fault(self, cause: str) -> None:
+        """Have the flight recorder write soon; once for faults in quick succession."""
+        if self.flight is None or self._flight_due is not None:
+            return
+        now = self._monotonic()
+        self._flight_cause = cause
+        self._flight_due = max(now, self._flight_done + _FLIGHT_PAUSE)
+
+    def waiting(self) -> float | None:
+        """Return how long nothing needs to be done [s]; ``None``: until the next item."""
+        times = [due for due in (self._due, self._flight_due) if due is not None]
+        return max(0.0, min(times) - self._monotonic()) if times else None
+
+    def poll(self) -> None:
+        """Do what is due."""
+        now = self._monotonic()
+        if self._due is not None and now >= self._due:
+            self.flush()
+        if self._flight_due is not None and now >= self._flight_due:
+            self._write_flight()
+
+    def flush(self) -> None:
+        """Pack what was collected and hand it on."""
+        self._due = None
+        dropped = self.dropped()
+        if dropped != self._dropped_told:
+            text = f"{dropped - self._dropped_told} records dropped: the writer fell behind"
+            self._dropped_told = dropped
+            self._tell("log_dropped", text)
+        ticks = self._builder.blocks
+        chunk = self._builder.pack()
+        if chunk is None:
+            return
+        if self.flight is not None:
+            self.flight.add(chunk)
+        before = self.sink.problem
+        path = self.sink.path
+        self.sink.write(chunk, ticks)
+        if self.sink.problem and not before:
+            self._tell("log_failed", f"recording is lost: {self.sink.problem}")
+        elif before and not self.sink.problem:
+            lost = self.sink.lost_ticks - self._lost_told
+            self._lost_told = self.sink.lost_ticks
+            self._tell("log_resumed", f"recording goes on after {lost} ticks were lost: {before}")
+        if self.sink.path != path:
+            self._anchor = None
+
+    def _tell(self, kind: str, text: str) -> None:
+        event = Event(kind, "recorder", text, self._monotonic(), "warning")
+        wall = self.wall_of(event.stamp)
+        self._add(EVENTS, wall, convert.encode_event(event, wall=wall))
+        if self._notify is not None:
+            self._notify(event)
+
+    def _write_flight(self) -> None:
+        self._flight_due = None
+        self._flight_done = self._monotonic()
+        self.flush()
+        assert self.flight is not None  # noqa: S101 - a fault is only noted with one
+        chunks = tuple(self.flight.chunks())
+        if not chunks:
+            return
+        path = self.sink.write_flight(chunks, self._wall(), self._flight_cause)
+        if path is None:
+            self._tell("log_failed", f"the flight recorder cannot write: {self.sink.problem}")
+            return
+        self.flight_files.append(path)
+        self._tell("flight_recorded", f"{self.flight.seconds:.1f} s written to {path}")
+
+    def close(self) -> None:
+        """Write what is left, and what the flight recorder owes, and close the file."""
+        if self._flight_due is not None:
+            self._write_flight()
+        self.flush()
+        self.sink.stop()
