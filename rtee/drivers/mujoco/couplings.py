@@ -25,7 +25,7 @@ class Polynomial:
         joint: Name of the coupled joint.
         actuator: Name of the actuator it follows.
         coefficients: ``c₀ … c₄``.
-        error: Largest deviation from the hand's transmission within the actuator's limits [rad | m].
+        error: Largest deviation from the transmission within the actuator's limits [rad | m].
     """
 
     joint: str

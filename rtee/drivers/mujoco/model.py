@@ -219,8 +219,8 @@ def _add_couplings(spec: mujoco.MjSpec, hand: Hand) -> tuple[tuple[Polynomial, .
         equality.solimp = [0.95, 0.99, 0.001, 0.5, 2.0]
         if polynomial.error > 1e-6:
             notes.append(
-                f"joint '{polynomial.joint}' follows '{polynomial.actuator}' by a fitted polynomial, "
-                f"at most {polynomial.error:.2g} off"
+                f"joint '{polynomial.joint}' follows '{polynomial.actuator}' by a fitted "
+                f"polynomial, at most {polynomial.error:.2g} off"
             )
     return polynomials, notes
 
@@ -256,8 +256,8 @@ def _exclude_touching_at_rest(spec: mujoco.MjSpec, hand: Hand) -> list[str]:
         fingers = (finger.get(first), finger.get(second))
         if None not in fingers and fingers[0] != fingers[1] and distance < -_INTERPENETRATING:
             raise ModelError(
-                f"links '{first}' and '{second}' of two fingers are {-distance * 1e3:.1f} mm inside "
-                "each other at rest, so the hand cannot be simulated; mend the collision shapes or "
+                f"links '{first}' and '{second}' of two fingers are {-distance * 1e3:.1f} mm "
+                "inside each other at rest, so the hand cannot be simulated; mend the collision shapes or "
                 "the rest posture, or disable the pair in the SRDF",
                 path=hand.urdf.path,
             )

@@ -1,0 +1,176 @@
+"""A hand as a tree of frames in the browser's scene; moving a joint turns one frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import viser
+
+from rtee.gui.colours import Colour
+from rtee.hand.geometry import HandGeometry
+from rtee.hand.model import Hand
+from rtee.hand.urdf import Urdf, UrdfGeometry, UrdfJoint
+from rtee.types import FloatArray
+
+_UNSEEN = 1e-4
+
+
+def quaternion(rpy: tuple[float, float, float]) -> FloatArray:
+    """Return the unit quaternion (w, x, y, z) of roll, pitch, yaw about fixed axes [rad]."""
+    (cr, cp, cy), (sr, sp, sy) = (
+        tuple(math.cos(0.5 * a) for a in rpy),
+        tuple(math.sin(0.5 * a) for a in rpy),
+    )
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def turn(axis: FloatArray, angle: float) -> FloatArray:
+    """Return the unit quaternion (w, x, y, z) of a turn by ``angle`` [rad] about a unit axis."""
+    half = 0.5 * angle
+    return np.concatenate(([math.cos(half)], math.sin(half) * axis))
+
+
+class HandBody:
+    """One appearance of a hand in the scene: the measured one, or a ghost.
+
+    Attributes:
+        root: Name of its root frame in the scene.
+    """
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        root: str,
+        hand: Hand,
+        geometry: HandGeometry | None,
+        colours: Mapping[str, Colour],
+        *,
+        opacity: float | None = None,
+        visible: bool = True,
+    ) -> None:
+        """Build the tree of frames.
+
+        Args:
+            scene: The browser's scene.
+            root: Name of the root frame.
+            hand: The hand.
+            geometry: Where the triangles of mesh shapes come from; ``None`` when there are none.
+            colours: Colour per link.
+            opacity: Opacity of a ghost; ``None`` for a solid body.
+            visible: Whether it is shown at once.
+        """
+        self.root = root
+        self._scene = scene
+        self._opacity = opacity
+        self._frame = scene.add_frame(root, show_axes=False, visible=visible)
+        self._moving: list[tuple[viser.FrameHandle, FloatArray, bool]] = []
+        self._last = np.full(len(hand.joints), np.nan)
+        self._shapes: dict[str, list[Any]] = {}
+        self._colours: dict[str, Colour] = {}
+        self._build(hand, geometry, colours)
+
+    def _build(
+        self, hand: Hand, geometry: HandGeometry | None, colours: Mapping[str, Colour]
+    ) -> None:
+        urdf = hand.urdf
+        below: dict[str, list[UrdfJoint]] = {}
+        for joint in urdf.joints.values():
+            below.setdefault(joint.parent, []).append(joint)
+        frames: dict[str, tuple[viser.FrameHandle, FloatArray, bool]] = {}
+        pending = [(urdf.root, self.root)]
+        while pending:
+            link, path = pending.pop()
+            self._add_shapes(urdf, link, path, geometry, colours[link])
+            for joint in below.get(link, ()):
+                place = f"{path}/{joint.name}"
+                self._scene.add_frame(
+                    place, show_axes=False, wxyz=quaternion(joint.rpy), position=joint.xyz
+                )
+                if joint.moving:
+                    place = f"{place}/q"
+                    frame = self._scene.add_frame(place, show_axes=False)
+                    frames[joint.name] = (frame, np.array(joint.axis), joint.kind == "prismatic")
+                pending.append((joint.child, place))
+        self._moving = [frames[name] for name in hand.joint_names]
+
+    def _add_shapes(
+        self, urdf: Urdf, link: str, path: str, geometry: HandGeometry | None, colour: Colour
+    ) -> None:
+        handles: list[Any] = []
+        shapes = urdf.links[link].collisions
+        if not any(shape.kind == "mesh" for shape in shapes):
+            for index, shape in enumerate(shapes):
+                handles.append(self._add_shape(f"{path}/shape{index}", shape, colour))
+        elif geometry is not None:
+            vertices, faces = geometry.triangles(link)
+            handles.append(
+                self._scene.add_mesh_simple(
+                    f"{path}/mesh",
+                    np.asarray(vertices, dtype=np.float32),
+                    np.asarray(faces, dtype=np.uint32),
+                    color=colour,
+                    opacity=self._opacity,
+                    flat_shading=True,
+                    side="double",
+                    cast_shadow=self._opacity is None,
+                )
+            )
+        self._shapes[link] = handles
+        self._colours[link] = colour
+
+    def _add_shape(self, name: str, shape: UrdfGeometry, colour: Colour) -> Any:
+        at: dict[str, Any] = {
+            "wxyz": quaternion(shape.rpy),
+            "position": shape.xyz,
+            "opacity": self._opacity,
+            "cast_shadow": self._opacity is None,
+        }
+        if shape.kind == "box":
+            return self._scene.add_box(name, color=colour, dimensions=shape.size, **at)
+        if shape.kind == "sphere":
+            return self._scene.add_icosphere(name, shape.radius, colour, **at)
+        return self._scene.add_cylinder(name, shape.radius, shape.length, colour, **at)
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is shown."""
+        return bool(self._frame.visible)
+
+    @visible.setter
+    def visible(self, shown: bool) -> None:
+        if shown != self._frame.visible:
+            self._frame.visible = shown
+
+    def set_joints(self, position: FloatArray) -> None:
+        """Move to joint positions ``(m,)`` [rad | m] in the hand's order; what rests isn't sent."""
+        for index, (frame, axis, slides) in enumerate(self._moving):
+            value = float(position[index])
+            if not math.isfinite(value) or abs(value - self._last[index]) < _UNSEEN:
+                continue
+            self._last[index] = value
+            if slides:
+                frame.position = value * axis
+            else:
+                frame.wxyz = turn(axis, value)
+
+    def set_colour(self, link: str, colour: Colour) -> None:
+        """Colour a link."""
+        if self._colours[link] == colour:
+            return
+        self._colours[link] = colour
+        for handle in self._shapes[link]:
+            handle.color = colour
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._frame.remove()

@@ -1,0 +1,206 @@
+"""The 3D view: the measured hand, its reference and a preview as ghosts, contacts, effort, pressure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import viser
+
+from rtee.gui.body import HandBody
+from rtee.gui.colours import (
+    CONTACT,
+    PALM,
+    PREVIEW,
+    REFERENCE,
+    Colour,
+    blend,
+    finger_colour,
+    ramp,
+)
+from rtee.hand.geometry import HandGeometry
+from rtee.hand.kinematics import Kinematics
+from rtee.hand.model import Hand
+from rtee.types import FloatArray
+
+_GHOST = 0.35
+_BRIGHT: Colour = (240, 60, 40)
+
+
+def link_colours(hand: Hand) -> dict[str, Colour]:
+    """Return a colour per link: that of its finger, or the palm's."""
+    owners: dict[str, set[int]] = {}
+    for index, finger in enumerate(hand.fingers):
+        for link in finger.links:
+            owners.setdefault(link, set()).add(index)
+    moved = _moved_links(hand)
+    return {
+        link: finger_colour(next(iter(owners[link])))
+        if len(owners.get(link, ())) == 1 and link in moved
+        else PALM
+        for link in hand.urdf.links
+    }
+
+
+def _moved_links(hand: Hand) -> set[str]:
+    moved: set[str] = set()
+    for joint in hand.urdf.joints.values():  # the file need not list parents first
+        chain, link = [joint.child], joint.child
+        arriving = {j.child: j for j in hand.urdf.joints.values()}
+        while link in arriving and not arriving[link].moving:
+            link = arriving[link].parent
+            chain.append(link)
+        if link in arriving:
+            moved.add(joint.child)
+    return moved
+
+
+class HandScene:
+    """What the browser shows of the hand.
+
+    Attributes:
+        hand: The hand shown.
+    """
+
+    def __init__(self, server: viser.ViserServer, hand: Hand) -> None:
+        """Put a hand into the scene and aim the camera at it."""
+        self.hand = hand
+        self._server = server
+        scene = server.scene
+        meshes = any(s.kind == "mesh" for link in hand.urdf.links.values() for s in link.collisions)
+        self.kinematics = Kinematics(hand)
+        self._geometry = HandGeometry(hand, self.kinematics)
+        drawn = self._geometry if meshes else None
+        self._colours = link_colours(hand)
+        ghost = dict.fromkeys(hand.urdf.links, REFERENCE)
+        wish = dict.fromkeys(hand.urdf.links, PREVIEW)
+        scene.set_up_direction("+z")
+        self._body = HandBody(scene, "/hand", hand, drawn, self._colours)
+        self._reference = HandBody(
+            scene, "/reference", hand, drawn, ghost, opacity=_GHOST, visible=False
+        )
+        self._preview = HandBody(
+            scene, "/preview", hand, drawn, wish, opacity=_GHOST, visible=False
+        )
+        rest = hand.transmission.joints(hand.rest)
+        for body in (self._body, self._reference, self._preview):
+            body.set_joints(rest)
+        self._contacts: list[viser.IcosphereHandle | viser.ArrowsHandle] = []
+        self._pressures: dict[str, viser.IcosphereHandle] = {}
+        self._size = self._aim()
+
+    def _aim(self) -> float:
+        """Aim the camera; returns the hand's size [m]."""
+        poses = self.kinematics.placements(self.hand.rest)
+        points = [
+            np.asarray(self._geometry.triangles(link)[0]) @ pose[:3, :3].T + pose[:3, 3]
+            for link, pose in poses.items()
+            if self.hand.urdf.links[link].collisions
+        ]
+        cloud = np.concatenate(points) if points else np.zeros((1, 3))
+        low, high = cloud.min(axis=0), cloud.max(axis=0)
+        size = max(float(np.linalg.norm(high - low)), 0.05)
+        middle = 0.5 * (low + high)
+        camera = self._server.initial_camera
+        camera.look_at = tuple(middle)
+        camera.position = tuple(middle + size * np.array([0.75, 0.65, 0.45]))
+        camera.near = 0.01 * size
+        self._server.scene.add_grid(
+            "/floor",
+            width=4.0 * size,
+            height=4.0 * size,
+            cell_size=0.02 if size < 1.0 else 0.2,
+            position=(float(middle[0]), float(middle[1]), float(low[2])),
+            plane="xy",
+        )
+        return size
+
+    def show(self, position: FloatArray) -> None:
+        """Show measured joint positions ``(m,)`` [rad | m]."""
+        with self._server.atomic():
+            self._body.set_joints(position)
+
+    def show_reference(self, actuators: FloatArray | None) -> None:
+        """Show the reference, actuator positions ``(n,)``, as a ghost; ``None`` hides it."""
+        self._ghost(self._reference, actuators)
+
+    def show_preview(self, actuators: FloatArray | None) -> None:
+        """Show where an action would lead, actuator positions ``(n,)``; ``None`` hides it."""
+        self._ghost(self._preview, actuators)
+
+    def _ghost(self, body: HandBody, actuators: FloatArray | None) -> None:
+        if actuators is None or not np.isfinite(actuators).all():
+            body.visible = False
+            return
+        body.set_joints(self.hand.transmission.joints(actuators))
+        body.visible = True
+
+    def show_effort(self, share: Mapping[str, float]) -> None:
+        """Colour fingers by their effort as a share of its limit, by finger name."""
+        for finger in self.hand.fingers:
+            strength = share.get(finger.name, 0.0)
+            strength = 0.0 if not math.isfinite(strength) else abs(strength)
+            for link in finger.links:
+                own = self._colours[link]
+                if own != PALM:
+                    self._body.set_colour(link, blend(own, _BRIGHT, round(strength, 1)))
+
+    def show_contacts(
+        self, contacts: Sequence[tuple[tuple[float, float, float], tuple[float, float, float]]]
+    ) -> None:
+        """Mark contact points with their normals [m], in the hand's base frame."""
+        for handle in self._contacts:
+            handle.remove()
+        self._contacts.clear()
+        radius = 0.015 * self._size
+        for index, (point, normal) in enumerate(contacts):
+            where = np.array(point)
+            reach = np.array(normal) * 0.12 * self._size
+            self._contacts.append(
+                self._server.scene.add_icosphere(
+                    f"/contacts/{index}/point", radius, CONTACT, position=tuple(where)
+                )
+            )
+            self._contacts.append(
+                self._server.scene.add_arrows(
+                    f"/contacts/{index}/normal",
+                    np.array([[where - reach, where], [where + reach, where]], dtype=np.float32),
+                    CONTACT,
+                    shaft_radius=0.004 * self._size,
+                    head_radius=0.012 * self._size,
+                    head_length=0.03 * self._size,
+                )
+            )
+
+    def show_pressure(self, share: Mapping[str, float]) -> None:
+        """Show pressures per finger, as a share of the largest, by spheres at the tips."""
+        for finger in self.hand.fingers:
+            if finger.tip is None or finger.name not in share:
+                continue
+            strength = min(max(share[finger.name], 0.0), 1.0)
+            handle = self._pressures.get(finger.name)
+            if handle is None:
+                handle = self._server.scene.add_icosphere(
+                    f"/pressure/{finger.name}", 0.04 * self._size, ramp(strength), opacity=0.6
+                )
+                self._pressures[finger.name] = handle
+            handle.color = ramp(strength)
+            handle.visible = strength > 0.01
+
+    def place_pressures(self, actuators: FloatArray) -> None:
+        """Move the pressure spheres to the tips at actuator positions ``(n,)``."""
+        if not self._pressures or not np.isfinite(actuators).all():
+            return
+        for finger in self.hand.fingers:
+            handle = self._pressures.get(finger.name)
+            if handle is not None and finger.tip is not None:
+                handle.position = tuple(self.kinematics.link_pose(actuators, finger.tip)[:3, 3])
+
+    def remove(self) -> None:
+        """Take everything of this hand out of the scene."""
+        self.show_contacts(())
+        for handle in self._pressures.values():
+            handle.remove()
+        for body in (self._body, self._reference, self._preview):
+            body.remove()
