@@ -65,7 +65,7 @@ class Limiter:
                 self.limited[i] = False
                 continue
             if target - target != 0.0:  # NaN or infinite
-                target = here  # noqa: PLW2901
+                target = here
             step = (target - here) / dt
             acceleration = self._limits.acceleration[i]
             change = step - speed

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from ruckig import ControlInterface, InputParameter, Result, Ruckig, Synchronization, Trajectory
+from ruckig import (
+    ControlInterface,
+    InputParameter,
+    Result,
+    Ruckig,
+    RuckigError,
+    Synchronization,
+    Trajectory,
+)
 
 from rtee.loop.motion import Limits
 from rtee.loop.profiles.base import Profile
@@ -60,7 +68,10 @@ class JerkLimited(Profile):
             self.target[index] = self.limits.clamp(index, target)
             self._braking[index] = False
         for index in brake:
-            self._braking[index] = True
+            standing = self.velocity[index] == 0.0 and self._acceleration[index] == 0.0
+            self._braking[index] = not standing
+            if standing:
+                self.target[index] = self.position[index]
         self._plan()
 
     def _plan(self) -> None:
@@ -82,9 +93,11 @@ class JerkLimited(Profile):
         self._plain = None
         for synchronisation in (together, [Synchronization.No] * self.size):
             given.per_dof_synchronization = synchronisation
-            if self._ruckig.calculate(given, self._trajectory) != Result.Working:
+            try:
+                result = self._ruckig.calculate(given, self._trajectory)
+            except RuckigError:
                 continue
-            if self._inside():
+            if result == Result.Working and self._inside():
                 break
         else:
             self._without_jerk_limits()
@@ -96,9 +109,14 @@ class JerkLimited(Profile):
                 self.target[i] = end[i]
 
     def _inside(self) -> bool:
-        """Return whether the trajectory keeps the position limits (or comes back into them)."""
+        """Return whether the trajectory keeps the position limits (or comes back into them).
+
+        A longer motion, drawn out so that all arrive together, may first swing out.
+        """
         limits = self.limits
         for i, extremum in enumerate(self._trajectory.position_extrema):
+            if self._braking[i]:
+                continue
             here = self.position[i]
             if (
                 extremum.max > max(limits.upper[i], here) + _SLACK

@@ -1,0 +1,199 @@
+"""Is an actuator blocked, does it hold something, has it lost it: per actuator, from its state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from rtee.loop.settings import GraspSettings, StallSettings
+from rtee.types import ActuatorSpec
+
+_LOST_AFTER = 0.05
+"""A grasp counts as lost when it looks so for this long [s]."""
+
+_LOST_MOVE = 0.02
+"""… and the actuator closed further by this fraction of its range."""
+
+
+@dataclass(slots=True)
+class Measured:
+    """What a controller is given at a tick; lists in the hand's order of actuators.
+
+    Attributes:
+        position: Measured positions [rad | m]; ``NaN``: not measured.
+        effort: Measured efforts [N·m | N].
+        temperature: Measured temperatures [°C].
+        fresh: Whether the measurement is newer than at the tick before.
+        grasped: The device's own word: 1 holding, 0 not, -1 none.
+    """
+
+    position: Sequence[float]
+    effort: Sequence[float]
+    temperature: Sequence[float]
+    fresh: Sequence[bool]
+    grasped: Sequence[int]
+
+
+@dataclass(slots=True)
+class _Watched:
+    tolerance: float
+    target: float
+    anchor: float
+    since: float
+    seen: float
+    blocked_at: float = math.nan
+    grasping: bool = False
+    own_word: bool = False
+    hold_position: float = math.nan
+    losing_since: float = math.nan
+
+
+class ContactWatch:
+    """Watches the actuators of the last goal.
+
+    An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
+    or its device says that it holds something. A blocked one *grasps* when its effort is above a
+    threshold, or by its device's own word; that word doesn't count at the end of the range, where
+    devices report the mechanical stop.
+
+    Args:
+        actuators: The hand's actuators.
+        stall: When an actuator counts as stalled.
+        grasp: When a stalled one counts as holding.
+    """
+
+    def __init__(
+        self, actuators: Sequence[ActuatorSpec], stall: StallSettings, grasp: GraspSettings
+    ) -> None:
+        self._actuators = actuators
+        self._stall = stall
+        self._grasp = grasp
+        self._watched: dict[int, _Watched] = {}
+
+    def begin(
+        self, targets: Mapping[int, float], tolerance: Mapping[int, float], stamp: float
+    ) -> None:
+        """Watch some actuators anew; what was known of them is forgotten.
+
+        Args:
+            targets: Where they go, by index [rad | m].
+            tolerance: Error that counts as none, by index [rad | m].
+            stamp: Now [s].
+        """
+        for i, target in targets.items():
+            self._watched[i] = _Watched(tolerance[i], target, math.nan, stamp, stamp)
+
+    def forget(self, indices: Iterable[int]) -> None:
+        """Stop watching some actuators."""
+        for i in indices:
+            self._watched.pop(i, None)
+
+    def blocked(self, i: int) -> bool:
+        """Return whether an actuator is blocked."""
+        watched = self._watched.get(i)
+        return watched is not None and not math.isnan(watched.blocked_at)
+
+    def grasping(self, i: int) -> bool:
+        """Return whether an actuator holds something."""
+        watched = self._watched.get(i)
+        return watched is not None and watched.grasping
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """The fingers that hold something, each once."""
+        found: dict[str, None] = {}
+        for i, watched in self._watched.items():
+            if watched.grasping:
+                found.update(dict.fromkeys(self._actuators[i].fingers))
+        return tuple(found)
+
+    def blocked_longer_than(self, seconds: float, stamp: float) -> list[int]:
+        """Return the actuators that have been blocked for longer than a time [s]."""
+        return [i for i, w in self._watched.items() if stamp - w.blocked_at >= seconds]
+
+    def update(
+        self,
+        stamp: float,
+        measured: Measured,
+        reference: Sequence[float],
+        limits: Sequence[float],
+        indices: Iterable[int],
+    ) -> None:
+        """Look at actuators on their way.
+
+        Args:
+            stamp: Now [s].
+            measured: What was measured.
+            reference: Positions sent [rad | m].
+            limits: Effort limits sent [N·m | N].
+            indices: The actuators to look at.
+        """
+        for i in indices:
+            watched = self._watched.get(i)
+            if watched is None or not measured.fresh[i]:
+                continue
+            position = measured.position[i]
+            word = measured.grasped[i]
+            if stamp - watched.seen > self._stall.time:  # the device was silent
+                watched.anchor, watched.since = position, stamp
+            watched.seen = stamp
+            slow = self._stall.speed * self._actuators[i].velocity * self._stall.time
+            behind = abs(reference[i] - position) > watched.tolerance
+            if not abs(position - watched.anchor) <= slow or not behind:
+                watched.anchor, watched.since = position, stamp
+                watched.blocked_at = math.nan
+                watched.grasping = False
+            stalled = behind and stamp - watched.since >= self._stall.time
+            own_word = word == 1 and not self._at_end(i, position, watched)
+            if not (stalled or own_word):
+                continue
+            if math.isnan(watched.blocked_at):
+                watched.blocked_at = stamp
+            enough = self._grasp.effort * limits[i]
+            if own_word or (word != 0 and abs(measured.effort[i]) >= enough):
+                watched.grasping = True
+                watched.own_word = own_word
+                watched.hold_position = position
+
+    def _at_end(self, i: int, position: float, watched: _Watched) -> bool:
+        spec = self._actuators[i]
+        end = spec.upper if watched.target >= spec.rest else spec.lower
+        return abs(end - position) <= watched.tolerance
+
+    def lost(
+        self, stamp: float, measured: Measured, reference: Sequence[float], limits: Sequence[float]
+    ) -> list[int]:
+        """Return the actuators that have just lost what they held.
+
+        Either the device takes back its word, or the actuator moves on towards its target and its
+        effort is gone.
+        """
+        found: list[int] = []
+        for i, watched in self._watched.items():
+            if not (watched.grasping and measured.fresh[i]):
+                continue
+            if not self._looks_lost(i, watched, measured, reference[i], limits[i]):
+                watched.losing_since = math.nan
+            elif math.isnan(watched.losing_since):
+                watched.losing_since = stamp
+            elif stamp - watched.losing_since >= _LOST_AFTER:
+                watched.grasping = False
+                watched.losing_since = math.nan
+                found.append(i)
+        return found
+
+    def _looks_lost(
+        self, i: int, watched: _Watched, measured: Measured, reference: float, limit: float
+    ) -> bool:
+        if watched.own_word:
+            return measured.grasped[i] == 0
+        push = reference - watched.hold_position
+        moved = (measured.position[i] - watched.hold_position) * (1.0 if push >= 0.0 else -1.0)
+        spec = self._actuators[i]
+        span = spec.upper - spec.lower
+        enough = max(3.0 * watched.tolerance, _LOST_MOVE * span if math.isfinite(span) else 0.0)
+        if moved <= min(enough, 0.5 * abs(push)) or moved <= 0.5 * watched.tolerance:
+            return False
+        effort = abs(measured.effort[i])
+        return math.isnan(effort) or effort < 0.5 * self._grasp.effort * limit

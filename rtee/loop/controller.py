@@ -1,0 +1,313 @@
+"""Everything of a tick that is pure: goals and measurements in, references and results out.
+
+The same code runs live, in tests at any speed and on replay: a recording of goals, commands and
+measurements gives the same references, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from rtee.errors import GoalRejected
+from rtee.hand.model import Hand
+from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.executor import Executor
+from rtee.loop.limiter import Limiter
+from rtee.loop.motion import Limits
+from rtee.loop.plan import Plan
+from rtee.loop.profiles import make_profile
+from rtee.loop.settings import LoopSettings
+from rtee.loop.thermal import Level, Thermal
+from rtee.types import Command, Event, Feedback, Result
+
+_THERMAL_EVERY = 0.1
+"""Temperatures are looked at this often [s]."""
+
+_SETTLE = 0.1
+"""After braking, this long is given to the hand before the measured posture is held [s]."""
+
+_OFF = 0.01
+"""Holding, a reference further than this from the measured position is brought to it [rad | m]."""
+
+
+@dataclass(slots=True)
+class Outbox:
+    """What a controller wants to tell, in order.
+
+    Attributes:
+        items: Feedback, results and events.
+        release: Actuators whose device must be released: too hot.
+    """
+
+    items: list[Feedback | Result | Event] = field(default_factory=list)
+    release: set[int] = field(default_factory=set)
+
+    def __bool__(self) -> bool:
+        return bool(self.items or self.release)
+
+
+class Controller:
+    """The pure core of a hand's loop.
+
+    Args:
+        hand: The hand.
+        settings: The loop's settings.
+
+    Attributes:
+        reference_position: Positions to be sent, after the limiter [rad | m].
+        reference_velocity: Their velocities [rad/s | m/s].
+        reference_effort: Effort limits to be sent [N·m | N].
+        max_velocity: Velocity limits to be sent [rad/s | m/s].
+        active: Whether an actuator's device may be moved.
+        outbox: What is to be told; the caller empties it.
+    """
+
+    def __init__(self, hand: Hand, settings: LoopSettings) -> None:
+        self.hand = hand
+        self.settings = settings
+        limits = Limits.of(hand.actuators)
+        n = len(hand.actuators)
+        self._profile = make_profile(settings.profile, limits, settings.period)
+        self._limiter = Limiter(limits, settings.period, settings.safety.max_step)
+        self._contact = ContactWatch(hand.actuators, settings.stall, settings.grasp)
+        self._thermal = Thermal(settings.thermal, n)
+        self.outbox = Outbox()
+        told = self.outbox.items.append
+        self._executor = Executor(hand, settings, self._profile, self._contact, told, told)
+        self.active = [False] * n
+        self._accepts = [True] * n
+        self._seeding: set[int] = set()
+        self._goal_effort: dict[int, float] = {}
+        self._holding: set[int] = set()
+        self._settling: dict[int, float] = {}
+        self._thermal_due = -math.inf
+        self._told_limited = -math.inf
+        rest = dict(enumerate(hand.rest.tolist()))
+        self._profile.seed(rest)
+        for i, position in rest.items():
+            self._limiter.seed(i, position)
+        self._measured = Measured(
+            hand.rest.tolist(), [math.nan] * n, [math.nan] * n, [False] * n, [-1] * n
+        )
+        self.max_velocity = list(limits.velocity)
+        self.reference_position = self._limiter.position
+        self.reference_velocity = self._limiter.velocity
+        self.reference_effort = [0.0] * n
+        self._set_efforts()
+
+    # --- what steers it ----------------------------------------------------------------------
+
+    @property
+    def running(self) -> Plan | None:
+        """The plan under way."""
+        return self._executor.running
+
+    @property
+    def moving(self) -> bool:
+        """Whether the reference is on its way or a goal is running."""
+        return self._profile.moving or self.running is not None
+
+    def check_active(self, indices: Iterable[int]) -> None:
+        """Refuse to move actuators whose device may not be moved.
+
+        Raises:
+            GoalRejected: with their names.
+        """
+        idle = [self.hand.actuators[i].name for i in sorted(indices) if not self.active[i]]
+        if idle:
+            raise GoalRejected(
+                f"the device of {', '.join(idle)} is not active; see `rtee status`, then recover"
+            )
+
+    def take(self, plan: Plan, stamp: float) -> None:
+        """Begin a plan; the running goal ends as pre-empted."""
+        self._leave_hold(plan.involved)
+        self._goal_effort = {
+            i: e for i, e in self._goal_effort.items() if i not in plan.involved
+        } | dict(plan.effort)
+        for i, actuator in enumerate(self.hand.actuators):
+            self.max_velocity[i] = plan.goal.speed * actuator.velocity
+        self._executor.start(plan, stamp, self._measured)
+        self._set_efforts()
+        lost = [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]
+        if lost:
+            self._fail(
+                list(plan.involved), stamp, f"the device of {lost[0]} is not active any more"
+            )
+
+    def apply(self, command: Command) -> None:
+        """Do what a command says; those that concern nothing do nothing."""
+        stamp = command.stamp
+        match command.kind:
+            case "cancel":
+                plan = self.running
+                if plan is not None and command.text in ("", plan.goal.goal_id):
+                    self._executor.end(stamp, self._measured, cancelled=True)
+                    self._hold(stamp)
+            case "hold":
+                self._executor.end(stamp, self._measured, cancelled=True, reason=command.text)
+                self._hold(stamp)
+            case "freeze":
+                self._executor.end(stamp, self._measured, cancelled=True, reason=command.text)
+                frozen = self._indices(command.values)
+                self._leave_hold(frozen)
+                self._seeding.update(frozen)
+            case "jog":
+                self._jog(command)
+            case "active":
+                self._set_active(command)
+            case "accepts":
+                for name, value in command.values.items():
+                    self._accepts[self.hand.actuator_index(name)] = bool(value)
+            case "fail":
+                self._fail(self._indices(command.values), stamp, command.text)
+
+    def _indices(self, values: Mapping[str, float]) -> list[int]:
+        if not values:
+            return list(range(len(self.active)))
+        return [self.hand.actuator_index(name) for name in values]
+
+    def _hold(self, stamp: float) -> None:
+        """Brake; when that is done, hold what is measured: a blocked finger stops pushing."""
+        everything = range(self._profile.size)
+        self._profile.go({}, brake=everything)
+        self._leave_hold(everything)
+        self._settling = dict.fromkeys(everything, stamp + _SETTLE)
+
+    def _leave_hold(self, indices: Iterable[int]) -> None:
+        for i in indices:
+            self._settling.pop(i, None)
+            self._holding.discard(i)
+        self._contact.forget(indices)
+        self._set_efforts()
+
+    def _jog(self, command: Command) -> None:
+        wanted = {self.hand.actuator_index(name): v for name, v in command.values.items()}
+        targets = {i: value for i, value in wanted.items() if self.active[i]}
+        running = self.running is not None
+        self._executor.end(command.stamp, self._measured, preempted=True)
+        self._leave_hold(targets)
+        top = float(command.text) if command.text else math.inf
+        velocity = {i: min(top, self.hand.actuators[i].velocity) for i in targets}
+        for i, limit in velocity.items():
+            self.max_velocity[i] = limit
+        others = set(range(self._profile.size)) - set(targets) if running else ()
+        self._profile.go(targets, brake=others, velocity=velocity)
+
+    def _set_active(self, command: Command) -> None:
+        for name, value in command.values.items():
+            i = self.hand.actuator_index(name)
+            if value and not self.active[i]:
+                self._seeding.add(i)
+            self.active[i] = bool(value)
+            self._leave_hold((i,))
+
+    def _fail(self, indices: list[int], stamp: float, reason: str) -> None:
+        plan = self.running
+        if plan is None or not plan.involved.intersection(indices):
+            return
+        self._executor.end(stamp, self._measured, aborted=True, reason=reason)
+        self._hold(stamp)
+
+    # --- a tick ------------------------------------------------------------------------------
+
+    def step(self, stamp: float, measured: Measured) -> None:
+        """Do one tick: look at the state, move the reference on by one period.
+
+        Args:
+            stamp: When the tick was due [s].
+            measured: What was measured; a position must be finite once it has been.
+        """
+        self._measured = measured
+        self._seed(measured)
+        limiter = self._limiter
+        if stamp >= self._thermal_due:
+            self._watch_temperature(stamp, measured)
+        self._executor.step(stamp, measured, limiter.position, self.reference_effort)
+        self._ease_off(stamp, measured)
+        if self._settling:
+            self._settle(stamp, measured)
+        self._profile.advance()
+        if limiter.apply(self._profile.position):
+            self._tell_limited(stamp)
+
+    def _seed(self, measured: Measured) -> None:
+        """Stand where the hand is, wherever nobody may move it or it has just been allowed."""
+        start: dict[int, float] = {}
+        for i, active in enumerate(self.active):
+            position = measured.position[i]
+            if active and i not in self._seeding:
+                continue
+            if math.isfinite(position) and (active or position != self._limiter.position[i]):
+                start[i] = position
+                self._seeding.discard(i)
+        if start:
+            self._profile.seed(start)
+            for i, position in start.items():
+                self._limiter.seed(i, position)
+
+    def _settle(self, stamp: float, measured: Measured) -> None:
+        profile = self._profile
+        for i, due in list(self._settling.items()):
+            if profile.velocity[i] != 0.0:
+                self._settling[i] = stamp + _SETTLE
+            elif stamp >= due:
+                del self._settling[i]
+                position = measured.position[i]
+                if abs(position - profile.position[i]) > _OFF:
+                    profile.go({i: position})
+
+    def _ease_off(self, stamp: float, measured: Measured) -> None:
+        """Reduce the effort of blocked actuators after a time; tell when a grasp is lost."""
+        grasp = self.settings.grasp
+        for i in self._contact.blocked_longer_than(grasp.holding_after, stamp):
+            if i in self._holding:
+                continue
+            self._holding.add(i)
+            if not (self._accepts[i] and math.isfinite(self._effort_limit(i))):
+                here = measured.position[i]
+                push = self._profile.target[i] - here
+                self._profile.go({i: here + grasp.holding_effort * push})
+            self._set_efforts()
+        limits, position = self.reference_effort, self._limiter.position
+        for i in self._contact.lost(stamp, measured, position, limits):
+            actuator = self.hand.actuators[i]
+            who = ", ".join(actuator.fingers) or actuator.name
+            text = f"{who} lost what it held (actuator {actuator.name})"
+            self.outbox.items.append(Event("grasp_lost", who, text, stamp, "warning"))
+
+    def _effort_limit(self, i: int) -> float:
+        return self._goal_effort.get(i, self.hand.actuators[i].effort)
+
+    def _set_efforts(self) -> None:
+        grasp = self.settings.grasp
+        for i, actuator in enumerate(self.hand.actuators):
+            limit = self._effort_limit(i)
+            if i in self._holding:
+                limit = min(limit, grasp.holding_effort * actuator.effort)
+            self.reference_effort[i] = limit * self._thermal.factor[i]
+
+    def _watch_temperature(self, stamp: float, measured: Measured) -> None:
+        self._thermal_due = stamp + _THERMAL_EVERY
+        derating = any(factor != 1.0 for factor in self._thermal.factor)
+        for change in self._thermal.step(stamp, measured.temperature):
+            name = self.hand.actuators[change.index].name
+            self.outbox.items.append(change.event(name, stamp))
+            if change.level is Level.RELEASE:
+                self.outbox.release.add(change.index)
+        if derating or any(factor != 1.0 for factor in self._thermal.factor):
+            self._set_efforts()
+
+    def _tell_limited(self, stamp: float) -> None:
+        if stamp - self._told_limited < 1.0:
+            return
+        self._told_limited = stamp
+        names = ", ".join(
+            a.name
+            for a, limited in zip(self.hand.actuators, self._limiter.limited, strict=True)
+            if limited
+        )
+        text = f"the reference of {names} was limited"
+        self.outbox.items.append(Event("limited", names, text, stamp, "warning"))

@@ -1,0 +1,308 @@
+"""Execute one goal after the other: time and state in, set-points, feedback and results out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+from rtee.hand.model import Hand
+from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.plan import Leg, Plan
+from rtee.loop.profiles import Profile
+from rtee.loop.settings import LoopSettings
+from rtee.types import Feedback, JointKind, Result
+
+_RANGE_SHARE = 0.05
+"""A prismatic actuator is never within the tolerance if it is off by more than this of its range:
+0.01 is a small angle, but a fifth of the way of many a gripper's jaw in metres."""
+
+_REST_IN = 0.05
+"""A goal is reached when the reference would not leave the tolerance within this time [s]."""
+
+
+class Phase(Enum):
+    """Where in a leg the executor is."""
+
+    BEFORE = "before"
+    MOVING = "moving"
+    AFTER = "after"
+
+
+@dataclass(slots=True)
+class _Run:
+    plan: Plan
+    started: float
+    leg: int = 0
+    phase: Phase = Phase.BEFORE
+    until: float = 0.0
+    first_error: tuple[float, float] = (math.nan, math.nan)
+    progress: list[float] = field(default_factory=list)
+    reached: list[bool] = field(default_factory=list)
+    stalled: list[bool] = field(default_factory=list)
+    shares: dict[int, float] = field(default_factory=dict)
+    length: float = 0.0
+    told: float = -math.inf
+
+    @property
+    def present(self) -> Leg:
+        return self.plan.legs[self.leg]
+
+
+class Executor:
+    """Runs at most one goal; a new one replaces it from the present reference.
+
+    Args:
+        hand: The hand.
+        settings: The loop's settings.
+        profile: Moves the reference.
+        contact: Watches the actuators that move.
+        on_feedback: Called with feedback.
+        on_result: Called with the result of every goal, exactly once.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        settings: LoopSettings,
+        profile: Profile,
+        contact: ContactWatch,
+        on_feedback: Callable[[Feedback], None],
+        on_result: Callable[[Result], None],
+    ) -> None:
+        self._hand = hand
+        self._settings = settings
+        self._profile = profile
+        self._contact = contact
+        self._on_feedback = on_feedback
+        self._on_result = on_result
+        self._run: _Run | None = None
+        self._prismatic = tuple(a.kind is JointKind.PRISMATIC for a in hand.actuators)
+
+    @property
+    def running(self) -> Plan | None:
+        """The plan under way."""
+        return None if self._run is None else self._run.plan
+
+    def start(self, plan: Plan, stamp: float, measured: Measured) -> None:
+        """Begin a plan; the running one ends as pre-empted.
+
+        Actuators that the new one doesn't involve stop where they are.
+
+        Args:
+            plan: The plan.
+            stamp: Now [s].
+            measured: What was measured last.
+        """
+        self.end(stamp, measured, preempted=True)
+        legs = len(plan.legs)
+        self._run = run = _Run(plan, stamp)
+        run.progress, run.reached, run.stalled = [0.0] * legs, [False] * legs, [False] * legs
+        self._contact.forget(plan.involved)
+        self._profile.go({}, brake=self._moving(except_for=()))
+        self._wait(run, stamp)
+        self._proceed(run, stamp, measured)
+
+    def step(
+        self,
+        stamp: float,
+        measured: Measured,
+        reference: Sequence[float],
+        limits: Sequence[float],
+    ) -> None:
+        """Look at the state; go on to the next leg or end the goal where it is time.
+
+        Args:
+            stamp: Now [s].
+            measured: What was measured.
+            reference: Positions sent last [rad | m].
+            limits: Effort limits sent last [N·m | N].
+        """
+        run = self._run
+        if run is None:
+            return
+        if run.phase is Phase.MOVING:
+            self._contact.update(stamp, measured, reference, limits, run.present.targets)
+            self._judge(run, stamp, measured)
+        self._proceed(run, stamp, measured)
+        if self._run is not run:
+            return
+        if stamp - run.started >= run.plan.timeout:
+            self._profile.go({}, brake=self._moving(except_for=()))
+            self.end(stamp, measured, timed_out=True)
+        elif stamp - run.told >= 1.0 / self._settings.feedback_rate:
+            self._tell(run, stamp)
+
+    def end(
+        self,
+        stamp: float,
+        measured: Measured,
+        *,
+        preempted: bool = False,
+        cancelled: bool = False,
+        timed_out: bool = False,
+        aborted: bool = False,
+        reason: str = "",
+    ) -> None:
+        """End the running goal, if any, with its result."""
+        run = self._run
+        if run is None:
+            return
+        self._run = None
+        self._tell(run, stamp)
+        targets = run.present.targets
+        fingers = self._contact.fingers
+        plan = run.plan
+        self._on_result(
+            Result(
+                goal_id=plan.goal.goal_id,
+                action=plan.action,
+                reached=all(run.reached),
+                stalled=any(run.stalled),
+                grasped=any(self._contact.grasping(i) for i in plan.involved),
+                grasped_fingers=fingers,
+                preempted=preempted,
+                cancelled=cancelled,
+                timed_out=timed_out,
+                aborted=aborted,
+                reason=reason,
+                error=max(self._norms(targets, measured.position)),
+                duration=stamp - run.started,
+                position=dict(
+                    zip(self._hand.actuator_names, map(float, measured.position), strict=True)
+                ),
+            )
+        )
+
+    def _wait(self, run: _Run, stamp: float) -> None:
+        run.phase = Phase.BEFORE
+        run.until = stamp + run.present.before
+
+    def _proceed(self, run: _Run, stamp: float, measured: Measured) -> None:
+        """Leave the phases whose time has come; a leg without margins starts at once."""
+        while True:
+            if run.phase is Phase.BEFORE and stamp >= run.until:
+                self._set_out(run, stamp, measured)
+                return
+            if run.phase is Phase.AFTER and stamp >= run.until:
+                if run.leg + 1 == len(run.plan.legs):
+                    self.end(stamp, measured)
+                    return
+                run.leg += 1
+                self._wait(run, stamp)
+                self._tell(run, stamp)
+                continue
+            return
+
+    def _set_out(self, run: _Run, stamp: float, measured: Measured) -> None:
+        run.phase = Phase.MOVING
+        leg, goal = run.present, run.plan.goal
+        top = {i: goal.speed * actuator.velocity for i, actuator in enumerate(self._hand.actuators)}
+        self._profile.go(leg.targets, brake=self._moving(except_for=leg.targets), velocity=top)
+        run.length = self._length_tolerance(leg.targets, goal.tolerance)
+        run.shares = self._shares(run)
+        self._contact.begin(leg.targets, run.shares, stamp)
+        run.first_error = self._norms(leg.targets, measured.position)
+        self._tell(run, stamp)
+
+    def _moving(self, except_for: Collection[int]) -> list[int]:
+        profile = self._profile
+        return [
+            i
+            for i in range(profile.size)
+            if i not in except_for
+            and (profile.velocity[i] != 0.0 or profile.position[i] != profile.target[i])
+        ]
+
+    def _judge(self, run: _Run, stamp: float, measured: Measured) -> None:
+        error = self._norms(run.present.targets, measured.position)
+        run.progress[run.leg] = max(run.progress[run.leg], self._progress(run, error))
+        if self._within(run, error) and self._settled(run):
+            run.reached[run.leg] = True
+            run.progress[run.leg] = 1.0
+        elif not self._over(run, measured):
+            return
+        else:
+            run.stalled[run.leg] = True
+        run.phase = Phase.AFTER
+        run.until = stamp + run.present.after
+
+    def _progress(self, run: _Run, error: tuple[float, float]) -> float:
+        left = 0.0
+        tolerance = run.plan.goal.tolerance
+        for now, first in zip(error, run.first_error, strict=True):
+            if first > tolerance:
+                left = max(left, now / first)
+        done = 1.0 - left
+        return min(1.0, max(0.0, done)) if done == done else 0.0
+
+    def _norms(
+        self, targets: Mapping[int, float], position: Sequence[float]
+    ) -> tuple[float, float]:
+        """Return the norm of the error of revolute [rad] and of prismatic actuators [m]."""
+        angle = length = 0.0
+        for i, target in targets.items():
+            error = target - position[i]
+            if self._prismatic[i]:
+                length += error * error
+            else:
+                angle += error * error
+        return math.sqrt(angle), math.sqrt(length)
+
+    def _length_tolerance(self, targets: Iterable[int], tolerance: float) -> float:
+        spans = [
+            self._hand.actuators[i].upper - self._hand.actuators[i].lower
+            for i in targets
+            if self._prismatic[i]
+        ]
+        return min(tolerance, _RANGE_SHARE * min(spans)) if spans else tolerance
+
+    def _within(self, run: _Run, error: tuple[float, float]) -> bool:
+        return error[0] <= run.plan.goal.tolerance and error[1] <= run.length
+
+    def _settled(self, run: _Run) -> bool:
+        """Return whether the reference has come to the targets and isn't just passing them."""
+        profile, targets = self._profile, run.present.targets
+        if not profile.moving:
+            return True
+        if not self._within(run, self._norms(targets, profile.position)):
+            return False
+        ways = {i: profile.velocity[i] * _REST_IN for i in targets}
+        return self._within(run, self._norms(ways, [0.0] * profile.size))
+
+    def _shares(self, run: _Run) -> dict[int, float]:
+        """Return each actuator's tolerance: if all are within theirs, so is the norm."""
+        targets, tolerance = run.present.targets, run.plan.goal.tolerance
+        lengths = sum(self._prismatic[i] for i in targets)
+        angles = len(targets) - lengths
+        return {
+            i: run.length / math.sqrt(lengths)
+            if self._prismatic[i]
+            else tolerance / math.sqrt(angles)
+            for i in targets
+        }
+
+    def _over(self, run: _Run, measured: Measured) -> bool:
+        """Return whether every actuator has either arrived or is blocked."""
+        blocked = False
+        for i, target in run.present.targets.items():
+            if self._contact.blocked(i):
+                blocked = True
+            elif not abs(target - measured.position[i]) <= run.shares[i]:
+                return False
+        return blocked
+
+    def _tell(self, run: _Run, stamp: float) -> None:
+        run.told = stamp
+        plan = run.plan
+        inner = {leg.name: run.progress[k] for k, leg in enumerate(plan.legs)} if plan.timed else {}
+        self._on_feedback(
+            Feedback(
+                goal_id=plan.goal.goal_id,
+                progress=sum(run.progress) / len(run.progress),
+                inner=run.present.name,
+                inner_progress=inner,
+                stamp=stamp,
+            )
+        )

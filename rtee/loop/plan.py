@@ -1,0 +1,177 @@
+"""From a goal to what is to be done: the legs of the way, checked before anything moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rtee.actions.types import Action, Generic, Posture, Primitive, Timed
+from rtee.errors import GoalRejected, UnknownAction, suggestion
+from rtee.hand.model import Hand
+from rtee.types import Goal, Stage
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+    from rtee.loop.settings import LoopSettings
+
+OPEN = "open"
+"""The action that every hand has: to the rest posture, unless its library defines another one."""
+
+PRE_GRASP_GAP = 0.05
+"""The pre-grasp of a pinch is this much intensity before the first contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One way to a set of set-points.
+
+    Attributes:
+        name: Alias of the inner action of a timed one, else empty.
+        targets: Position by actuator index [rad | m], inside the limits.
+        before: Time to wait before [s].
+        after: Time to wait after it is completed [s].
+    """
+
+    name: str
+    targets: Mapping[int, float]
+    before: float = 0.0
+    after: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A goal that was checked and can be executed.
+
+    Attributes:
+        goal: The goal.
+        action: Name of the action, as the library writes it.
+        legs: What to do, one after the other.
+        involved: Indices of the actuators that move.
+        effort: Effort limits of the goal by actuator index [N·m | N].
+        timeout: Longest time [s].
+        timed: Whether the legs are inner actions.
+    """
+
+    goal: Goal
+    action: str
+    legs: tuple[Leg, ...]
+    involved: frozenset[int]
+    effort: Mapping[int, float]
+    timeout: float
+    timed: bool = False
+
+
+def make_plan(
+    goal: Goal,
+    hand: Hand,
+    library: ActionLibrary,
+    settings: LoopSettings,
+    *,
+    effort_accepted: Collection[int] | None = None,
+) -> Plan:
+    """Check a goal and make the plan for it.
+
+    Args:
+        goal: The goal.
+        hand: The hand.
+        library: Its actions.
+        settings: Timeouts.
+        effort_accepted: Indices of actuators whose device takes effort limits; ``None``: all.
+
+    Raises:
+        GoalRejected: if a value of the goal cannot be used.
+        UnknownAction: if there is no such action.
+        ActionError: if the action doesn't exist with these elements.
+    """
+    _check_numbers(goal)
+    effort = _effort(goal, hand, effort_accepted)
+    action = _find(goal, hand, library)
+    if isinstance(action, Timed):
+        legs = _timed_legs(goal, action, hand)
+        timed = True
+    else:
+        intensity = _intensity(goal, action)
+        legs = (Leg("", _targets(action.posture, hand, intensity)),)
+        timed = False
+    involved = frozenset(index for leg in legs for index in leg.targets)
+    margins = sum(leg.before + leg.after for leg in legs)
+    timeout = settings.goal_timeout * len(legs) + margins if goal.timeout is None else goal.timeout
+    return Plan(goal, action.name, legs, involved, effort, timeout, timed)
+
+
+def _check_numbers(goal: Goal) -> None:
+    if not 0.0 <= goal.intensity <= 1.0:
+        raise GoalRejected(f"the intensity must be 0 to 1, not {goal.intensity:g}")
+    if not 0.0 < goal.speed <= 1.0:
+        raise GoalRejected(f"the speed must be above 0 and at most 1, not {goal.speed:g}")
+    if not (goal.tolerance > 0.0 and math.isfinite(goal.tolerance)):
+        raise GoalRejected(f"the tolerance must be above 0, not {goal.tolerance:g}")
+    if goal.timeout is not None and not (goal.timeout > 0.0 and math.isfinite(goal.timeout)):
+        raise GoalRejected(f"the timeout must be above 0 s, not {goal.timeout:g}")
+
+
+def _effort(goal: Goal, hand: Hand, accepted: Collection[int] | None) -> dict[int, float]:
+    limits: dict[int, float] = {}
+    for name, value in goal.effort.items():
+        if name not in hand.actuator_names:
+            raise GoalRejected(
+                f"effort for an unknown actuator '{name}'; {suggestion(name, hand.actuator_names)}"
+            )
+        index = hand.actuator_index(name)
+        most = hand.actuators[index].effort
+        if not 0.0 < value <= most:
+            raise GoalRejected(
+                f"the effort limit of '{name}' must be above 0 and at most {most:g}, not {value:g}"
+            )
+        if accepted is not None and index not in accepted:
+            raise GoalRejected(f"the device of '{name}' takes no effort limit")
+        limits[index] = float(value)
+    return limits
+
+
+def _find(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
+    try:
+        return library.find(goal.action, goal.elements, goal.kind)
+    except UnknownAction:
+        if goal.action.lower() != OPEN or goal.elements or goal.kind:
+            raise
+    rest = dict(zip(hand.actuator_names, hand.rest.tolist(), strict=True))
+    return Generic(OPEN, Posture(rest, hand.actuator_names), "The rest posture.")
+
+
+def _intensity(goal: Goal, action: Action) -> float:
+    if goal.stage is not Stage.PRE_GRASP:
+        return goal.intensity
+    evidence = action.evidence if isinstance(action, Primitive) else ()
+    contact = evidence[0].contact_at if evidence else None
+    if contact is None:
+        raise GoalRejected(
+            f"'{action.name}' has no pre-grasp: only pinches whose first contact is known have one"
+        )
+    return min(goal.intensity, max(0.0, contact - PRE_GRASP_GAP))
+
+
+def _timed_legs(goal: Goal, action: Timed, hand: Hand) -> tuple[Leg, ...]:
+    if goal.intensity != 1.0:
+        raise GoalRejected(
+            f"'{action.name}' is a timed action, which always runs at intensity 1,"
+            f" not {goal.intensity:g}"
+        )
+    if goal.stage is Stage.PRE_GRASP:
+        raise GoalRejected(f"'{action.name}' is a timed action and has no pre-grasp")
+    return tuple(
+        Leg(step.alias, _targets(step.posture, hand, 1.0), step.before, step.after)
+        for step in action.steps
+    )
+
+
+def _targets(posture: Posture, hand: Hand, intensity: float) -> dict[int, float]:
+    targets: dict[int, float] = {}
+    for name in posture.involved:
+        index = hand.actuator_index(name)
+        spec = hand.actuators[index]
+        wanted = spec.rest + intensity * (posture.position[name] - spec.rest)
+        targets[index] = min(max(wanted, spec.lower), spec.upper)
+    return targets

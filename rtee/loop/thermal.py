@@ -1,0 +1,133 @@
+"""Watch temperatures: warn, give less effort, let go; and tell a broken sensor from a hot motor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from rtee.loop.settings import ThermalSettings
+from rtee.types import Event
+
+PLAUSIBLE = (-40.0, 150.0)
+"""A temperature outside of this is no temperature [°C]."""
+
+_CONFIRM = 0.5
+"""A level must last this long before it counts [s]."""
+
+_HYSTERESIS = 2.0
+"""A level is left this far below its threshold [°C]."""
+
+_LEAST = 0.1
+"""Derating leaves this fraction of the effort limit until release."""
+
+
+class Level(IntEnum):
+    """How hot an actuator is."""
+
+    OK = 0
+    WARN = 1
+    DERATE = 2
+    RELEASE = 3
+    INVALID = 4
+
+
+_SAYING = {
+    Level.OK: ("is cool again:", "info"),
+    Level.WARN: ("is warm:", "warning"),
+    Level.DERATE: ("is hot and gets less effort:", "warning"),
+    Level.RELEASE: ("is too hot, its device is released:", "error"),
+    Level.INVALID: ("has an invalid temperature sensor:", "warning"),
+}
+_RISING = (Level.WARN, Level.DERATE, Level.RELEASE)
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalChange:
+    """An actuator came to another level.
+
+    Attributes:
+        index: The actuator.
+        level: Its new level.
+        temperature: What was measured [°C].
+    """
+
+    index: int
+    level: Level
+    temperature: float
+
+    def event(self, name: str, stamp: float) -> Event:
+        """Return the event that tells of it.
+
+        Args:
+            name: The actuator's name.
+            stamp: Now [s].
+        """
+        text, severity = _SAYING[self.level]
+        return Event("thermal", name, f"{name} {text} {self.temperature:.0f} °C", stamp, severity)
+
+
+class Thermal:
+    """Follows the temperature of every actuator that has one; pure.
+
+    Args:
+        settings: The thresholds.
+        size: Number of actuators.
+
+    Attributes:
+        level: Level of each actuator.
+        factor: What is left of its effort limit, 0.1 to 1.
+    """
+
+    def __init__(self, settings: ThermalSettings, size: int) -> None:
+        self._settings = settings
+        self.level = [Level.OK] * size
+        self.factor = [1.0] * size
+        self._pending = [Level.OK] * size
+        self._since = [math.nan] * size
+
+    def step(self, stamp: float, temperature: Sequence[float]) -> list[ThermalChange]:
+        """Take what was measured; return the actuators whose level changed.
+
+        Args:
+            stamp: Now [s].
+            temperature: Temperatures [°C]; ``NaN``: not measured.
+        """
+        changes: list[ThermalChange] = []
+        for i, celsius in enumerate(temperature):
+            if math.isnan(celsius):
+                continue
+            level = self._judge(self.level[i], celsius)
+            if level == self.level[i]:
+                self._since[i] = math.nan
+            elif level != self._pending[i] or math.isnan(self._since[i]):
+                self._pending[i] = level
+                self._since[i] = stamp
+            elif stamp - self._since[i] >= _CONFIRM:
+                self.level[i] = level
+                self._since[i] = math.nan
+                changes.append(ThermalChange(i, level, celsius))
+            self.factor[i] = self._factor(self.level[i], celsius, self.factor[i])
+        return changes
+
+    def _judge(self, present: Level, celsius: float) -> Level:
+        low, high = PLAUSIBLE
+        if not low <= celsius <= high:
+            return Level.INVALID
+        found = Level.OK
+        thresholds = (self._settings.warn, self._settings.derate, self._settings.release)
+        for level, threshold in zip(_RISING, thresholds, strict=True):
+            keep = _HYSTERESIS if present is not Level.INVALID and present >= level else 0.0
+            if celsius >= threshold - keep:
+                found = level
+        return found
+
+    def _factor(self, level: Level, celsius: float, before: float) -> float:
+        if level in (Level.OK, Level.WARN):
+            return 1.0
+        if level is Level.INVALID:
+            return before
+        span = self._settings.release - self._settings.derate
+        left = (self._settings.release - celsius) / span if span > 0 else 0.0
+        return min(1.0, max(_LEAST, left))
