@@ -100,6 +100,7 @@ class DeviceSpec:
         deadline: Longest time one exchange may take [s]; ``None`` means its share of ticks.
         emulated: Talk to the device's emulator instead of the address in the options.
         source: ``file:line`` of the configuration, for messages.
+        folder: The hand's folder, for drivers that need its model; empty: look it up by name.
     """
 
     name: str
@@ -112,6 +113,7 @@ class DeviceSpec:
     deadline: float | None = None
     emulated: bool = False
     source: str = ""
+    folder: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ _PRISMATIC = 1000.0
 _TOUCHING = 5e-4
 _INTERPENETRATING = 5e-3
 
-Triangles = Callable[[str], tuple[FloatArray, "np.ndarray[tuple[int, int], np.dtype[np.int32]]"]]
+Triangles = Callable[[str], tuple[FloatArray, "np.ndarray[tuple[int, int], np.dtype[np.int64]]"]]
 """Vertices and faces of a link's collision meshes, in the link's frame."""
 
 
@@ -77,7 +77,7 @@ def _add_shape(
     body: mujoco.MjsBody,
     shape: UrdfGeometry,
     name: str,
-    triangles: Callable[[], tuple[FloatArray, np.ndarray[tuple[int, int], np.dtype[np.int32]]]],
+    triangles: Callable[[], tuple[FloatArray, np.ndarray[tuple[int, int], np.dtype[np.int64]]]],
 ) -> mujoco.MjsGeom:
     geom = body.add_geom(name=name, pos=shape.xyz, quat=quaternion(shape.rpy))
     match shape.kind:
@@ -257,8 +257,8 @@ def _exclude_touching_at_rest(spec: mujoco.MjSpec, hand: Hand) -> list[str]:
         if None not in fingers and fingers[0] != fingers[1] and distance < -_INTERPENETRATING:
             raise ModelError(
                 f"links '{first}' and '{second}' of two fingers are {-distance * 1e3:.1f} mm "
-                "inside each other at rest, so the hand cannot be simulated; mend the collision shapes or "
-                "the rest posture, or disable the pair in the SRDF",
+                "inside each other at rest, so the hand cannot be simulated; mend the collision "
+                "shapes or the rest posture, or disable the pair in the SRDF",
                 path=hand.urdf.path,
             )
         spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)

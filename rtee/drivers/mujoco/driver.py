@@ -1,0 +1,126 @@
+"""The `mujoco` driver: sense and move a simulated hand in lockstep with the loop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar
+
+import anyio
+import anyio.to_thread
+
+from rtee.drivers.base import Driver
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.options import read_options
+from rtee.errors import CommandRejected, ConfigError, NotConnected
+from rtee.hand.load import load_hand
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from rtee.buses.pool import BusPool
+    from rtee.drivers.mujoco.simulation import Simulation
+
+
+class MujocoDriver(Driver):
+    """Plays a hand with dynamics and contact.
+
+    Every exchange advances the simulation by the time between exchanges, so simulated and real
+    time go together when the loop keeps its rate, and two runs of the same goals are equal.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = SimOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self._options = read_options(SimOptions, spec)
+        self._simulation: Simulation | None = None
+        self._thread = anyio.CapacityLimiter(1)
+        names = [actuator.name for actuator in spec.actuators]
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "velocity", "effort", "contact_force"}),
+            accepts=frozenset({"position", "max_effort"}),
+            best_rate=spec.rate,
+            gains=tuple(f"{kind}.{name}" for name in names for kind in ("kp", "kd")),
+            identity={"model": "MuJoCo simulation"},
+        )
+
+    @property
+    def simulation(self) -> Simulation:
+        """The running simulation.
+
+        Raises:
+            NotConnected: before `configure`.
+        """
+        if self._simulation is None:
+            raise NotConnected(self.spec.name, "the simulation has not been started")
+        return self._simulation
+
+    async def configure(self) -> None:
+        """Build the model; takes a moment, so it does not run in the loop's thread."""
+        try:
+            from rtee.drivers.mujoco.scene import make_simulation
+        except ImportError as error:
+            raise ConfigError(
+                f"the mujoco driver needs the extra 'sim' ({error}); install rtee[sim]"
+            ) from error
+        hand = await anyio.to_thread.run_sync(load_hand, self.spec.folder or self.spec.hand)
+        period = (self.spec.every or 1) / self.spec.rate
+        names = [actuator.name for actuator in self.spec.actuators]
+        self._simulation = await anyio.to_thread.run_sync(
+            make_simulation, hand, self._options, names, period
+        )
+
+    async def activate(self) -> None:
+        """Power the actuators where they stand."""
+        self.simulation.hold()
+        self.simulation.power(True)
+
+    async def sense(self) -> ActuatorState:
+        """Advance by one exchange, then measure."""
+        simulation = self.simulation
+        await anyio.to_thread.run_sync(simulation.advance, limiter=self._thread)
+        extras = {"contact_force": simulation.contact_forces}
+        pose = simulation.object_pose
+        if pose is not None:
+            extras["object_pose"] = pose
+        return ActuatorState.measured(
+            simulation.position,
+            time.monotonic(),
+            velocity=simulation.velocity,
+            effort=simulation.effort,
+            extras=extras,
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """Set references and effort limits."""
+        self.simulation.command(reference.position, reference.max_effort, reference.mask)
+
+    async def stop(self) -> None:
+        """Hold the present positions."""
+        if self._simulation is not None:
+            self._simulation.hold()
+
+    async def release(self) -> None:
+        """Make the joints limp."""
+        if self._simulation is not None:
+            self._simulation.power(False)
+
+    async def set_gains(self, gains: Mapping[str, float]) -> None:
+        """Set position (``kp.ACTUATOR``) and damping (``kd.ACTUATOR``) gains."""
+        for name, value in gains.items():
+            try:
+                self.simulation.set_gain(name, value)
+            except (KeyError, ValueError) as error:
+                raise CommandRejected(
+                    self.spec.name, f"cannot set gain '{name}' to {value:g}", hint=str(error)
+                ) from error
+
+    async def deactivate(self) -> None:
+        """Leave the joints limp."""
+        await self.release()
+
+    async def close(self) -> None:
+        """Forget the simulation."""
+        self._simulation = None
