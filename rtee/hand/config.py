@@ -284,7 +284,9 @@ def read_document(path: Path | str) -> tuple[HandConfig, YamlDocument]:
 def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError:
     """Return the error that stands first in the file."""
     found = [(_in_document(e["loc"], e["type"], document), e) for e in errors.errors()]
-    location, error = min(found, key=lambda item: document.line(item[0]) or 0)
+    location, error = min(
+        found, key=lambda item: (document.line(item[0]) or 0, item[1]["type"] == "missing")
+    )
     reasons = [e["msg"] for place, e in found if place == location]  # several for a union
     message = " or ".join(
         reason.removeprefix("Value error, ").removeprefix("Input ") for reason in reasons

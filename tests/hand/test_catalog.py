@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rtee.errors import ConfigError
+from rtee.hand.catalog import config_dirs, find_hand, hand_names
+
+
+def test_folders_in_order(
+    configured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder in (first, second):
+        (folder / "gripper").mkdir(parents=True)
+        (folder / "gripper" / "hand.yaml").touch()
+    (second / "claw").mkdir()
+    (second / "claw" / "hand.yaml").touch()
+    monkeypatch.setenv("RTEE_CONFIG_PATH", f"{first}:{second}")
+    monkeypatch.chdir(tmp_path)
+    assert config_dirs()[:3] == [first, second, Path("config")]
+    assert find_hand("gripper") == first / "gripper"
+    assert find_hand("gripper", [second]) == second / "gripper"
+    assert find_hand("claw") == second / "claw"
+    assert {"claw", "gripper"} <= set(hand_names())
+
+
+def test_unknown_hand(configured: Path) -> None:
+    with pytest.raises(ConfigError, match=r"unknown hand 'griper'; did you mean 'gripper'\?"):
+        find_hand("griper", [configured])
+    with pytest.raises(ConfigError, match=r"hand name '\.\./gripper'"):
+        find_hand("../gripper", [configured])
+
+
+def rtee(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from rtee.cli import main; main()", *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment, "COLUMNS": "200"},
+    )
+
+
+def test_command_hands(configured: Path) -> None:
+    (configured / "broken").mkdir()
+    (configured / "broken" / "hand.yaml").write_text("name: broken\nurdf: none.urdf\n")
+    done = rtee("hands", "--json", RTEE_CONFIG_PATH=str(configured))
+    assert done.returncode == 0, done.stderr
+    found = {row["name"]: row for row in json.loads(done.stdout)["hands"]}
+    assert found["gripper"]["fingers"] == ["left_finger", "right_finger"]
+    assert found["gripper"]["devices"] == {"both": "kinematic"}
+    assert "hand.yaml:2: urdf: the file 'none.urdf' does not exist" in found["broken"]["error"]
+    done = rtee("hands", RTEE_CONFIG_PATH=str(configured))
+    assert done.returncode == 0, done.stderr
+    assert "A gripper" in done.stdout

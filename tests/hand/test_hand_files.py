@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtee.errors import ConfigError
+from rtee.hand.files import make_folder, read_bytes, write_atomically
+from rtee.hand.names import check_name, safe_name
+
+
+@pytest.mark.parametrize("name", ["schunk_svh", "2F-85", "a", "v1.2", "x" * 100])
+def test_good_names(name: str) -> None:
+    assert check_name(name, "hand") == name
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("", "is empty"),
+        (".", "starts with a dot"),
+        ("..", "starts with a dot"),
+        (".hidden", "starts with a dot"),
+        ("a..b", "holds '..'"),
+        ("a/b", "not allowed"),
+        ("a\\b", "not allowed"),
+        ("a b", "not allowed"),
+        ("a\n", "not allowed"),
+        ("Hände", "not allowed"),
+        ("x" * 101, "longer than 100"),
+    ],
+)
+def test_bad_names(name: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why) as caught:
+        check_name(name, "action", "hand.yaml", 7)
+    assert str(caught.value).startswith("hand.yaml:7: action name ")
+
+
+@given(st.text(max_size=200))
+def test_any_text_becomes_a_good_name(text: str) -> None:
+    name = safe_name(text)
+    assert check_name(name, "hand") == name
+
+
+def test_written_whole_and_replaced(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    write_atomically(file, "first")
+    os.chmod(file, 0o640)
+    write_atomically(file, b"second")
+    assert file.read_bytes() == b"second"
+    assert stat.S_IMODE(file.stat().st_mode) == 0o640
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_nothing_is_left_when_the_disk_is_full(tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    import resource
+    import signal
+
+    file = tmp_path / "file"
+    write_atomically(file, "old")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(ConfigError, match="cannot be written: file too large") as caught:
+            write_atomically(file, "x" * 5000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+    assert caught.value.path == file
+    assert file.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_folders_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="folder cannot be made: file exists"):
+        make_folder(tmp_path / "file")
+    with pytest.raises(ConfigError, match="folder cannot be made: not a directory"):
+        make_folder(tmp_path / "file" / "sub")
+    with pytest.raises(ConfigError, match="cannot be written: no such file or directory"):
+        write_atomically(tmp_path / "none" / "file", "")
+    assert make_folder(tmp_path / "a" / "b").is_dir()
+
+
+def test_reading_what_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="calibration does not exist"):
+        read_bytes(tmp_path / "none", "calibration")

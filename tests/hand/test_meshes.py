@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hand.models import GRIPPER, line_of
+from rtee.errors import ModelError
+from rtee.hand.meshes import check_meshes, resolve_mesh
+from rtee.hand.model import Hand
+
+STL = b"\0" * 80 + struct.pack("<I", 1) + struct.pack("<12fH", *[0.0] * 12, 0)
+
+
+@pytest.fixture
+def urdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    folder = tmp_path / "hand_description" / "urdf"
+    folder.mkdir(parents=True)
+    return folder / "hand.urdf"
+
+
+def put(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(STL)
+    return path
+
+
+def test_relative_to_the_file(urdf: Path) -> None:
+    mesh = put(urdf.parent / "meshes" / "a.stl")
+    assert resolve_mesh("meshes/a.stl", urdf).samefile(mesh)
+    assert resolve_mesh("../urdf/meshes/a.stl", urdf).samefile(mesh)
+
+
+def test_file_address(urdf: Path, tmp_path: Path) -> None:
+    mesh = put(tmp_path / "some where" / "a.stl")
+    assert resolve_mesh(f"file://{mesh}", urdf).samefile(mesh)
+    assert resolve_mesh(f"file://{mesh}".replace(" ", "%20"), urdf).samefile(mesh)
+
+
+@pytest.mark.parametrize("place", ["hand_description", "urdf/hand_description", "urdf"])
+def test_package_beside_or_above_the_file(urdf: Path, tmp_path: Path, place: str) -> None:
+    base = tmp_path if place == "hand_description" else tmp_path / "hand_description"
+    mesh = put(base / place / "meshes" / "a.stl")
+    assert resolve_mesh("package://hand_description/meshes/a.stl", urdf).samefile(mesh)
+
+
+def test_package_dirs_hold_packages_or_are_one(urdf: Path, tmp_path: Path) -> None:
+    mesh = put(tmp_path / "share" / "other" / "a.stl")
+    for folder in (tmp_path / "share", tmp_path / "share" / "other"):
+        assert resolve_mesh("package://other/a.stl", urdf, [folder]).samefile(mesh)
+    with pytest.raises(ModelError, match=r"does not exist; give its package's folder by --package"):
+        resolve_mesh("package://other/a.stl", urdf, line=3)
+
+
+@pytest.mark.parametrize(
+    ("variable", "inside"), [("ROS_PACKAGE_PATH", "other"), ("AMENT_PREFIX_PATH", "share/other")]
+)
+def test_package_paths_of_the_environment(
+    urdf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str, inside: str
+) -> None:
+    mesh = put(tmp_path / "ws" / inside / "a.stl")
+    monkeypatch.setenv(variable, f"/nowhere:{tmp_path / 'ws'}")
+    assert resolve_mesh("package://other/a.stl", urdf).samefile(mesh)
+
+
+@pytest.mark.parametrize(
+    "address", ["https://example.org/a.stl", "none.stl", "a\0b.stl", "x" * 5000]
+)
+def test_addresses_that_lead_nowhere(urdf: Path, address: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        resolve_mesh(address, urdf, line=12)
+    assert caught.value.line == 12
+    assert caught.value.path == urdf
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("a.stl", b"", "the file is empty"),
+        ("a.stl", STL[:100], "it is truncated: 1 triangles announced, 0 there"),
+        ("a.stl", b"\0" * 84, "it has no triangles"),
+        ("a.stl", b"garbage", "it is no STL file"),
+        ("a.stl", b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
+        ("a.dae", b"<html/>", "it is no COLLADA file"),
+        ("a.dae", b"<!DOCTYPE c [<!ENTITY a 'b'>]><COLLADA/>", "XML entities, which are refused"),
+        ("a.step", b"ISO-10303", "has an unknown format '.step'"),
+    ],
+)
+def test_unreadable_meshes(
+    load: Callable[..., Hand], tmp_path: Path, name: str, content: bytes, why: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    text = GRIPPER.replace('<box size="0.1 0.1 0.02"/>', f'<mesh filename="{name}"/>')
+    urdf = load(text).urdf
+    with pytest.raises(ModelError, match=re.escape(why)) as caught:
+        check_meshes(urdf)
+    assert caught.value.line == line_of(text, "<mesh")
+
+
+def test_text_stl(load: Callable[..., Hand], tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_text("solid a\nfacet normal 0 0 1\n")
+    text = GRIPPER.replace('<box size="0.1 0.1 0.02"/>', '<mesh filename="a.stl"/>')
+    check_meshes(load(text).urdf)
+
+
+def test_meshes_of_the_real_hands(real_hand: Hand) -> None:
+    check_meshes(real_hand.urdf)

@@ -1,0 +1,181 @@
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hand.models import GRIPPER, SRDF, line_of
+from rtee.errors import ExpressionError, ModelError, UnknownJoint, UserError
+from rtee.hand.model import Hand, JointRole
+
+Load = Callable[..., Hand]
+
+
+def with_mimic(mimic: str, joint: str = "right", text: str = GRIPPER) -> str:
+    """Return the gripper with a mimic tag in one of its joints."""
+    return re.sub(rf'(<joint name="{joint}".*?)(\n  </joint>)', rf"\1{mimic}\2", text, flags=re.S)
+
+
+def chain(*joints: str) -> str:
+    """Return a robot that is a chain of revolute joints with the given contents."""
+    links = "".join(f'<link name="l{i}"/>' for i in range(len(joints) + 1))
+    body = "".join(
+        f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/>'
+        f'<limit lower="-1" upper="2" velocity="1" effort="1"/>{content}</joint>\n'
+        for i, content in enumerate(joints)
+    )
+    return f'<robot name="chain">{links}\n{body}</robot>'
+
+
+def test_multiplier_and_offset(load: Load) -> None:
+    hand = load(with_mimic('<mimic joint="left" multiplier="-0.5" offset="0.2"/>'))
+    assert hand.actuator_names == ("left",)
+    assert hand.transmission.linear
+    np.testing.assert_allclose(hand.transmission.joints(np.array([0.4])), [0.4, 0.0])
+    np.testing.assert_allclose(hand.transmission.matrix, [[1.0], [-0.5]])
+    np.testing.assert_allclose(hand.transmission.offset, [0.0, 0.2])
+    assert [joint.role for joint in hand.joints] == [JointRole.ACTUATOR, JointRole.MIMIC]
+
+
+def test_mimic_declared_before_its_master_and_chains_of_mimics(load: Load) -> None:
+    text = chain(
+        '<mimic joint="j1" multiplier="2" offset="1"/>',
+        '<mimic joint="j3" multiplier="3" offset="-0.5"/>',
+        '<mimic joint="j0" multiplier="0.5"/>',
+        "",
+    )
+    hand = load(text, None)
+    assert hand.actuator_names == ("j3",)
+    u = 0.3
+    j1 = 3 * u - 0.5
+    j0 = 2 * j1 + 1
+    np.testing.assert_allclose(hand.transmission.joints(np.array([u])), [j0, j1, 0.5 * j0, u])
+    np.testing.assert_allclose(hand.transmission.jacobian(np.array([u])).ravel(), [6, 3, 3, 1])
+
+
+def test_chain_of_non_linear_mimics(load: Load) -> None:
+    text = chain(
+        "",
+        '<mimic joint="j0" nlFunPos="x^2"/>',
+        '<mimic joint="j1" multiplier="2" offset="1"/>',
+        '<mimic joint="j2" nlFunPos="sin(x)"/>',
+    )
+    transmission = load(text, None).transmission
+    assert not transmission.linear
+    u = np.array([0.7])
+    expected = [0.7, 0.49, 1.98, np.sin(1.98)]
+    slopes = [1, 1.4, 2.8, np.cos(1.98) * 2.8]
+    np.testing.assert_allclose(transmission.joints(u), expected)
+    np.testing.assert_allclose(transmission.jacobian(u).ravel(), slopes)
+
+
+def test_passive_joints_stand_and_their_mimics_with_them(load: Load) -> None:
+    text = chain("", "", '<mimic joint="j1" multiplier="3" offset="0.25"/>').replace(
+        'name="j1" type="revolute"><parent link="l1"/><child link="l2"/><limit lower="-1"',
+        'name="j1" type="revolute"><parent link="l1"/><child link="l2"/><limit lower="0.5"',
+    )
+    hand = load(text, '<robot name="chain"><passive_joint name="j1"/></robot>')
+    assert [joint.role for joint in hand.joints] == ["actuator", "passive", "mimic"]
+    for u in (0.0, 1.0):
+        np.testing.assert_allclose(hand.transmission.joints(np.array([u])), [u, 0.5, 1.75])
+    assert hand.transmission.moves(1) is None
+    assert hand.transmission.moves(2) is None
+
+
+def test_a_joint_both_mimic_and_passive_is_a_mimic(load: Load) -> None:
+    srdf = SRDF.replace("</robot>", '<passive_joint name="right"/></robot>')
+    hand = load(with_mimic('<mimic joint="left"/>'), srdf)
+    assert hand.joints[1].role is JointRole.MIMIC
+    assert "joint 'right' is both mimic and passive; it is taken as a mimic" in hand.notes
+
+
+def test_a_joint_coupled_with_zero_is_moved_by_nothing(load: Load) -> None:
+    hand = load(with_mimic('<mimic joint="left" multiplier="0"/>'))
+    assert hand.finger("right_finger").actuators == ()
+    assert hand.actuators[0].fingers == ("left_finger",)
+
+
+@pytest.mark.parametrize(
+    ("mimic", "error", "message"),
+    [
+        ('<mimic joint="lefd"/>', UnknownJoint, "unknown joint 'lefd'; did you mean 'left'?"),
+        ('<mimic joint="right"/>', ModelError, "mimic loop: 'right' -> 'right'"),
+        ('<mimic joint=""/>', ModelError, "<mimic> needs the attribute 'joint'"),
+        ('<mimic joint="left" multiplier="nan"/>', ModelError, "is not a finite number"),
+        (
+            '<mimic joint="left" nlFunPos="x +"/>',
+            ExpressionError,
+            "nlFunPos of joint 'right': 'x +' ends where",
+        ),
+        (
+            '<mimic joint="left" nlFunPos="1/(x-0.4)"/>',
+            ExpressionError,
+            "nlFunPos of joint 'right' has no finite value and slope at left = 0.4",
+        ),
+    ],
+)
+def test_bad_mimic(load: Load, mimic: str, error: type[UserError], message: str) -> None:
+    text = with_mimic(f"\n    {mimic}")
+    with pytest.raises(error, match=re.escape(message)) as caught:
+        load(text)
+    assert caught.value.line == line_of(text, "<mimic")
+    assert caught.value.path is not None
+    assert caught.value.path.name == "gripper.urdf"
+
+
+def test_mimic_of_a_fixed_joint(load: Load) -> None:
+    fixed = GRIPPER.replace('name="left" type="revolute"', 'name="left" type="fixed"')
+    text = fixed.replace(
+        "</robot>",
+        '<link name="x"/><joint name="j" type="continuous"><parent link="palm"/>'
+        '<child link="x"/></joint></robot>',
+    )
+    with pytest.raises(ModelError, match="joint 'right' mimics 'left', which is fixed"):
+        load(with_mimic('<mimic joint="left"/>', text=text))
+
+
+def test_loop_of_mimics_names_the_loop(load: Load) -> None:
+    text = chain("", '<mimic joint="j2"/>', '<mimic joint="j3"/>', '<mimic joint="j1"/>')
+    with pytest.raises(ModelError, match=r"mimic loop: 'j1' -> 'j2' -> 'j3' -> 'j1'"):
+        load(text, None)
+
+
+def test_jacobian_equals_finite_differences(real_hand: Hand) -> None:
+    transmission = real_hand.transmission
+    h = 1e-6
+    generator = np.random.default_rng(0)
+    for _ in range(5):
+        u = generator.uniform(real_hand.lower, real_hand.upper)
+        jacobian = transmission.jacobian(u)
+        assert jacobian.shape == (transmission.n_joints, transmission.n_actuators)
+        for i in range(transmission.n_actuators):
+            step = np.zeros_like(u)
+            step[i] = h
+            difference = transmission.joints(u + step) - transmission.joints(u - step)
+            np.testing.assert_allclose(jacobian[:, i], difference / (2 * h), atol=1e-7)
+
+
+def test_many_postures_at_once_equal_one_by_one(real_hand: Hand) -> None:
+    transmission = real_hand.transmission
+    u = np.random.default_rng(1).uniform(real_hand.lower, real_hand.upper, (7, len(real_hand.rest)))
+    many = transmission.joints(u)
+    assert many.shape == (7, transmission.n_joints)
+    np.testing.assert_allclose(many, [transmission.joints(row) for row in u], atol=1e-12)
+    if transmission.linear:
+        np.testing.assert_allclose(many, u @ transmission.matrix.T + transmission.offset)
+
+
+def test_long_chain_of_mimics(load: Load) -> None:
+    joints = ["", *(f'<mimic joint="j{i}"/>' for i in range(300))]
+    transmission = load(chain(*reversed(_renumbered(joints))), None).transmission
+    assert transmission.n_actuators == 1
+    assert all(len(coupling.stages) == 1 for coupling in transmission.couplings)
+
+
+def _renumbered(joints: list[str]) -> list[str]:
+    """Return a chain of mimics such that each follows the next one when reversed."""
+    last = len(joints) - 1
+    return [joints[0], *(f'<mimic joint="j{last - i}"/>' for i, _ in pairwise(range(last + 1)))]
