@@ -121,7 +121,7 @@ def _add_joint(
             added.range = [actuator.lower, actuator.upper]
     elif role is JointRole.PASSIVE:
         resting = float(hand.transmission.joints(hand.rest)[hand.joint_index(joint.name)])
-        added.stiffness = options.passive_stiffness * unit
+        added.stiffness = [options.passive_stiffness * unit, 0.0, 0.0]
         added.springref = resting
         if math.isfinite(joint.lower) and joint.upper > joint.lower:
             added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
