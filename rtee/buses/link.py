@@ -159,6 +159,8 @@ class _Transport(serial_asyncio.SerialTransport):  # type: ignore[misc]
         self._abort(exc)
 
     def _call_connection_lost(self, exc: Exception | None) -> None:
+        if self._serial is None:  # closed and aborted
+            return
         # Closing drains the port, which may take long on a dead line: throw the output away before.
         with contextlib.suppress(Exception):
             self._serial.reset_output_buffer()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rtee.buses.emulator import CanFrame, Emulator
+from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
 
 
 class Echo(Emulator):
@@ -78,3 +81,26 @@ class CanCounter(Emulator):
 
     def power_cycle(self, now: float) -> None:
         self.heard = 0
+
+
+class Registers(ModbusEmulator):
+    """A hundred registers; number 50 refuses to be written."""
+
+    EXCEPTIONS = True
+
+    def __init__(self, unit: int = 9, framing: Framing = "rtu") -> None:
+        super().__init__(unit, framing)
+        self.values = [0] * 100
+
+    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
+        if address + count > len(self.values):
+            raise Refused(ILLEGAL_ADDRESS)
+        return self.values[address : address + count]
+
+    def write(self, address: int, values: Sequence[int], now: float) -> None:
+        if address <= 50 < address + len(values):
+            raise Refused(ILLEGAL_ADDRESS)
+        self.values[address : address + len(values)] = values
+
+    def power_cycle(self, now: float) -> None:
+        self.values = [0] * 100

@@ -1,0 +1,129 @@
+"""The Modbus side of an emulated device: RTU or TCP, registers, exceptions or silence."""
+
+from __future__ import annotations
+
+import struct
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+from rtee.buses.emulator import Emulator
+from rtee.buses.modbus_frames import (
+    READ_HOLDING,
+    READ_INPUT,
+    READ_WRITE,
+    WRITE_MANY,
+    WRITE_ONE,
+    Request,
+    RtuRequests,
+    TcpRequests,
+)
+from rtee.buses.timing import silence
+
+ILLEGAL_FUNCTION = 1
+ILLEGAL_ADDRESS = 2
+ILLEGAL_VALUE = 3
+
+Framing = Literal["rtu", "tcp"]
+
+
+class Refused(Exception):  # noqa: N818 - a refusal is no error of ours
+    """The device refuses a request; with silence where it has no exceptions.
+
+    Attributes:
+        code: The Modbus exception code.
+    """
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"Modbus exception {code}")
+        self.code = code
+
+
+class ModbusEmulator(Emulator):
+    """A device of 16-bit registers.
+
+    Attributes:
+        FUNCTIONS: Function codes that it knows.
+        EXCEPTIONS: Whether it refuses by an exception; else it stays silent.
+        unit: Its number on the line.
+        any_unit: Whether it answers to any number, as many devices do on TCP.
+        requests: Requests heard, newest last, for tests.
+    """
+
+    FUNCTIONS: ClassVar[frozenset[int]] = frozenset(
+        {READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY, READ_WRITE}
+    )
+    EXCEPTIONS: ClassVar[bool] = False
+
+    def __init__(self, unit: int, framing: Framing = "rtu", *, baudrate: int = 115200) -> None:
+        super().__init__()
+        self.unit = unit
+        self.framing = framing
+        self.any_unit = framing == "tcp"
+        self.turnaround = silence(baudrate) if framing == "rtu" else 0.0
+        self.requests: list[bytes] = []
+        self._parser = RtuRequests(unit) if framing == "rtu" else TcpRequests()
+
+    @abstractmethod
+    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
+        """Return registers; raises `Refused`."""
+
+    @abstractmethod
+    def write(self, address: int, values: Sequence[int], now: float) -> None:
+        """Set registers; raises `Refused`."""
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Take bytes and return the answers."""
+        answers = []
+        for request in self._parser.feed(data):
+            if not (request.unit == self.unit or self.any_unit or request.unit == 0):
+                continue
+            self.requests = [*self.requests[-63:], request.pdu]
+            pdu = self._handle(request, now)
+            if pdu is not None and (request.unit or self.framing == "tcp"):
+                answers.append(request.answer(pdu))
+        return answers
+
+    def line_reset(self) -> None:
+        """Forget the bytes of an incomplete request."""
+        self._parser.reset()
+
+    def _handle(self, request: Request, now: float) -> bytes | None:
+        function = request.pdu[0]
+        try:
+            if function not in self.FUNCTIONS:
+                raise Refused(ILLEGAL_FUNCTION)
+            return bytes([function]) + self._done(function, request.pdu[1:], now)
+        except Refused as refusal:
+            return bytes([function | 0x80, refusal.code]) if self.EXCEPTIONS else None
+
+    def _done(self, function: int, data: bytes, now: float) -> bytes:
+        try:
+            if function in (READ_HOLDING, READ_INPUT):
+                address, count = struct.unpack(">HH", data)
+                return self._read(function, address, count, now)
+            if function == WRITE_ONE:
+                address, value = struct.unpack(">HH", data)
+                self.write(address, (value,), now)
+                return data
+            if function == WRITE_MANY:
+                address, count, size = struct.unpack_from(">HHB", data)
+                self.write(address, _values(data[5:], count, size), now)
+                return data[:4]
+            source, count, address, many, size = struct.unpack_from(">HHHHB", data)
+        except struct.error:
+            raise Refused(ILLEGAL_VALUE) from None
+        self.write(address, _values(data[9:], many, size), now)
+        return self._read(function, source, count, now)
+
+    def _read(self, function: int, address: int, count: int, now: float) -> bytes:
+        if not 1 <= count <= 125:
+            raise Refused(ILLEGAL_VALUE)
+        values = self.read(function, address, count, now)
+        return bytes([2 * count]) + struct.pack(f">{count}H", *values)
+
+
+def _values(data: bytes, count: int, size: int) -> tuple[int, ...]:
+    if size != 2 * count or size != len(data) or not count:
+        raise Refused(ILLEGAL_VALUE)
+    return struct.unpack(f">{count}H", data)

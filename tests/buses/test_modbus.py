@@ -1,0 +1,151 @@
+"""The Modbus bus against slaves whose frames are not pymodbus's."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+
+from rtee.buses.faults import Faults
+from rtee.buses.link import Line
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import SimulatedLine
+from rtee.errors import BusBroken, BusTimeout, FrameError
+from tests.buses.devices import Registers
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(params=["/dev/ttyUSB9", "socket://192.0.2.1:54321", "tcp://192.0.2.1"])
+def url(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+async def pool() -> AsyncIterator[BusPool]:
+    async with BusPool(wire_time=False) as pool:
+        yield pool
+
+
+async def bus_in(pool: BusPool, url: str, owner: str = "a", unit: int = 9) -> ModbusBus:
+    framing = "tcp" if url.startswith("tcp") else "rtu"
+    return await pool.modbus(url, owner=owner, emulator=lambda: Registers(unit, framing))
+
+
+async def test_registers_are_written_and_read(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    await bus.write(9, 10, [1, 2, 65535], deadline=1.0)
+    assert await bus.read(9, 9, 5, deadline=1.0) == (0, 1, 2, 65535, 0)
+    assert await bus.read(9, 11, 1, deadline=1.0, function=4) == (2,)
+
+
+async def test_an_exchange_writes_before_it_reads(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    assert await bus.exchange(9, 20, [7, 8], 19, 4, deadline=1.0) == (0, 7, 8, 0)
+    assert bus.counters.transactions == 1
+
+
+async def test_a_refusal_carries_its_code(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    with pytest.raises(ModbusRefusal, match="Modbus exception 2 for function 0x10") as caught:
+        await bus.write(9, 50, [1], deadline=1.0)
+    assert (caught.value.function, caught.value.code) == (0x10, 2)
+
+
+async def test_two_slaves_share_a_line(pool: BusPool) -> None:
+    first = await bus_in(pool, "/dev/ttyUSB9", "a", 9)
+    second = await bus_in(pool, "/dev/ttyUSB9", "b", 10)
+    assert first is second
+    await asyncio.gather(*(first.write(u, 0, [u], deadline=2.0) for u in (9, 10) for _ in range(5)))
+    assert await first.read(9, 0, 1, deadline=1.0) == (9,)
+    assert await first.read(10, 0, 1, deadline=1.0) == (10,)
+
+
+async def test_silence_is_a_timeout(pool: BusPool) -> None:
+    bus = await bus_in(pool, "/dev/ttyUSB9")
+    with pytest.raises(BusTimeout, match="unit 7: no answer within"):
+        await bus.read(7, 0, 1, deadline=0.06, retries=2)
+    assert (bus.counters.retries, bus.counters.timeouts) == (2, 3)
+    assert await bus.read(9, 0, 1, deadline=1.0) == (0,)
+
+
+async def test_faults_are_retried_and_no_wrong_value_gets_through(pool: BusPool) -> None:
+    bus = await bus_in(pool, "/dev/ttyUSB9")
+    simulation = pool.simulation("a")
+    simulation.faults = Faults(
+        drop=0.05, corrupt=0.05, duplicate=0.05, split=0.05, noise=0.05, seed=5
+    )
+    for value in range(300):
+        got = await bus.exchange(9, 5, [value], 5, 1, deadline=0.6, retries=40)
+        assert got == (value,)
+    assert bus.counters.retries >= simulation.faults.injected["drop"] > 0
+
+
+async def test_nothing_but_garbage_is_a_frame_error(pool: BusPool) -> None:
+    bus = await bus_in(pool, "/dev/ttyUSB9")
+    pool.simulation("a").faults = Faults(corrupt=1.0, requests=False)
+    with pytest.raises(FrameError):
+        await bus.read(9, 0, 1, deadline=0.05, retries=0)
+    assert bus.counters.checksum_errors == 1
+
+
+async def test_a_cancelled_request_stays_cancelled(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+    pool.simulation("a").faults = Faults(drop=1.0)
+    task = asyncio.create_task(bus.read(9, 0, 1, deadline=10.0))
+    await asyncio.sleep(0.02)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    pool.simulation("a").faults = Faults()
+    assert await bus.read(9, 0, 1, deadline=1.0) == (0,)
+
+
+async def test_unplugging_ends_a_request_at_once_and_connecting_mends(
+    pool: BusPool, url: str
+) -> None:
+    bus = await bus_in(pool, url)
+    simulation = pool.simulation("a")
+    simulation.faults = Faults(drop=1.0)
+    task = asyncio.create_task(bus.read(9, 0, 1, deadline=30.0))
+    await asyncio.sleep(0.02)
+    simulation.unplug()
+    with pytest.raises(BusBroken):
+        await task
+    with pytest.raises(BusBroken):
+        await bus.connect()
+    simulation.faults = Faults()
+    simulation.replug()
+    await bus.connect()
+    assert await bus.read(9, 0, 1, deadline=1.0) == (0,)
+    assert bus.counters.broken == 1
+
+
+async def test_the_wire_takes_its_time() -> None:
+    line = Line(9600)
+    with SimulatedLine([Registers()], line=line) as simulated:
+        bus = ModbusBus(simulated.address, line)
+        await bus.connect()
+        stamps: list[float] = []
+        bus.trace = lambda name, direction, data, stamp: stamps.append(stamp)
+        await bus.read(9, 0, 10, deadline=2.0)
+        await bus.close()
+    assert stamps[-1] - stamps[0] >= (8 + 25) * 10 / 9600
+
+
+def test_another_master_agrees() -> None:
+    minimalmodbus = pytest.importorskip("minimalmodbus")
+    with SimulatedLine([Registers()]) as simulated:
+        master = minimalmodbus.Instrument(simulated.address, 9)
+        master.serial.timeout = 1.0
+        try:
+            master.write_registers(3, [4, 5, 6])
+            master.write_register(6, 7, functioncode=6)
+            assert master.read_registers(2, 6) == [0, 4, 5, 6, 7, 0]
+            assert master.read_registers(3, 2, functioncode=4) == [4, 5]
+            with pytest.raises(minimalmodbus.IllegalRequestError):
+                master.write_register(50, 1)
+        finally:
+            master.serial.close()
