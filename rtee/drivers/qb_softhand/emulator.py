@@ -6,13 +6,15 @@ acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE, SET
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.properties import read_properties
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
 from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
@@ -95,6 +97,15 @@ class QbSoftHandEmulator(Emulator):
         ]
         self.frames: dict[int, int] = {}
         self.power_cycle(0.0)
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the hand that the option ``emulator`` of a device describes."""
+        return cls(
+            read_properties(
+                QbOptions, options, device=options.get("device", 1), motors=options.get("motors", 1)
+            )
+        )
 
     def power_cycle(self, now: float) -> None:
         """Begin anew; the fingers stay where they are."""

@@ -6,11 +6,13 @@ request's index, what a packet that comes too early does, which channels need th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.properties import read_properties
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import (
     channels_for,
@@ -35,6 +37,8 @@ class SvhOptions:
         supply_mask: Channels that move only while the 12 V supply is on.
         friction_ma: Current of a channel that moves freely [mA].
         hot: Temperature at which the over-temperature warning latches [°C].
+        haste: Factor by which the fingers are faster than real ones, homing included.
+        latch_echo: The state answers the bits written to clear faults, too.
     """
 
     name: str = "SVH"
@@ -47,6 +51,8 @@ class SvhOptions:
     supply_mask: int = 0x1FF
     friction_ma: float = 40.0
     hot: float = 90.0
+    haste: float = 1.0
+    latch_echo: bool = False
 
 
 @dataclass(slots=True)
@@ -56,7 +62,7 @@ class _Channel:
     current: codec.CurrentSettings
 
 
-class SvhEmulator(Emulator):
+class SchunkSvhEmulator(Emulator):
     """The hand: nine axes behind cascaded controllers, and one reply to every packet.
 
     Attributes:
@@ -79,6 +85,11 @@ class SvhEmulator(Emulator):
         self._last = 0.0
         self.channels: list[_Channel] = []
         self.power_cycle(0.0)
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the hand that the option ``emulator`` of a device describes."""
+        return cls(read_properties(SvhOptions, options))
 
     def power_cycle(self, now: float) -> None:
         """Begin anew: everything off, encoders at 0 where the fingers stand."""
@@ -129,7 +140,7 @@ class SvhEmulator(Emulator):
         axis = Axis(
             lower=lower,
             upper=upper,
-            max_velocity=position.max_rate,
+            max_velocity=position.max_rate * self.options.haste,
             max_effort=current.maximum,
             friction=self.options.friction_ma,
             resolution=1.0,
@@ -217,7 +228,7 @@ class SvhEmulator(Emulator):
             self._target(packet.channel, codec.read_target(packet))
         elif command is Command.SET_POSITION_SETTINGS:
             channel.position = codec.PositionSettings.from_bytes(packet)
-            channel.axis.max_velocity = channel.position.max_rate
+            channel.axis.max_velocity = channel.position.max_rate * self.options.haste
         elif command is Command.SET_CURRENT_SETTINGS:
             channel.current = codec.CurrentSettings.from_bytes(packet)
             channel.axis.max_effort = max(channel.current.maximum, 0.0)
@@ -240,10 +251,15 @@ class SvhEmulator(Emulator):
             self._state = ControllerState() if self._fault else state
             self._apply()
         state = self._state
+        echo = self.options.latch_echo
         return ControllerState(
-            self._fault, self._hot, state.pwm_reset, state.pwm_active,
-            state.position_control, state.current_control,
-        ).to_bytes()  # fmt: skip
+            self._fault | (state.pwm_fault if echo else 0),
+            self._hot | (state.pwm_otw if echo else 0),
+            state.pwm_reset,
+            state.pwm_active,
+            state.position_control,
+            state.current_control,
+        ).to_bytes()
 
     def _apply(self) -> None:
         state = self._state

@@ -1,0 +1,41 @@
+"""What an emulated device is like: a device's option ``emulator`` as the emulator's dataclass."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from rtee.errors import ConfigError, suggestion
+
+P = TypeVar("P")
+
+
+def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) -> P:
+    """Return the properties of an emulated device from its driver's options.
+
+    Args:
+        kind: The emulator's dataclass of properties.
+        options: The driver's options; only ``emulator`` is read.
+        defaults: Properties that follow from other options, unless given.
+
+    Raises:
+        ConfigError: if a name is unknown or a value unusable.
+    """
+    given = {**defaults, **dict(options.get("emulator") or {})}
+    known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    for name in given:
+        if name not in known:
+            raise ConfigError(
+                f"unknown property '{name}' of the emulated device; {suggestion(name, known)}"
+            )
+    try:
+        return TypeAdapter(kind).validate_python(given)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(
+            f"property '{name}' of the emulated device: {first['msg'].lower()}"
+        ) from None

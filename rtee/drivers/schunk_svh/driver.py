@@ -1,0 +1,342 @@
+"""Drives a SCHUNK SVH: nine channels, one exchange per cycle."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from rtee.drivers.base import Driver
+from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.options import read_options
+from rtee.drivers.schunk_svh import codec, power
+from rtee.drivers.schunk_svh.channels import (
+    CHANNELS,
+    HOMING_ORDER,
+    Channel,
+    channel_of,
+    channels_for,
+    current_settings,
+    position_settings,
+)
+from rtee.drivers.schunk_svh.emulator import SchunkSvhEmulator
+from rtee.drivers.schunk_svh.limits import Limits
+from rtee.drivers.schunk_svh.link import SvhLink
+from rtee.drivers.schunk_svh.options import SchunkSvhOptions
+from rtee.drivers.schunk_svh.stops import read_stops, write_stops
+from rtee.errors import (
+    BusTimeout,
+    ConfigError,
+    DeviceFault,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+    RteeError,
+)
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+
+if TYPE_CHECKING:
+    from rtee.buses.pool import BusPool
+
+
+class SchunkSvhDriver(Driver):
+    """A SCHUNK SVH on its serial line.
+
+    The answer to a command for all channels carries their positions and currents, so a cycle of
+    sense and move costs one exchange: `sense` hands out what the last `move` brought back, and asks
+    the hand itself only when there was none. Limits of effort and speed are controller settings per
+    channel; a changed one is sent before the position of its channel, at most two in a cycle.
+
+    Encoders are relative. Without homing there is no position, and a hand that lost its supply has
+    to be homed again; one that has stayed enabled keeps its zero.
+
+    Attributes:
+        stops: The stops found by homing [ticks], by channel.
+    """
+
+    Options: ClassVar[type[SchunkSvhOptions]] = SchunkSvhOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = read_options(SchunkSvhOptions, spec)
+        self._index = _channels(spec)
+        self._table: tuple[Channel, ...] = CHANNELS
+        self._link: SvhLink | None = None
+        self.stops: dict[int, int] = {}
+        self._limits = Limits()
+        self._targets = [0] * codec.CHANNELS
+        self._enabled = 0
+        self._baseline = codec.ControllerState()
+        self._answer: tuple[codec.FeedbackAll, float] | None = None
+        self._count = 0
+        self._warnings: tuple[str, ...] = ()
+        exchange = 2 * codec.PACKET * 10.0 / codec.BAUDRATE + self.options.turnaround
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "effort", "current"}),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            best_rate=1.0 / exchange,
+            homing=True,
+            recoverable=True,
+        )
+
+    @property
+    def _hand(self) -> SvhLink:
+        if self._link is None:
+            raise NotConnected(self.spec.name, "it is not connected")
+        return self._link
+
+    async def configure(self) -> None:
+        """Open the line, identify the hand and see whether it is still enabled; sends no motion."""
+        options = self.options
+        bus = await self.buses.serial(
+            options.port,
+            owner=owner_of(self.spec),
+            baudrate=codec.BAUDRATE,
+            emulator=emulator_of(self.spec, SchunkSvhEmulator),
+        )
+        link = self._link = SvhLink(bus, options.deadline, options.retries)
+        try:
+            firmware = await link.firmware()
+        except (BusTimeout, FrameError) as error:
+            raise NotConnected(
+                self.spec.name,
+                f"no SVH answers at {options.port}",
+                hint="is the 24 V supply on, and is it the right port?",
+            ) from error
+        if firmware.name != "SVH":
+            raise HandshakeError(
+                self.spec.name, "an SVH", f"'{firmware.name}'", hint="check the port"
+            )
+        self._adopt(firmware)
+        await self._settings(firmware)
+        state = await link.state()
+        self._enabled = state.enabled
+        self._baseline = state
+        if not self.stops:
+            self.stops = read_stops(options.stops_file)
+        if not set(self._index) <= {c for c in range(codec.CHANNELS) if state.enabled >> c & 1}:
+            # Switched off since: the supply may have been, too, and with it the encoders' zero.
+            self.stops = {}
+
+    def _adopt(self, firmware: codec.FirmwareInfo) -> None:
+        def with_options(channel: Channel) -> Channel:
+            given = self.options.channels.get(channel.name)
+            if given is None:
+                return channel
+            changes = given.model_dump(exclude_none=True, exclude={"current_limit"})
+            per_ampere = changes.pop("effort_per_ampere", None)
+            if per_ampere is not None:
+                changes |= {"effort_slope": per_ampere / 1000.0, "effort_offset": 0.0}
+            return replace(channel, **changes)
+
+        self._table = tuple(with_options(c) for c in channels_for(firmware.version))
+        self.capabilities = replace(
+            self.capabilities,
+            identity={
+                "model": "SCHUNK SVH",
+                "firmware": f"{firmware.major}.{firmware.minor}",
+                "text": firmware.text,
+            },
+        )
+
+    async def _settings(self, firmware: codec.FirmwareInfo) -> None:
+        wanted = self.options.settings
+        own = wanted == "device" or (wanted == "auto" and firmware.major >= 2)
+        for channel in self._index:
+            position, current = position_settings(channel), current_settings(channel)
+            if own:
+                position = await self._hand.position_settings(channel)
+                current = await self._hand.current_settings(channel)
+                if not (position.max_rate > 0.0 and current.maximum > 0.0):
+                    raise HandshakeError(
+                        self.spec.name,
+                        "a hand with controller settings of its own",
+                        f"none in channel {self._table[channel].name}",
+                        hint="the table for firmware 1.x is used with 'settings: library'",
+                    )
+            given = self.options.channels.get(self._table[channel].name)
+            if given is not None and given.current_limit is not None:
+                limit = given.current_limit * 1000.0
+                current = replace(current, minimum=-limit, maximum=limit)
+            self._limits.position[channel] = position
+            self._limits.current[channel] = current
+
+    async def activate(self) -> None:
+        """Enable the channels where they stand; homes first if that is needed and allowed."""
+        wanted = sum(1 << channel for channel in self._index)
+        homed = set(self._index) <= set(self.stops)
+        if homed and self._enabled & wanted == wanted:
+            await self._seed()
+            return
+        if not homed:
+            if self.options.home == "on_demand":
+                raise DeviceFault(
+                    self.spec.name,
+                    power.NOT_HOMED,
+                    "not homed",
+                    recoverable=False,
+                    hint="homing moves every finger; allow it by 'home: on_connect'",
+                )
+            await self.home()
+        await self._enable()
+
+    async def home(self) -> None:
+        """Look for every channel's stop, one after the other; this moves the fingers.
+
+        Raises:
+            DeviceFault: if a channel does not find its stop.
+            BusError: if an exchange fails.
+        """
+        self._answer = None
+        self._enabled = 0
+        self.stops = {}
+        await power.disable(self._hand)
+        await self._limits.write(self._hand, self._index)
+        for channel in HOMING_ORDER:
+            if channel in self._index:
+                self.stops[channel] = await power.home(
+                    self._hand,
+                    self.spec.name,
+                    self._table[channel],
+                    self._limits.position[channel],
+                    self._limits.current[channel],
+                    timeout=self.options.home_timeout,
+                )
+        write_stops(self.options.stops_file, self.stops)
+
+    async def _enable(self) -> None:
+        await self._limits.write(self._hand, self._index)
+        await self._seed()
+        await self._hand.set_targets(self._targets)
+        self._baseline = await power.enable(self._hand, self._index)
+        self._enabled = sum(1 << channel for channel in self._index)
+        self._check(self._baseline)
+
+    async def _seed(self) -> None:
+        """Take the measured positions for targets, so that nothing moves when power comes."""
+        self._answer = None
+        feedback = await self._hand.feedback_all()
+        self._targets = list(feedback.positions)
+
+    async def sense(self) -> ActuatorState:
+        """Return what the hand measures: the answer to the last move where there was one."""
+        self._count += 1
+        if self._count % self.options.status_every == 0:
+            self._check(await self._hand.state())
+        answer, self._answer = self._answer, None
+        if answer is None:
+            feedback = await self._hand.feedback_all()
+            answer = feedback, time.monotonic()
+        return self._state(*answer)
+
+    def _state(self, feedback: codec.FeedbackAll, stamp: float) -> ActuatorState:
+        n = len(self._index)
+        position, effort, current = np.full(n, math.nan), np.full(n, math.nan), np.zeros(n)
+        for i, index in enumerate(self._index):
+            channel, ma = self._table[index], feedback.currents_ma[index]
+            if index in self.stops:
+                zero = channel.zero(self.stops[index])
+                position[i] = channel.to_rad(feedback.positions[index], zero)
+            effort[i] = channel.to_effort(ma)
+            current[i] = ma / 1000.0
+        return ActuatorState.measured(
+            position, stamp, effort=effort, current=current, warnings=self._warnings
+        )
+
+    def _check(self, state: codec.ControllerState) -> None:
+        """Raise a fault the state tells of; bits set when it was enabled tell nothing."""
+        faults = state.pwm_fault & ~self._baseline.pwm_fault
+        lost = self._enabled & ~state.enabled
+        hot = state.pwm_otw & ~self._baseline.pwm_otw
+        self._warnings = (f"over-temperature warning {hot:#04x}",) if hot else ()
+        if faults:
+            raise DeviceFault(
+                self.spec.name,
+                power.DRIVER_FAULT,
+                f"driver fault {faults:#04x}",
+                hint="let it cool down, then `rtee recover`",
+            )
+        if lost:
+            names = ", ".join(c.name for c in self._table if lost >> c.index & 1)
+            raise DeviceFault(
+                self.spec.name,
+                power.LOST_POWER,
+                f"switched off: {names}",
+                hint="was the 24 V supply cut? `rtee recover`, then home again",
+            )
+
+    async def move(self, reference: Reference) -> None:
+        """Send changed limits, then the targets of all channels, which brings the state back."""
+        channels = [self._table[index] for index in self._index]
+        waiting = await self._limits.update(self._hand, channels, reference)
+        for i, index in enumerate(self._index):
+            if not reference.mask[i] or index not in self.stops or index in waiting:
+                continue
+            channel, stop = self._table[index], self.stops[index]
+            low, high = channel.soft_limits(stop)
+            ticks = channel.to_ticks(float(reference.position[i]), channel.zero(stop))
+            self._targets[index] = min(max(ticks, low), high)
+        feedback = await self._hand.set_targets(self._targets)
+        self._answer = feedback, time.monotonic()
+
+    async def stop(self) -> None:
+        """Hold the measured pose."""
+        with contextlib.suppress(RteeError, OSError):
+            await self._seed()
+            await self._hand.set_targets(self._targets)
+
+    async def release(self) -> None:
+        """Switch every channel off; the fingers go limp."""
+        with contextlib.suppress(RteeError, OSError):
+            await self.deactivate()
+
+    async def recover(self) -> None:
+        """Clear latched faults and enable the channels where they stand."""
+        await power.disable(self._hand)
+        self._enabled = 0
+        self._warnings = ()
+        state = await self._hand.state()
+        # What was written to clear the latches may come back as it is; then it tells nothing.
+        echoed = state.pwm_fault == codec.ControllerState.CLEAR
+        self._baseline = state if echoed else codec.ControllerState()
+        self._check(state)
+        if set(self._index) <= set(self.stops):
+            await self._enable()
+
+    async def deactivate(self) -> None:
+        """Switch every channel off."""
+        self._answer = None
+        if self._link is not None:
+            self._enabled = 0
+            await power.disable(self._link)
+
+    async def close(self) -> None:
+        """Give the line back; what is enabled stays enabled."""
+        link, self._link = self._link, None
+        self._answer = None
+        if link is not None:
+            await link.bus.release(owner_of(self.spec))
+
+
+def _channels(spec: DeviceSpec) -> tuple[int, ...]:
+    """Return the channel of each actuator; raises `ConfigError`."""
+    found: list[int] = []
+    for actuator in spec.actuators:
+        try:
+            channel = channel_of(actuator.name)
+        except KeyError:
+            names = ", ".join(c.name for c in CHANNELS)
+            raise ConfigError(
+                f"device '{spec.name}': actuator '{actuator.name}' is none of the SVH's; their "
+                f"names end with {names}"
+            ) from None
+        if channel in found:
+            raise ConfigError(
+                f"device '{spec.name}': two actuators are channel '{CHANNELS[channel].name}'"
+            )
+        found.append(channel)
+    return tuple(found)

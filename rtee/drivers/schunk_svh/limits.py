@@ -1,0 +1,85 @@
+"""The controller settings of the SVH's channels, and the limits of effort and speed within them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rtee.drivers.schunk_svh.channels import Channel
+from rtee.drivers.schunk_svh.codec import CurrentSettings, PositionSettings
+from rtee.drivers.schunk_svh.link import SvhLink
+from rtee.types import Reference
+
+_PER_CYCLE = 2
+_TOLERANCE = 5e-3
+
+
+class Limits:
+    """Keeps what each channel's controllers are set to, and sends what a reference changes.
+
+    Attributes:
+        position: Position controllers as they are without limits of a reference, by channel.
+        current: Current controllers, likewise.
+    """
+
+    def __init__(self) -> None:
+        self.position: dict[int, PositionSettings] = {}
+        self.current: dict[int, CurrentSettings] = {}
+        self._sent: dict[tuple[int, str], float] = {}
+
+    async def write(self, link: SvhLink, channels: Sequence[int]) -> None:
+        """Write the settings of all channels; raises `BusError`."""
+        self._sent.clear()
+        for channel in channels:
+            await link.set_position_settings(channel, self.position[channel])
+            await link.set_current_settings(channel, self.current[channel])
+
+    async def update(
+        self, link: SvhLink, channels: Sequence[Channel], reference: Reference
+    ) -> set[int]:
+        """Send limits that have changed, a few at a time, as each costs an exchange.
+
+        Returns:
+            Channels whose limits are still to be sent; they must not get a new position yet.
+
+        Raises:
+            BusError: if an exchange fails.
+        """
+        waiting: set[int] = set()
+        budget = _PER_CYCLE
+        for i, channel in enumerate(channels):
+            if not reference.mask[i]:
+                continue
+            wanted = {
+                "current": self._current_for(channel, float(reference.max_effort[i])),
+                "rate": self._rate_for(channel, float(reference.max_velocity[i])),
+            }
+            for what, value in wanted.items():
+                sent = self._sent.get((channel.index, what), math.nan)
+                if math.isclose(sent, value, rel_tol=_TOLERANCE):
+                    continue
+                if budget == 0:
+                    waiting.add(channel.index)
+                    continue
+                budget -= 1
+                await self._send(link, channel.index, what, value)
+        return waiting
+
+    def _current_for(self, channel: Channel, effort: float) -> float:
+        most = self.current[channel.index].maximum
+        asked = channel.to_current(effort) if math.isfinite(effort) else math.nan
+        return most if math.isnan(asked) else min(max(asked, 1.0), most)
+
+    def _rate_for(self, channel: Channel, velocity: float) -> float:
+        most = self.position[channel.index].max_rate
+        return min(max(channel.to_rate(velocity), 1.0), most) if math.isfinite(velocity) else most
+
+    async def _send(self, link: SvhLink, index: int, what: str, value: float) -> None:
+        if what == "current":
+            current = replace(self.current[index], minimum=-value, maximum=value)
+            await link.set_current_settings(index, current)
+        else:
+            position = replace(self.position[index], max_rate=value)
+            await link.set_position_settings(index, position)
+        self._sent[index, what] = value

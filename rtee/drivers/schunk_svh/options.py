@@ -1,0 +1,75 @@
+"""Options of an SVH in hand.yaml."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from rtee.drivers.options import DeviceOptions
+from rtee.drivers.schunk_svh.channels import CHANNELS
+
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class ChannelOptions(BaseModel):
+    """What differs from the built-in table for one channel.
+
+    Attributes:
+        min_offset: Lower soft limit relative to the stop [ticks].
+        max_offset: Upper soft limit relative to the stop [ticks].
+        idle_offset: Where homing leaves it, relative to the stop [ticks].
+        reset_factor: Part of the current limit that counts as having met the stop.
+        current_limit: Largest current [A].
+        effort_per_ampere: Effort per current [N/A], where the table has none.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    min_offset: int | None = None
+    max_offset: int | None = None
+    idle_offset: int | None = None
+    reset_factor: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+    current_limit: Positive | None = None
+    effort_per_ampere: Positive | None = None
+
+
+class SchunkSvhOptions(DeviceOptions):
+    """Options of an SVH.
+
+    Attributes:
+        port: Where it is: a tty, ``socket://host:port`` or ``rfc2217://host:port``.
+        home: Whether it may look for its stops, which moves every finger: ``on_connect`` at the
+            first activation, ``on_demand`` only when asked.
+        stops_file: Where the stops found are kept, so that a later program can attach to a hand
+            that has stayed enabled; empty: nowhere.
+        home_timeout: Longest time in which a channel may stand still while homing [s].
+        settings: Controllers: ``library`` writes the table for firmware 1.x, ``device`` keeps what
+            the hand has, ``auto`` decides by firmware.
+        channels: What differs from the table, by channel.
+        status_every: Faults are read every so many exchanges.
+        deadline: Longest time for one exchange, retries included [s].
+        retries: How often a request is sent again within that time.
+        turnaround: Time between a request and its answer that the wire does not explain [s].
+    """
+
+    port: str = "/dev/ttyUSB0"
+    home: Literal["on_demand", "on_connect"] = "on_demand"
+    stops_file: Path | None = None
+    home_timeout: Positive = 10.0
+    settings: Literal["auto", "library", "device"] = "auto"
+    channels: dict[str, ChannelOptions] = Field(default_factory=dict)
+    status_every: Annotated[int, Field(ge=1)] = 50
+    deadline: Positive = 0.05
+    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    turnaround: Annotated[float, Field(ge=0.0)] = 0.0005
+
+    @field_validator("channels")
+    @classmethod
+    def _known(cls, channels: dict[str, ChannelOptions]) -> dict[str, ChannelOptions]:
+        names = [channel.name for channel in CHANNELS]
+        for name in channels:
+            if name not in names:
+                raise ValueError(f"there is no channel '{name}'; there are: {', '.join(names)}")
+        return channels

@@ -1,0 +1,312 @@
+"""The SVH's driver against its emulator, bytes and all."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.schunk_svh import codec
+from rtee.drivers.schunk_svh.channels import CHANNELS
+from rtee.drivers.schunk_svh.codec import Command, Packet
+from rtee.drivers.schunk_svh.driver import SchunkSvhDriver
+from rtee.drivers.schunk_svh.emulator import SchunkSvhEmulator
+from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+
+PORT = "/dev/svh"
+MOTION = {Command.SET_CONTROL_COMMAND, Command.SET_CONTROL_COMMAND_ALL}
+
+pytestmark = pytest.mark.anyio
+
+
+def device(
+    names: list[str] | None = None, *, emulator: dict[str, Any] | None = None, **options: Any
+):
+    return DeviceSpec(
+        name="svh",
+        hand="schunk_svh",
+        driver="schunk_svh",
+        actuators=tuple(
+            ActuatorSpec(
+                f"left_hand_{c.name}", JointKind.REVOLUTE, 0.0, c.range, 1.0, 20.0, 400.0, 8.0, 0.0
+            )
+            for c in CHANNELS
+            if names is None or c.name in names
+        ),
+        options={
+            "port": PORT,
+            "home": "on_connect",
+            "emulator": {"haste": 100.0, "start": 0.1, **(emulator or {})},
+            **options,
+        },
+        emulated=True,
+    )
+
+
+@contextlib.asynccontextmanager
+async def driver(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[SchunkSvhDriver]:
+    made = SchunkSvhDriver(spec, pool)
+    try:
+        yield made
+    finally:
+        await made.close()
+        await made.close()
+
+
+def hand(pool: BusPool) -> SchunkSvhEmulator:
+    found = pool.played("schunk_svh/svh")
+    assert isinstance(found, SchunkSvhEmulator)
+    return found
+
+
+async def settle(made: SchunkSvhDriver, goal: np.ndarray, cycles: int = 120) -> np.ndarray:
+    position = np.zeros_like(goal)
+    for _ in range(cycles):
+        position = (await made.sense()).position
+        await made.move(Reference.at(goal))
+        if np.allclose(position, goal, atol=2e-3):
+            break
+        await anyio.sleep(0.002)
+    return position
+
+
+async def test_homes_moves_and_senses_all_channels_in_one_exchange() -> None:
+    async with BusPool(wire_time=False) as pool, driver(pool, device()) as made:
+        await made.configure()
+        assert made.capabilities.identity["firmware"] == "1.2"
+        assert not MOTION & set(hand(pool).packets)
+        await made.activate()
+        # The emulator knows where its stops are; homing has found them from the outside.
+        assert made.stops == {c.index: hand(pool).stop_of(c.index) for c in CHANNELS}
+        goal = np.array([0.5 * c.range for c in CHANNELS])
+        assert await settle(made, goal) == pytest.approx(goal, abs=2e-3)
+        for channel in CHANNELS:
+            assert hand(pool).closure(channel.index) == pytest.approx(0.5, abs=0.02)
+        before = dict(hand(pool).packets)
+        for _ in range(10):
+            await made.sense()
+            await made.move(Reference.at(goal))
+        spent = {c: n - before.get(c, 0) for c, n in hand(pool).packets.items()}
+        assert spent.pop(Command.SET_CONTROL_COMMAND_ALL) == 10
+        assert sum(spent.values()) <= 1
+
+
+async def test_does_not_home_unless_allowed() -> None:
+    spec = device(home="on_demand")
+    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+        await made.configure()
+        with pytest.raises(DeviceFault, match=r"not homed.*home: on_connect"):
+            await made.activate()
+        assert not MOTION & set(hand(pool).packets)
+        assert np.isnan((await made.sense()).position).all()
+
+
+async def test_attaches_to_a_hand_that_holds_without_moving_it(tmp_path: Path) -> None:
+    names = ["Pinky", "Ring_Finger"]
+    spec = device(names, stops_file=str(tmp_path / "state" / "stops.json"))
+    async with BusPool(wire_time=False) as pool:
+        async with driver(pool, spec) as first:
+            await first.configure()
+            await first.activate()
+            held = await settle(first, np.array([0.4, 0.3]))
+        before = dict(hand(pool).packets)
+        async with driver(
+            pool, device(names, stops_file=str(tmp_path / "state" / "stops.json"), home="on_demand")
+        ) as second:
+            await second.configure()
+            await second.activate()
+            assert (await second.sense()).position == pytest.approx(held, abs=1e-3)
+        changed = {c for c, n in hand(pool).packets.items() if n != before.get(c, 0)}
+        assert not changed & {*MOTION, Command.SET_CONTROLLER_STATE, Command.SET_POSITION_SETTINGS}
+
+
+async def test_a_power_cycle_costs_the_zero() -> None:
+    async with BusPool(wire_time=False) as pool, driver(pool, device(["Pinky"])) as made:
+        await made.configure()
+        await made.activate()
+        assert made.stops
+        pool.simulations[PORT].power_cycle()
+        await made.configure()
+        assert not made.stops
+
+
+async def test_limits_are_sent_before_the_position() -> None:
+    spec = device(["Thumb_Flexion", "Pinky", "Ring_Finger"])
+    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+        await made.configure()
+        await made.activate()
+        sent: list[Packet] = []
+        pool.buses[0].trace = lambda _, way, data, __: (
+            sent.append(Packet.from_bytes(data)) if way == "tx" else None
+        )
+        slow = Reference.at(
+            np.full(3, 0.3), max_effort=np.array([2.0, 1.0, 1.0]), max_velocity=np.full(3, 0.2)
+        )
+        start = [round(channel.axis.target) for channel in hand(pool).channels]
+        moved = set()
+        for _ in range(4):
+            await made.move(slow)
+            currents = {p.channel for p in sent if p.command is Command.SET_CURRENT_SETTINGS}
+            rates = {p.channel for p in sent if p.command is Command.SET_POSITION_SETTINGS}
+            targets = codec.read_targets(sent[-1])
+            changed = {i for i in range(9) if targets[i] != start[i]}
+            assert changed <= currents & rates
+            moved |= changed
+        assert moved == {0, 6, 7}
+        thumb = next(
+            codec.CurrentSettings.from_bytes(p)
+            for p in sent
+            if p.command is Command.SET_CURRENT_SETTINGS and p.channel == 0
+        )
+        assert thumb.maximum == pytest.approx((2.0 + 1.543) / 0.015, rel=1e-5)
+        pinky = next(
+            codec.PositionSettings.from_bytes(p)
+            for p in sent
+            if p.command is Command.SET_POSITION_SETTINGS and p.channel == 7
+        )
+        assert pinky.max_rate == pytest.approx(0.2 / 2.1778e-5, rel=1e-4)
+        before = len(sent)
+        await made.move(slow)
+        assert len(sent) == before + 1
+
+
+async def test_feels_an_object_and_holds_it() -> None:
+    async with BusPool(wire_time=False) as pool, driver(pool, device(["Ring_Finger"])) as made:
+        await made.configure()
+        await made.activate()
+        hand(pool).hold(6, 0.5, stiffness=2.0)
+        for _ in range(150):
+            state = await made.sense()
+            await made.move(Reference.at(np.array([0.9])))
+            await anyio.sleep(0.001)
+        assert state.position[0] == pytest.approx(0.49, abs=0.02)
+        assert state.current[0] == pytest.approx(-0.3, abs=0.01)
+        assert state.effort[0] == pytest.approx(0.3 / 0.001 * 0.007 - 0.073, rel=0.02)
+
+
+async def test_stop_holds_the_measured_pose_and_release_lets_go() -> None:
+    async with BusPool(wire_time=False) as pool, driver(pool, device(["Pinky"])) as made:
+        await made.configure()
+        await made.activate()
+        await made.move(Reference.at(np.array([0.9]), max_velocity=np.array([0.02])))
+        await made.move(Reference.at(np.array([0.9]), max_velocity=np.array([0.02])))
+        await made.stop()
+        where = (await made.sense()).position[0]
+        assert where < 0.8
+        await anyio.sleep(0.05)
+        assert (await made.sense()).position[0] == pytest.approx(where, abs=0.05)
+        await made.release()
+        assert not any(channel.axis.enabled for channel in hand(pool).channels)
+
+
+@pytest.mark.parametrize("echo", [False, True])
+async def test_a_driver_fault_is_named_and_recovered_without_motion(echo: bool) -> None:
+    spec = device(["Pinky", "Thumb_Flexion"], emulator={"latch_echo": echo}, status_every=1)
+    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+        await made.configure()
+        await made.activate()
+        before = await made.sense()
+        hand(pool).inject("driver_fault")
+        with pytest.raises(DeviceFault, match="rtee recover") as told:
+            await made.sense()
+        assert told.value.recoverable
+        hand(pool).clear()
+        await made.recover()
+        assert (await made.sense()).position == pytest.approx(before.position, abs=1e-3)
+        assert all(hand(pool).channels[i].axis.enabled for i in (0, 7))
+
+
+async def test_over_temperature_is_a_warning() -> None:
+    spec = device(["Pinky"], status_every=1)
+    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+        await made.configure()
+        await made.activate()
+        hand(pool).inject("over_temperature")
+        assert "over-temperature" in (await made.sense()).warnings[0]
+
+
+async def test_homing_that_meets_no_stop_fails_and_switches_off() -> None:
+    spec = device(["Pinky"], home_timeout=0.1)
+    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+        await made.configure()
+        hand(pool).inject("stuck")
+        hand(pool).channels[7].axis.gain = 0.0
+        with pytest.raises(DeviceFault, match="Pinky does not move"):
+            await made.activate()
+        assert not hand(pool).channels[7].axis.enabled
+
+
+async def test_another_device_is_refused() -> None:
+    spec = device(["Pinky"], emulator={"name": "ABC"})
+    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+        with pytest.raises(HandshakeError, match="expected an SVH, found 'ABC'"):
+            await made.configure()
+
+
+async def test_a_silent_port_is_named() -> None:
+    async with BusPool(wire_time=False) as pool, driver(pool, device(["Pinky"])) as made:
+        await made.configure()
+        hand(pool).inject("silent")
+        with pytest.raises(NotConnected, match="24 V"):
+            await made.configure()
+
+
+async def test_firmware_two_keeps_its_own_controllers() -> None:
+    spec = device(["Pinky"], emulator={"firmware": (2, 3)})
+    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+        await made.configure()
+        assert hand(pool).packets[Command.GET_CURRENT_SETTINGS] == 1
+        await made.activate()
+        assert hand(pool).packets[Command.SET_CURRENT_SETTINGS] >= 1
+
+
+async def test_natural_replies_without_echoed_index_are_understood() -> None:
+    spec = device(["Pinky"], emulator={"padded": False, "echo_index": False})
+    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+        await made.configure()
+        await made.activate()
+        assert math.isfinite((await made.sense()).position[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"prot": "/dev/x"}, "unknown option 'prot'"),
+        ({"home": "always"}, "option 'home'"),
+        ({"channels": {"Wrist": {}}}, "there is no channel 'Wrist'"),
+    ],
+)
+def test_mistakes_in_options_are_told(options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        SchunkSvhDriver(device(**options), BusPool())
+
+
+def test_an_actuator_that_is_no_channel_is_told() -> None:
+    stranger = ActuatorSpec("wrist", JointKind.REVOLUTE, 0, 1, 1, 1, 1, 1, 0)
+    spec = DeviceSpec("svh", "hand", "schunk_svh", (stranger,))
+    with pytest.raises(ConfigError, match="actuator 'wrist' is none of the SVH's"):
+        SchunkSvhDriver(spec, BusPool())
+
+
+def test_the_emulator_answers_a_client_that_knows_only_the_sheet() -> None:
+    """Every packet gets exactly one reply with its address; settings come back as set."""
+    svh = SchunkSvhEmulator()
+    request = bytes.fromhex("4CAA033140 00".replace(" ", "")) + bytes.fromhex("204E") + bytes(62)
+    request += bytes([0x6E, 0x6E])
+    (reply,) = svh.feed(request, 0.0)
+    assert reply[:6] == bytes.fromhex("4CAA03314000")
+    assert len(reply) == 72
+    assert reply[-2] == sum(reply[6:-2]) % 256
+    broken = bytearray(request)
+    broken[7] ^= 1
+    assert svh.feed(bytes(broken), 0.01) == []
+    assert len(svh.feed(request + request, 0.02)) == 2
+    assert svh.early == 2
