@@ -1,0 +1,207 @@
+"""The kinematic driver (the paper's DummyHal): the reference comes true after a short while."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rtee.drivers.base import Driver
+from rtee.drivers.kinematic.options import KinematicOptions
+from rtee.drivers.kinematic.plant import Plant
+from rtee.drivers.options import read_options
+from rtee.errors import BusBroken, ConfigError, DeviceFault, suggestion
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference, readonly
+
+if TYPE_CHECKING:
+    from rtee.buses.pool import BusPool
+
+_MEASURES = frozenset({"position", "velocity", "effort"})
+
+
+class KinematicDriver(Driver):
+    """Plays a hand that follows its reference, stops at objects and gets warm by effort.
+
+    Attributes:
+        now: The clock its motion follows [s]; another one makes it run at any speed.
+        plants: The imagined actuators, in the order of ``spec.actuators``.
+    """
+
+    Options = KinematicOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.now: Callable[[], float] = time.monotonic
+        self._options = read_options(KinematicOptions, spec)
+        self._check_names(self._options.start, fingers=False)
+        self.plants = [
+            Plant(
+                actuator,
+                position=self._options.start.get(actuator.name, actuator.rest),
+                temperature=self._options.ambient,
+            )
+            for actuator in spec.actuators
+        ]
+        for name, fraction in self._options.objects.items():
+            self.place(name, fraction)
+        self._time_constant = self._options.time_constant
+        self._unmeasured = readonly([math.nan] * len(self.plants))
+        self._last: float | None = None
+        self._powered = False
+        self._plugged = True
+        self._fault = ""
+        measures = _MEASURES | ({"temperature"} if self._options.temperatures else set())
+        self.capabilities = Capabilities(
+            measures=frozenset(measures),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            recoverable=True,
+            gains=("time_constant",),
+            identity={"model": "kinematic"},
+        )
+
+    def _check_names(self, names: Mapping[str, float], *, fingers: bool) -> None:
+        known = {a.name for a in self.spec.actuators}
+        if fingers:
+            known.update(finger for a in self.spec.actuators for finger in a.fingers)
+        for name in names:
+            if name not in known:
+                where = f"{self.spec.source}: " if self.spec.source else ""
+                raise ConfigError(
+                    f"{where}device '{self.spec.name}': unknown name '{name}' in its options;"
+                    f" {suggestion(name, known)}"
+                )
+
+    # --- what happens to the imagined device -------------------------------------------------
+
+    def place(self, name: str, fraction: float) -> None:
+        """Put an object in the way of a finger or an actuator.
+
+        Args:
+            name: The finger or actuator.
+            fraction: Where, as a part of the way from rest to the farthest bound, 0 to 1.
+
+        Raises:
+            ConfigError: if there is no such finger or actuator, or the fraction is out of range.
+        """
+        self._check_names({name: fraction}, fingers=True)
+        if not 0.0 <= fraction <= 1.0:
+            raise ConfigError(f"an object is 0 to 1 of the way, not {fraction:g}")
+        for plant in self.plants:
+            if name == plant.spec.name or name in plant.spec.fingers:
+                plant.obstacle = plant.at(fraction)
+
+    def take_away(self, name: str | None = None) -> None:
+        """Take away the object of a finger or an actuator; all objects without a name."""
+        for plant in self.plants:
+            if name is None or name == plant.spec.name or name in plant.spec.fingers:
+                plant.obstacle = None
+
+    def unplug(self) -> None:
+        """Let the link break; every exchange fails until `plug`."""
+        self._plugged = False
+        self._powered = False
+
+    def plug(self) -> None:
+        """Mend the link."""
+        self._plugged = True
+
+    def fail(self, name: str) -> None:
+        """Let the device report a fault until it is recovered."""
+        self._fault = name
+
+    def _check(self) -> None:
+        if not self._plugged:
+            raise BusBroken("kinematic", "unplugged")
+        if self._fault:
+            raise DeviceFault(self.spec.name, 1, self._fault, hint="`rtee recover` clears it")
+
+    # --- the contract ------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """See `Driver.configure`."""
+        if not self._plugged:
+            raise BusBroken("kinematic", "unplugged")
+        self._last = self.now()
+
+    async def activate(self) -> None:
+        """See `Driver.activate`."""
+        self._check()
+        self._advance()
+        for plant in self.plants:
+            plant.target = plant.position
+        self._powered = True
+
+    async def sense(self) -> ActuatorState:
+        """See `Driver.sense`."""
+        self._check()
+        stamp = self._advance()
+        plants = self.plants
+        temperature = self._unmeasured
+        if self._options.temperatures:
+            temperature = np.array([plant.temperature for plant in plants])
+        return ActuatorState(
+            position=np.array([plant.position for plant in plants]),
+            velocity=np.array([plant.velocity for plant in plants]),
+            effort=np.array([plant.effort for plant in plants]),
+            current=self._unmeasured,
+            temperature=temperature,
+            stamp=stamp,
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """See `Driver.move`."""
+        self._check()
+        columns = zip(
+            self.plants,
+            reference.mask.tolist(),
+            reference.position.tolist(),
+            reference.max_effort.tolist(),
+            reference.max_velocity.tolist(),
+            strict=True,
+        )
+        for plant, commanded, position, effort, velocity in columns:
+            if commanded:
+                plant.target = position
+                plant.max_effort = effort
+                plant.max_velocity = velocity
+
+    async def stop(self) -> None:
+        """See `Driver.stop`."""
+        if self._plugged:
+            self._advance()
+            for plant in self.plants:
+                plant.target = plant.position
+
+    async def release(self) -> None:
+        """See `Driver.release`."""
+        if self._plugged:
+            self._powered = False
+
+    async def recover(self) -> None:
+        """See `Driver.recover`."""
+        self._fault = ""
+        self._check()
+
+    async def set_gains(self, gains: Mapping[str, float]) -> None:
+        """See `Driver.set_gains`."""
+        self._time_constant = gains.get("time_constant", self._time_constant)
+
+    async def deactivate(self) -> None:
+        """See `Driver.deactivate`."""
+        self._powered = False
+
+    def _advance(self) -> float:
+        now = self.now()
+        dt = now - (now if self._last is None else self._last)
+        self._last = now
+        if dt > 0.0:
+            follow = 1.0 - math.exp(-dt / self._time_constant)
+            options = self._options
+            for plant in self.plants:
+                plant.step(dt, follow, options.full_effort_at, powered=self._powered)
+                if options.temperatures:
+                    plant.warm(dt, options.ambient, options.heating, options.thermal_time)
+        return now

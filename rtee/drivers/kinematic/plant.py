@@ -1,0 +1,87 @@
+"""The motion of an imagined actuator: a lag with a velocity limit, stopped by objects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rtee.types import ActuatorSpec
+
+
+@dataclass(slots=True)
+class Plant:
+    """One imagined actuator.
+
+    Attributes:
+        spec: Its limits.
+        position: Where it is [rad | m].
+        velocity: How fast it moves [rad/s | m/s].
+        effort: What it exerts [N·m | N].
+        temperature: Its temperature [°C].
+        target: Where it is told to go [rad | m].
+        max_effort: Effort it may exert [N·m | N].
+        max_velocity: Velocity it may reach [rad/s | m/s].
+        obstacle: Position at which an object stops it [rad | m], if one does.
+    """
+
+    spec: ActuatorSpec
+    position: float
+    velocity: float = 0.0
+    effort: float = 0.0
+    temperature: float = 25.0
+    target: float = 0.0
+    max_effort: float = math.inf
+    max_velocity: float = math.inf
+    obstacle: float | None = None
+
+    @property
+    def rating(self) -> float:
+        """Effort limit of the actuator; 1 where the model gives none [N·m | N]."""
+        return self.spec.effort if math.isfinite(self.spec.effort) else 1.0
+
+    def at(self, fraction: float) -> float:
+        """Return the position at a part of the way from rest to the farthest bound."""
+        spec = self.spec
+        far = spec.upper if spec.upper - spec.rest >= spec.rest - spec.lower else spec.lower
+        return spec.rest + fraction * (far - spec.rest)
+
+    def step(self, dt: float, follow: float, full_effort_at: float, *, powered: bool) -> None:
+        """Move on.
+
+        Args:
+            dt: Time [s].
+            follow: Part of the way to the target that is covered in this time.
+            full_effort_at: Distance behind the target that gives full effort [rad | m].
+            powered: Whether the motor is on; else it stays and exerts nothing.
+        """
+        if not powered:
+            self.velocity = self.effort = 0.0
+            return
+        most = min(self.spec.velocity, self.max_velocity) * dt
+        before = self.position
+        moved = min(max((self.target - before) * follow, -most), most)
+        after = min(max(before + moved, self.spec.lower), self.spec.upper)
+        after = self._stopped(before, after)
+        self.position = after
+        self.velocity = (after - before) / dt
+        push = self.target - after
+        if self.obstacle is not None and after == self.obstacle and push:
+            most_effort = min(self.rating, self.max_effort)
+            effort = min(self.rating * abs(push) / full_effort_at, most_effort)
+            self.effort = math.copysign(effort, push)
+        else:
+            self.effort = 0.0
+
+    def _stopped(self, before: float, after: float) -> float:
+        at = self.obstacle
+        if at is None:
+            return after
+        if self.spec.rest <= at:
+            return after if after <= at or before > at else at
+        return after if after >= at or before < at else at
+
+    def warm(self, dt: float, ambient: float, heating: float, time_constant: float) -> None:
+        """Let its temperature follow its effort for a time [s]."""
+        share = self.effort / self.rating
+        settled = ambient + heating * share * share
+        self.temperature += (settled - self.temperature) * (1.0 - math.exp(-dt / time_constant))
