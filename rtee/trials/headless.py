@@ -1,0 +1,176 @@
+"""A hand in simulation without a clock: the loop's controller, as fast as the machine allows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.errors import LoopError
+from rtee.hand.model import Hand
+from rtee.loop.contact import Measured
+from rtee.loop.controller import Controller
+from rtee.loop.observer import LoopObserver, TickRecord
+from rtee.loop.plan import make_plan
+from rtee.loop.settings import LoopSettings
+from rtee.types import Command, Feedback, FloatArray, Goal, Result
+
+_PATIENCE = 120.0
+
+
+class HeadlessHand:
+    """Runs goals on a simulated hand at simulated time.
+
+    The controller is the one of the loop and the records are those of the loop, so a recording made
+    here is equal, bit for bit, whenever the same goals run from the same start.
+
+    Attributes:
+        hand: The hand.
+        simulation: The simulated hand and its surroundings.
+        controller: The loop's pure core.
+        time: Simulated time since the start [s].
+        events: What happened, besides feedback and results.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        library: ActionLibrary,
+        settings: LoopSettings,
+        simulation: Simulation,
+        observers: Sequence[LoopObserver] = (),
+    ) -> None:
+        """Start with every actuator active and standing where it is.
+
+        Args:
+            hand: The hand.
+            library: Its actions.
+            settings: The loop's settings; their period must be the simulation's.
+            simulation: The simulated hand.
+            observers: Who is told everything, as in the loop.
+        """
+        self.hand = hand
+        self.simulation = simulation
+        self.controller = Controller(hand, settings)
+        self.time = 0.0
+        self._library = library
+        self._settings = settings
+        self._observers = tuple(observers)
+        self._tick = 0
+        self._results: dict[str, Result] = {}
+        self._before: list[Callable[[float], None]] = []
+        n = len(hand.actuators)
+        self._everything = np.ones(n, dtype=bool)
+        self._silent = np.full(n, -1, dtype=np.int8)
+        self._unmeasured = np.full(n, np.nan)
+        self._unmeasured.flags.writeable = False
+        self._command("active", dict.fromkeys(hand.actuator_names, 1.0))
+        self.tick()  # the controller starts from what is measured
+
+    def before_tick(self, call: Callable[[float], None]) -> None:
+        """Call something with the simulated time [s] before every tick: a carrier's script."""
+        self._before.append(call)
+
+    def _command(self, kind: str, values: dict[str, float]) -> None:
+        command = Command(kind, values=values, tick=self._tick, stamp=self.time)
+        for observer in self._observers:
+            observer.on_command(command)
+        self.controller.apply(command)
+
+    def do(self, goal: Goal) -> Result:
+        """Execute a goal to its end.
+
+        Raises:
+            GoalRejected: if the goal cannot be taken.
+            UnknownAction: if there is no such action.
+            LoopError: if the goal never ends.
+        """
+        self.start(goal)
+        deadline = self.time + _PATIENCE
+        while goal.goal_id not in self._results:
+            self.tick()
+            if self.time > deadline:
+                raise LoopError(f"'{goal.action}' did not end within {_PATIENCE:g} s of simulation")
+        return self._results[goal.goal_id]
+
+    def start(self, goal: Goal) -> None:
+        """Begin a goal without waiting for its end; raises as `do`."""
+        plan = make_plan(goal, self.hand, self._library, self._settings)
+        for observer in self._observers:
+            observer.on_goal(goal, self.time)
+        self.controller.take(plan, self.time)
+        self._tell()
+
+    def wait(self, duration: float) -> None:
+        """Let simulated time pass [s]."""
+        end = self.time + duration - 0.5 * self._settings.period
+        while self.time < end:
+            self.tick()
+
+    def tick(self) -> None:
+        """Do one tick: step the simulation, then the controller, then command the actuators."""
+        for call in self._before:
+            call(self.time)
+        simulation, controller = self.simulation, self.controller
+        simulation.advance()
+        self._tick += 1
+        self.time = self._tick * self._settings.period
+        position, effort = simulation.position, simulation.effort
+        controller.step(self.time, self._measured(position, effort))
+        reference = np.array(controller.reference_position)
+        limit = np.array(controller.reference_effort)
+        simulation.command(reference, limit, self._everything)
+        if self._observers:
+            self._record(position, effort, reference, limit)
+        self._tell()
+
+    def _measured(self, position: FloatArray, effort: FloatArray) -> Measured:
+        n = len(position)
+        return Measured(
+            position.tolist(), effort.tolist(), [float("nan")] * n, [True] * n, [-1] * n
+        )
+
+    def _record(
+        self, position: FloatArray, effort: FloatArray, reference: FloatArray, limit: FloatArray
+    ) -> None:
+        extras = {"simulation/contact_force": self.simulation.contact_forces}
+        pose = self.simulation.object_pose
+        if pose is not None:
+            extras["simulation/object_pose"] = pose
+        record = TickRecord(
+            tick=self._tick,
+            stamp=self.time,
+            wall_ns=round(self.time * 1e9),
+            position=position,
+            velocity=self.simulation.velocity,
+            effort=effort,
+            current=self._unmeasured,
+            temperature=self._unmeasured,
+            fresh=self._everything,
+            grasped=self._silent,
+            reference_position=reference,
+            reference_velocity=np.array(self.controller.reference_velocity),
+            reference_effort=limit,
+            extras=extras,
+        )
+        for observer in self._observers:
+            observer.on_tick(record)
+
+    def _tell(self) -> None:
+        outbox = self.controller.outbox
+        if not outbox:
+            return
+        for item in outbox.items:
+            if isinstance(item, Result):
+                self._results[item.goal_id] = item
+            for observer in self._observers:
+                if isinstance(item, Result):
+                    observer.on_result(item)
+                elif isinstance(item, Feedback):
+                    observer.on_feedback(item)
+                else:
+                    observer.on_event(item)
+        outbox.items.clear()
+        outbox.release.clear()
