@@ -48,7 +48,7 @@ def _row(action: Action) -> tuple[str, str, str, str]:
 
     match action:
         case Primitive():
-            remark = _evidence(action.evidence[0]) if action.evidence else ""
+            remark = remarks(action.evidence[0]) if action.evidence else ""
             involved = ", ".join(action.posture.involved)
             return action.name, ", ".join(action.elements), involved, remark
         case Composed():
@@ -72,7 +72,8 @@ def _use(use: ActionReference) -> str:
     return label(use.action, use.elements) + scale
 
 
-def _evidence(evidence: Evidence) -> str:
+def remarks(evidence: Evidence) -> str:
+    """Return the evidence of a posture in words."""
     said = []
     if evidence.depth > 0.0:
         said.append(f"depth {evidence.depth * 1e3:.2f} mm")

@@ -1,0 +1,166 @@
+"""`rtee extract`: the primitive grasping actions of a hand."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rtee.cli._common import JsonOption, complete_hand, hand_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rtee.actions.types import Primitive
+    from rtee.extract.extraction import Extraction
+    from rtee.hand.model import Hand as HandModel
+
+app = typer.Typer()
+
+_PATIENCE = 1.0
+"""A progress bar appears after this time [s]."""
+
+
+class Rank(StrEnum):
+    """What makes one posture of a pinch better than another."""
+
+    DEPTH = "depth"
+    OPPOSITION = "opposition"
+
+
+@app.command()
+def extract(
+    hand: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[HAND]", help="Name of a hand, or its folder.", autocompletion=complete_hand
+        ),
+    ] = None,
+    urdf: Annotated[
+        Path | None, typer.Option(help="A URDF instead of a hand of the configuration.")
+    ] = None,
+    srdf: Annotated[
+        Path | None, typer.Option(help="The URDF's SRDF; without it the fingers are found.")
+    ] = None,
+    package_dir: Annotated[
+        list[Path] | None, typer.Option(help="Folder to look mesh packages up in; repeatable.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the primitives to files in this folder.")
+    ] = None,
+    save: Annotated[
+        bool, typer.Option("--save", help="Write the primitives to the hand's own actions.")
+    ] = False,
+    as_json: JsonOption = False,
+    jobs: Annotated[
+        int, typer.Option(min=0, help="Processes to use; 0 means one per processor.")
+    ] = 0,
+    rank: Annotated[Rank, typer.Option(help="Which posture of a pinch comes first.")] = Rank.DEPTH,
+) -> None:
+    """Find the primitive grasping actions of a hand."""
+    from rtee.errors import ConfigError
+
+    if (hand is None) == (urdf is None):
+        raise ConfigError("give either a hand or --urdf")
+    if urdf is None and (srdf or package_dir):
+        raise ConfigError("--srdf and --package-dir go with --urdf")
+    folder = hand_folder(hand) if hand is not None else None
+    if save and folder is None:
+        raise ConfigError("--save needs a hand of the configuration; with --urdf give --out")
+    model = _load(folder, urdf, srdf, package_dir or [])
+
+    from rtee.extract.extraction import extract as run
+
+    with _progress() as progress:
+        found = run(model, jobs=jobs, rank=rank.value, progress=progress)
+    targets = [*([out] if out else []), *([folder / "actions"] if save and folder else [])]
+    for target in targets:
+        from rtee.actions.store import write_primitives
+
+        write_primitives(target, model, found.primitives)
+    if as_json:
+        from rtee.actions.describe import describe
+
+        print(json.dumps(describe(model, found.primitives, found.seconds), indent=2))
+        return
+    _show(model, found)
+    for target in targets:
+        print(f"written to {target}")
+
+
+def _load(
+    folder: Path | None, urdf: Path | None, srdf: Path | None, package_dirs: list[Path]
+) -> HandModel:
+    from rtee.hand.load import load_hand, load_model
+
+    if folder is not None:
+        return load_hand(folder)
+    assert urdf is not None  # noqa: S101 - one of both is given
+    return load_model(urdf, srdf, package_dirs=package_dirs)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None] | None]:
+    """Give what shows progress on a terminal, once it takes longer than a second."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    begun = time.monotonic()
+    bar: Any = None
+    task: Any = None
+
+    def show(done: int, total: int) -> None:
+        nonlocal bar, task
+        if bar is None and time.monotonic() - begun > _PATIENCE:
+            from rich.console import Console
+            from rich.progress import Progress
+
+            bar = Progress(console=Console(stderr=True), transient=True)
+            bar.start()
+            task = bar.add_task("searching pinches", total=total)
+        if bar is not None:
+            bar.update(task, completed=done, total=total)
+
+    try:
+        yield show
+    finally:
+        if bar is not None:
+            bar.stop()
+
+
+def _show(hand: HandModel, found: Extraction) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        title=f"Primitive grasping actions of {hand.name}, found in {found.seconds:.2f} s",
+        title_justify="left",
+    )
+    for column in ("primitive", "elements", "posture", "evidence"):
+        table.add_column(column, overflow="fold")
+    for primitive in found.primitives:
+        table.add_row(*_row(primitive), style="" if _usable(primitive) else "dim")
+    console = Console()
+    console.print(table)
+    for note in (*hand.notes, *found.notes):
+        console.print(f"note: {note}", style="dim", highlight=False, markup=False)
+
+
+def _usable(primitive: Primitive) -> bool:
+    return not primitive.evidence or primitive.evidence[0].clear
+
+
+def _row(primitive: Primitive) -> tuple[str, str, str, str]:
+    from rtee.cli.actions import remarks
+
+    posture = primitive.posture
+    targets = "\n".join(f"{name} {posture.position[name]:.4g}" for name in posture.involved)
+    said = remarks(primitive.evidence[0]) if primitive.evidence else ""
+    return primitive.name, ", ".join(primitive.elements), targets, said

@@ -1,0 +1,82 @@
+"""The primitives that follow from what moves what: Trig, TipFlex, FingFlex and single joints."""
+
+from __future__ import annotations
+
+import math
+
+from rtee.actions.types import Posture, Primitive, PrimitiveKind
+from rtee.hand.model import Finger, Hand
+
+
+def kinematic_primitives(hand: Hand) -> list[Primitive]:
+    """Return the primitives that need no geometry.
+
+    A continuous actuator has no bound to go to and takes no part in them. Fingers without a
+    fingertip have none.
+    """
+    found: list[Primitive] = []
+    bounded = {finger.name: _bounded(hand, finger) for finger in hand.fingers if finger.tip}
+    for name, own in bounded.items():
+        if own:
+            found.append(_flex(hand, PrimitiveKind.TRIG, name, own))
+    for kind, end in ((PrimitiveKind.TIP_FLEX, -1), (PrimitiveKind.FING_FLEX, 0)):
+        for name, own in bounded.items():
+            if len(own) >= 2:
+                found.append(_flex(hand, kind, name, (own[end],)))
+    found += [
+        _single_joint(hand, i)
+        for i, actuator in enumerate(hand.actuators)
+        if len(actuator.fingers) >= 2 and _has_bounds(hand, i)
+    ]
+    return found
+
+
+def farthest_bound(hand: Hand, actuator: int) -> float:
+    """Return the limit farthest from rest, the upper one where both are equally far."""
+    spec = hand.actuators[actuator]
+    return spec.upper if _upper_is_far(hand, actuator) else spec.lower
+
+
+def nearest_bound(hand: Hand, actuator: int) -> float:
+    """Return the other limit than `farthest_bound`."""
+    spec = hand.actuators[actuator]
+    return spec.lower if _upper_is_far(hand, actuator) else spec.upper
+
+
+def _upper_is_far(hand: Hand, actuator: int) -> bool:
+    spec = hand.actuators[actuator]
+    return spec.upper - spec.rest >= spec.rest - spec.lower
+
+
+def _bounded(hand: Hand, finger: Finger) -> tuple[str, ...]:
+    return tuple(name for name in finger.own if _has_bounds(hand, hand.actuator_index(name)))
+
+
+def _has_bounds(hand: Hand, actuator: int) -> bool:
+    spec = hand.actuators[actuator]
+    return math.isfinite(spec.lower) and math.isfinite(spec.upper)
+
+
+def _posture(hand: Hand, targets: dict[str, float]) -> Posture:
+    position = {spec.name: targets.get(spec.name, spec.rest) for spec in hand.actuators}
+    return Posture(position, tuple(name for name in position if name in targets))
+
+
+def _flex(hand: Hand, kind: PrimitiveKind, finger: str, actuators: tuple[str, ...]) -> Primitive:
+    targets = {name: farthest_bound(hand, hand.actuator_index(name)) for name in actuators}
+    return Primitive(kind, (finger,), (_posture(hand, targets),), fingers=(finger,))
+
+
+def _single_joint(hand: Hand, actuator: int) -> Primitive:
+    spec = hand.actuators[actuator]
+    postures = tuple(
+        _posture(hand, {spec.name: bound})
+        for bound in (farthest_bound(hand, actuator), nearest_bound(hand, actuator))
+    )
+    return Primitive(
+        PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS,
+        (spec.name,),
+        postures,
+        tips=len(spec.fingers),
+        fingers=spec.fingers,
+    )

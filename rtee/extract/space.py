@@ -1,0 +1,128 @@
+"""The box of postures that a search moves in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from rtee.hand.model import Hand
+from rtee.types import FloatArray, JointKind
+
+
+@dataclass(frozen=True)
+class Space:
+    """Postures in which some actuators vary within bounds and the others rest.
+
+    Coordinates run from 0 to 1 between the bounds, so that angles and lengths are commensurate.
+
+    Attributes:
+        base: Posture of the actuators that do not vary ``(n,)`` [rad | m].
+        index: The actuators that vary.
+        lower: Their lower bounds [rad | m].
+        extent: Their upper bounds minus the lower ones [rad | m].
+    """
+
+    base: FloatArray
+    index: tuple[int, ...]
+    lower: FloatArray
+    extent: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "index", np.array(self.index, dtype=np.intp))
+
+    @property
+    def size(self) -> int:
+        """Number of actuators that vary."""
+        return len(self.index)
+
+    @property
+    def rest(self) -> FloatArray:
+        """Coordinates of the rest posture ``(k,)``."""
+        return self.coordinates(self.base)
+
+    def posture(self, y: FloatArray) -> FloatArray:
+        """Return the actuator positions ``(n,)`` [rad | m] at coordinates ``(k,)``."""
+        u = self.base.copy()
+        u[self.index] = self.lower + y * self.extent
+        return u
+
+    def coordinates(self, u: FloatArray) -> FloatArray:
+        """Return the coordinates ``(k,)`` of a posture, clamped into the box."""
+        scaled = (u[self.index] - self.lower) / self.extent
+        clamped: FloatArray = np.clip(scaled, 0.0, 1.0)
+        return clamped
+
+
+def real_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
+    """Return the bounds of all actuators within their limits; a turn for continuous ones."""
+    lower, upper = hand.lower.copy(), hand.upper.copy()
+    for i, actuator in enumerate(hand.actuators):
+        if not math.isfinite(lower[i]):
+            lower[i] = actuator.rest - math.pi
+        if not math.isfinite(upper[i]):
+            upper[i] = actuator.rest + math.pi
+    return lower, upper
+
+
+def widened_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
+    """Return bounds that ask whether tips could meet at all.
+
+    Revolute actuators get ±π, prismatic ones twice their limits; never less than the real limits.
+    """
+    lower, upper = real_limits(hand)
+    for i, actuator in enumerate(hand.actuators):
+        if actuator.kind is JointKind.PRISMATIC:
+            lower[i], upper[i] = min(lower[i], 2.0 * lower[i]), max(upper[i], 2.0 * upper[i])
+        else:
+            lower[i], upper[i] = min(lower[i], -math.pi), max(upper[i], math.pi)
+    return lower, upper
+
+
+def make_space(
+    hand: Hand, actuators: Sequence[int], bounds: tuple[FloatArray, FloatArray]
+) -> Space:
+    """Return the space in which some actuators vary; those that cannot move are left out."""
+    lower, upper = bounds
+    index = tuple(i for i in sorted(actuators) if upper[i] > lower[i])
+    chosen = list(index)
+    return Space(hand.rest, index, lower[chosen], upper[chosen] - lower[chosen])
+
+
+@lru_cache(maxsize=32)
+def halton(size: int, count: int) -> FloatArray:
+    """Return the first points of the Halton sequence in the unit cube ``(count, size)``.
+
+    Halton (1960), with the digits of every base permuted by a fixed multiplier against the
+    correlations between large bases (Faure and Lemieux, 2009, in the simplest form).
+    """
+    points = np.empty((count, size))
+    numbers = np.arange(1, count + 1)
+    for column, base in enumerate(_primes(size)):
+        multiplier = _multiplier(base)
+        value, weight, rest = np.zeros(count), 1.0 / base, numbers.copy()
+        while rest.any():
+            value += weight * ((rest % base) * multiplier % base)
+            rest //= base
+            weight /= base
+        points[:, column] = value
+    points.flags.writeable = False
+    return points
+
+
+def _multiplier(base: int) -> int:
+    """Return a multiplier near the golden section of a prime, which spreads its multiples well."""
+    return max(1, round(base * (math.sqrt(5.0) - 1.0) / 2.0)) if base > 3 else 1
+
+
+def _primes(count: int) -> list[int]:
+    found: list[int] = []
+    number = 2
+    while len(found) < count:
+        if all(number % p for p in found):
+            found.append(number)
+        number += 1
+    return found

@@ -1,0 +1,53 @@
+"""Whether one shape lies within another one's surface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from rtee.hand.geometry import Shape
+from rtee.types import FloatArray
+
+
+def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
+    """Return whether a mesh encloses a shape whose surface it does not meet.
+
+    One point of the inner shape decides, since surfaces that do not meet have all of it on one
+    side.
+
+    Args:
+        outer: The enclosing shape; a solid primitive encloses nothing that it does not meet.
+        inner: The enclosed shape.
+        inner_in_outer: Pose of the inner shape in the outer one's frame.
+    """
+    if not outer.is_mesh:
+        return False
+    start = inner.exact.vertices()[0] if inner.is_mesh else np.zeros(3)
+    point = inner_in_outer.act(np.asarray(start))
+    bounds = outer.exact.aabb_local
+    if (point < bounds.min_).any() or (point > bounds.max_).any():
+        return False
+    return winding_number(point, *outer.triangles) > 0.5
+
+
+def winding_number(point: FloatArray, vertices: FloatArray, faces: FloatArray) -> float:
+    """Return how often a surface winds around a point: 1 inside a closed one, 0 outside.
+
+    Solid angles by Van Oosterom and Strackee (1983), summed as in Jacobson et al. (2013), so that
+    surfaces with holes give a sensible answer too.
+
+    Args:
+        point: The point ``(3,)`` [m].
+        vertices: Vertices ``(v, 3)`` [m].
+        faces: Indices ``(f, 3)``.
+    """
+    a, b, c = np.moveaxis((vertices - point)[faces], 1, 0)
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
+    denominator = (
+        la * lb * lc
+        + np.einsum("ij,ij->i", a, b) * lc
+        + np.einsum("ij,ij->i", b, c) * la
+        + np.einsum("ij,ij->i", c, a) * lb
+    )
+    return abs(float(np.arctan2(numerator, denominator).sum())) / (2.0 * np.pi)
