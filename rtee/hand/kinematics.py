@@ -117,8 +117,8 @@ class Kinematics:
         body, placement = self._body(tip)
         pin.computeJointJacobians(self.model, self.data, self.hand.transmission.joints(u))
         origin = (self.data.oMi[body] * placement).translation
-        jacobian = self.data.J * self.support(body)
-        jacobian[:3] += np.cross(jacobian[3:], origin, axis=0)
+        jacobian = self.data.J.reshape(6, -1) * self.support(body)
+        jacobian[:3] -= pin.skew(origin) @ jacobian[3:]
         result: FloatArray = jacobian @ self.hand.transmission.jacobian(u)
         return result
 
