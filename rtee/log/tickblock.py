@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtee.hand.transmission import Transmission
 from rtee.log.chunks import MESSAGE, message_head
@@ -16,12 +15,16 @@ from rtee.loop.observer import TickRecord
 from rtee.messages.layout import (
     ACTUATOR_STATE,
     JOINT_STATE,
-    Template,
+    Parts,
     actuator_state_fields,
     joint_state_fields,
+    stamp_bytes,
 )
+from rtee.types import FloatArray
 
 _TIMES = struct.Struct("<IQQ")
+_TICK = struct.Struct("<Q")
+_TIME = struct.Struct("<d")
 _TIMES_OFFSET = MESSAGE.size - _TIMES.size
 
 
@@ -34,42 +37,55 @@ class TickChannels:
     reference: int
 
 
-class JointMap:
-    """Positions and velocities of all joints, joint by joint.
+class Followers:
+    """Positions and velocities of the joints that are no actuators.
 
-    Other than a product with the transmission's matrix it keeps what one actuator does not measure
-    (``NaN``) from the joints of the others.
+    Computed joint by joint: other than in a product with the transmission's matrix, an actuator
+    that is not measured (``NaN``) leaves the joints of the others alone.
+
+    Args:
+        transmission: From actuators to joints.
+        rows: Which of its joints.
     """
 
-    def __init__(self, transmission: Transmission) -> None:
-        couplings = transmission.couplings
-        self._follows = np.array([coupling.actuator or 0 for coupling in couplings], dtype=np.intp)
-        self._factor = transmission.matrix[np.arange(len(couplings)), self._follows]
-        self._offset = transmission.offset
-        self._standing = np.flatnonzero([coupling.actuator is None for coupling in couplings])
+    def __init__(self, transmission: Transmission, rows: Sequence[int]) -> None:
+        couplings = [transmission.couplings[row] for row in rows]
+        follows = [0 if c.actuator is None else c.actuator for c in couplings]
+        self._follows = np.array(follows, dtype=np.intp)
+        self._factor = transmission.matrix[list(rows), follows]
+        self._offset = transmission.offset[list(rows)]
+        self._standing = np.flatnonzero([c.actuator is None for c in couplings])
         self._curved = [
-            (row, coupling.actuator, coupling)
-            for row, coupling in enumerate(couplings)
+            (index, coupling.actuator, coupling)
+            for index, coupling in enumerate(couplings)
             if coupling.actuator is not None and not coupling.linear
         ]
 
-    def fill(
-        self, record: TickRecord, position: NDArray[np.float64], velocity: NDArray[np.float64]
-    ) -> None:
-        """Write joint positions and velocities ``(m,)`` into the arrays given."""
-        position[:] = record.position[self._follows] * self._factor + self._offset
-        velocity[:] = record.velocity[self._follows] * self._factor
+    def position(self, actuators: FloatArray) -> FloatArray:
+        """Return the positions [rad | m] at actuator positions ``(n,)`` [rad | m]."""
+        position: FloatArray = actuators[self._follows] * self._factor + self._offset
         if self._standing.size:
             position[self._standing] = self._offset[self._standing]
+        for index, actuator, coupling in self._curved:
+            position[index] = coupling.value(float(actuators[actuator]))
+        return position
+
+    def velocity(self, actuators: FloatArray, rates: FloatArray) -> FloatArray:
+        """Return the velocities [rad/s | m/s] at positions and velocities ``(n,)``."""
+        velocity: FloatArray = rates[self._follows] * self._factor
+        if self._standing.size:
             velocity[self._standing] = 0.0
-        for row, actuator, coupling in self._curved:
-            where, slope = coupling.dual(float(record.position[actuator]))
-            position[row] = where
-            velocity[row] = slope * record.velocity[actuator]
+        for index, actuator, coupling in self._curved:
+            velocity[index] = coupling.dual(float(actuators[actuator]))[1] * rates[actuator]
+        return velocity
 
 
 class TickEncoder:
     """Encodes what was known at a tick into message records.
+
+    In the joint states the actuators stand first, so that their values repeat those of the actuator
+    states in one piece, and the positions and velocities of the joints that follow them are rounded
+    to single precision: both make recordings smaller, and they can be computed anew exactly.
 
     Args:
         joints: Names of all moving joints.
@@ -88,57 +104,74 @@ class TickEncoder:
         transmission: Transmission,
         channels: TickChannels,
     ) -> None:
-        self._map = JointMap(transmission)
-        self._driven = [joints.index(name) for name in actuators]
+        following = [row for row, name in enumerate(joints) if name not in actuators]
+        self._followers = Followers(transmission, following)
+        joints = [*actuators, *(joints[row] for row in following)]
         self._sequence = 0
         messages = (
             (channels.joint_states, JOINT_STATE, joint_state_fields(joints)),
             (channels.actuator_states, ACTUATOR_STATE, actuator_state_fields(actuators)),
             (channels.reference, JOINT_STATE, joint_state_fields(actuators)),
         )
-        encoded = [(channel, kind, kind.encode(fields)) for channel, kind, fields in messages]
-        self._block = bytearray(sum(MESSAGE.size + len(data) for _, _, data in encoded))
+        self._parts: list[bytes] = []
+        self._slots: list[dict[str, int]] = []
         self.layout: list[tuple[int, int]] = []
-        templates: list[Template] = []
         begin = 0
-        for channel, kind, data in encoded:
-            self._block[begin : begin + MESSAGE.size] = message_head(channel, 0, 0, len(data))
-            templates.append(Template(kind, data, self._block, begin + MESSAGE.size))
+        for channel, kind, fields in messages:
+            data = kind.encode(fields)
+            head = message_head(channel, 0, 0, len(data))
+            pieces = Parts(kind, data)
+            first = len(self._parts)
+            self._parts += [head[:_TIMES_OFFSET], head[_TIMES_OFFSET:], *pieces.parts]
+            slots = {name: first + 2 + index for name, index in pieces.slots.items()}
+            self._slots.append(slots | {"times": first + 1})
             self.layout.append((channel, begin))
             begin += MESSAGE.size + len(data)
-        self._templates = templates
-        self._joints, self._actuators, self._reference = (t.views for t in templates)
-        self._joints["effort"][:] = math.nan
+        self._size = begin
+        self._no_effort = np.full(len(following), math.nan).tobytes()
 
-    def encode(self, record: TickRecord, wall_ns: int) -> bytearray:
-        """Return the message records of a tick; the buffer is used again at the next one.
+    def encode(self, record: TickRecord, wall_ns: int) -> bytes:
+        """Return the message records of a tick.
 
-        A mimic joint has no effort of its own: ``NaN``.
+        A joint that follows has no effort of its own: ``NaN``.
 
         Args:
             record: What was known at the tick.
             wall_ns: Its time [ns since 1970].
         """
         sequence = self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        block = self._block
-        for (_, begin), template in zip(self.layout, self._templates, strict=True):
-            _TIMES.pack_into(block, begin + _TIMES_OFFSET, sequence, wall_ns, wall_ns)
-            template.stamp(wall_ns)
-        joints = self._joints
-        self._map.fill(record, joints["position"], joints["velocity"])
-        joints["effort"][self._driven] = record.effort
-        actuators = self._actuators
-        actuators["tick"][0] = record.tick
-        actuators["time"][0] = record.stamp
-        actuators["position"][:] = record.position
-        actuators["velocity"][:] = record.velocity
-        actuators["effort"][:] = record.effort
-        actuators["current"][:] = record.current
-        actuators["temperature"][:] = record.temperature
-        actuators["grasped"][:] = record.grasped
-        actuators["fresh"][:] = record.fresh
-        reference = self._reference
-        reference["position"][:] = record.reference_position
-        reference["velocity"][:] = record.reference_velocity
-        reference["effort"][:] = record.reference_effort
+        parts = self._parts
+        joints, actuators, reference = self._slots
+        times = _TIMES.pack(sequence, wall_ns, wall_ns)
+        stamp = stamp_bytes(wall_ns)
+        for slots in self._slots:
+            parts[slots["times"]] = times
+            parts[slots["stamp"]] = stamp
+        position = record.position.tobytes()
+        velocity = record.velocity.tobytes()
+        effort = record.effort.tobytes()
+        followed = self._followers.position(record.position)
+        moved = self._followers.velocity(record.position, record.velocity)
+        parts[joints["position"]] = position + _rounded(followed)
+        parts[joints["velocity"]] = velocity + _rounded(moved)
+        parts[joints["effort"]] = effort + self._no_effort
+        parts[actuators["tick"]] = _TICK.pack(record.tick)
+        parts[actuators["time"]] = _TIME.pack(record.stamp)
+        parts[actuators["position"]] = position
+        parts[actuators["velocity"]] = velocity
+        parts[actuators["effort"]] = effort
+        parts[actuators["current"]] = record.current.tobytes()
+        parts[actuators["temperature"]] = record.temperature.tobytes()
+        parts[actuators["grasped"]] = record.grasped.tobytes()
+        parts[actuators["fresh"]] = record.fresh.tobytes()
+        parts[reference["position"]] = record.reference_position.tobytes()
+        parts[reference["velocity"]] = record.reference_velocity.tobytes()
+        parts[reference["effort"]] = record.reference_effort.tobytes()
+        block = b"".join(parts)
+        if len(block) != self._size:
+            raise ValueError("the arrays of a tick do not fit the hand")
         return block
+
+
+def _rounded(values: FloatArray) -> bytes:
+    return values.astype(np.float32).astype(np.float64).tobytes()

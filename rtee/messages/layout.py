@@ -1,8 +1,8 @@
 """Messages whose layout never changes between two ticks: packed once, then only filled in.
 
 The names of joints and the lengths of arrays are constant while a hand runs, so every field stands
-at the same offset in every message. A layout holds the bytes of one message with views of its
-fields; writing a message is filling the views, and reading many of them is a view of all at once.
+at the same offset in every message: writing one is putting the changing pieces between the constant
+ones, and reading many of them is one view of all at once.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtee.messages.cdr import DTYPES, HEADER, SCALARS, Reader
-from rtee.messages.schema import MessageType, message_type
+from rtee.messages.cdr import HEADER, SCALARS, Reader
+from rtee.messages.schema import Field, MessageType, message_type
 from rtee.types import FloatArray
 
 _SECOND = 1_000_000_000
@@ -24,6 +23,10 @@ _STAMP_OFFSET = len(HEADER)
 
 JOINT_STATE = message_type("sensor_msgs/msg/JointState")
 ACTUATOR_STATE = message_type("rtee_msgs/msg/ActuatorState")
+
+
+def _numeric(field: Field) -> bool:
+    return not field.nested and field.kind != "string"
 
 
 def offsets(kind: MessageType, data: bytes) -> dict[str, tuple[int, int]]:
@@ -37,7 +40,7 @@ def offsets(kind: MessageType, data: bytes) -> dict[str, tuple[int, int]]:
     found: dict[str, tuple[int, int]] = {}
     reader = Reader(data)
     for field in kind.fields:
-        if field.nested or field.kind == "string":
+        if not _numeric(field):
             MessageType(kind.name, "", (field,)).read(reader)
             continue
         size = SCALARS[field.kind].size
@@ -51,32 +54,35 @@ def offsets(kind: MessageType, data: bytes) -> dict[str, tuple[int, int]]:
     return found
 
 
-class Template:
-    """The bytes of one message in a buffer, with its fields as arrays to be filled.
+class Parts:
+    """The bytes of one message, cut so that every field that changes is a part of its own.
 
     Attributes:
-        buffer: The bytes; they may be part of a larger buffer.
-        views: Its fields of numbers by name, each an array on the buffer.
+        parts: The pieces in order; joined they are the message.
+        slots: Field to the index of its piece; ``stamp`` is the time in the header, which must be
+            the message's first field.
     """
 
-    def __init__(
-        self, kind: MessageType, data: bytes, buffer: bytearray | None = None, start: int = 0
-    ) -> None:
-        self.buffer = bytearray(data) if buffer is None else buffer
-        if buffer is not None:
-            buffer[start : start + len(data)] = data
-        self._start = start
-        self.views: dict[str, NDArray[Any]] = {}
-        kinds = {field.name: field.kind for field in kind.fields}
-        for name, (offset, count) in offsets(kind, data).items():
-            dtype = DTYPES[kinds[name]]
-            self.views[name] = np.frombuffer(
-                self.buffer, dtype=dtype, count=count, offset=start + offset
-            )
+    def __init__(self, kind: MessageType, data: bytes) -> None:
+        sizes = {field.name: SCALARS[field.kind].size for field in kind.fields if _numeric(field)}
+        where = {"stamp": (_STAMP_OFFSET, _STAMP.size)} | {
+            name: (offset, count * sizes[name])
+            for name, (offset, count) in offsets(kind, data).items()
+        }
+        self.parts: list[bytes] = []
+        self.slots: dict[str, int] = {}
+        position = 0
+        for name, (offset, size) in sorted(where.items(), key=lambda item: item[1][0]):
+            self.parts.append(data[position:offset])
+            self.slots[name] = len(self.parts)
+            self.parts.append(data[offset : offset + size])
+            position = offset + size
+        self.parts.append(data[position:])
 
-    def stamp(self, wall_ns: int) -> None:
-        """Fill in the time of the header, which must be the first field: since 1970 [ns]."""
-        _STAMP.pack_into(self.buffer, self._start + _STAMP_OFFSET, *divmod(wall_ns, _SECOND))
+
+def stamp_bytes(wall_ns: int) -> bytes:
+    """Return the bytes of the time in a header: since 1970 [ns]."""
+    return _STAMP.pack(*divmod(wall_ns, _SECOND))
 
 
 def joint_state_fields(names: Sequence[str], frame: str = "") -> dict[str, Any]:
@@ -114,15 +120,10 @@ class JointStateEncoder:
     """
 
     def __init__(self, names: Sequence[str], frame: str = "") -> None:
-        data = JOINT_STATE.encode(joint_state_fields(names, frame))
         self._size = 8 * len(names)
-        where = offsets(JOINT_STATE, data)
-        begin = _STAMP_OFFSET + _STAMP.size
-        position, velocity, effort = (where[key][0] for key in ("position", "velocity", "effort"))
-        count = self._size
-        self._before = data[begin:position]
-        self._first_gap = data[position + count : velocity]
-        self._second_gap = data[velocity + count : effort]
+        data = Parts(JOINT_STATE, JOINT_STATE.encode(joint_state_fields(names, frame)))
+        self._parts = data.parts
+        self._slots = [data.slots[name] for name in ("stamp", "position", "velocity", "effort")]
 
     def encode(
         self, wall_ns: int, position: FloatArray, velocity: FloatArray, effort: FloatArray
@@ -140,16 +141,10 @@ class JointStateEncoder:
         """
         if not position.nbytes == velocity.nbytes == effort.nbytes == self._size:
             raise ValueError(f"{self._size // 8} values of float64 expected")
-        seconds, nanoseconds = divmod(wall_ns, _SECOND)
-        return b"".join(
-            (
-                HEADER,
-                _STAMP.pack(seconds, nanoseconds),
-                self._before,
-                position.tobytes(),
-                self._first_gap,
-                velocity.tobytes(),
-                self._second_gap,
-                effort.tobytes(),
-            )
-        )
+        parts = self._parts
+        stamp, first, second, third = self._slots
+        parts[stamp] = _STAMP.pack(*divmod(wall_ns, _SECOND))
+        parts[first] = position.tobytes()
+        parts[second] = velocity.tobytes()
+        parts[third] = effort.tobytes()
+        return b"".join(parts)
