@@ -109,13 +109,6 @@ class DiskSink:
             break
         else:
             raise FileExistsError(f"no free name for a recording of '{hand}'")
-        try:
-            file.write(self._contents.description(wall_ns))
-        except OSError:
-            with contextlib.suppress(OSError):
-                file.close()
-            path.unlink(missing_ok=True)
-            raise
         self._file = file
         self._part += 1
         self._opened = self._monotonic()
@@ -146,6 +139,8 @@ class DiskSink:
             if self._file is None:
                 self._open(chunk.start)
             assert self._file is not None  # noqa: S101 - narrows the type
+            if not self._file.end:
+                self._file.write(self._contents.description(chunk.start))
             self._file.write(chunk)
         except OSError as error:
             self.problem = reason(error)

@@ -1,0 +1,283 @@
+"""Reading recordings into arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.errors import LogError, MessageError
+from rtee.log import rows
+from rtee.log.chunks import MESSAGE
+from rtee.log.recording import ActuatorSeries, Channel, Entry, JointSeries, Recording
+from rtee.log.rotation import parts_of, recordings
+from rtee.log.scan import DamagedRecordError, messages_of
+from rtee.log.sink import reason
+from rtee.log.survey import ChunkPlace, Survey, survey
+from rtee.messages import convert, topics
+from rtee.messages.schema import message_type
+from rtee.types import FloatArray
+
+T = TypeVar("T")
+
+_SECOND = 1e9
+_TABLES = (topics.JOINT_STATES, topics.ACTUATOR_STATES, topics.REFERENCE)
+
+Fields = Mapping[str, Any]
+
+
+def read(
+    path: Path | str | Sequence[Path | str],
+    *,
+    series: bool = False,
+    only: Iterable[str] | None = None,
+) -> Recording:
+    """Read a recording into memory.
+
+    A file that was never closed is read up to its last sound chunk.
+
+    Args:
+        path: A file, several files of one hand, or a folder: its newest recording with all parts.
+        series: With a file, read all parts of its recording.
+        only: Names of topics to read, such as ``reference``; all unless given.
+
+    Raises:
+        LogError: if a file cannot be opened, is no MCAP file or holds no recording of a hand.
+    """
+    paths = _paths(path, series)
+    surveys = [survey(each) for each in paths]
+    wanted = set(topics.TYPES) if only is None else set(only)
+    unknown = wanted - set(topics.TYPES)
+    if unknown:
+        raise LogError(f"there are no topics {sorted(unknown)}; there are {sorted(topics.TYPES)}")
+    return _Collector(surveys, wanted).read()
+
+
+def _paths(path: Path | str | Sequence[Path | str], series: bool) -> list[Path]:
+    if not isinstance(path, (str, Path)):
+        if not path:
+            raise LogError("no file is given")
+        return [Path(each) for each in path]
+    one = Path(path)
+    if one.is_dir():
+        found = [file for file in recordings(one) if file.part is not None]
+        if not found:
+            raise LogError("there is no recording in this folder", path=one)
+        return parts_of(found[-1].path)
+    return parts_of(one) if series else [one]
+
+
+class _Collector:
+    """Collects the messages of all files."""
+
+    def __init__(self, surveys: Sequence[Survey], wanted: set[str]) -> None:
+        self._surveys = surveys
+        self._wanted = wanted
+        self._hand = surveys[0].hand
+        for other in surveys[1:]:
+            if other.hand != self._hand:
+                raise LogError(
+                    f"is a recording of '{other.hand}', not of '{self._hand}'", path=other.path
+                )
+        self._notes = [f"{each.path.name}: {note}" for each in surveys for note in each.notes]
+        self._rows: dict[str, rows.Rows] = {}
+        for name in _TABLES:
+            most = sum(self._count(each, name) for each in surveys) if name in wanted else 0
+            self._rows[name] = rows.Rows(message_type(topics.TYPES[name]), most)
+        self._messages: dict[str, list[tuple[int, Fields]]] = {name: [] for name in topics.TYPES}
+        self._damaged = 0
+
+    def _name_of(self, topic: str) -> str | None:
+        """Return the name of a topic that belongs to the hand."""
+        for name in topics.TYPES:
+            if topic == topics.log_topic(self._hand, name):
+                return name
+        return None
+
+    def _channels(self, file: Survey) -> dict[int, str]:
+        """Return the wanted channels of a file whose types are ours, with their names."""
+        found = {}
+        for number, channel in file.channels.items():
+            name = self._name_of(channel.topic)
+            schema = file.schemas.get(channel.schema_id)
+            if name in self._wanted and schema is not None and schema.name == topics.TYPES[name]:
+                found[number] = name
+        return found
+
+    def _count(self, file: Survey, name: str) -> int:
+        numbers = [number for number, its in self._channels(file).items() if its == name]
+        return sum(file.count(number) for number in numbers)
+
+    def read(self) -> Recording:
+        for file in self._surveys:
+            channels = self._channels(file)
+            if not channels and not file.values:
+                raise LogError("holds no recording of a hand", path=file.path)
+            try:
+                with file.path.open("rb") as stream:
+                    for chunk in file.chunks:
+                        self._chunk(chunk, stream, channels)
+            except OSError as error:
+                raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
+        return self._recording()
+
+    def _chunk(self, place: ChunkPlace, stream: BinaryIO, channels: Mapping[int, str]) -> None:
+        if place.indexes and not channels.keys() & place.indexes.keys():
+            return
+        try:
+            data, _ = messages_of(place.record.read(stream))
+        except DamagedRecordError as error:
+            self._notes.append(str(error))
+            return
+        array = np.frombuffer(data, dtype=np.uint8)
+        starts = _starts(place, stream, array, channels)
+        if starts is None:
+            walked = rows.walk(data)
+            starts = {k: np.array(v, dtype=np.int64) for k, v in walked.items() if k in channels}
+        for number, offsets in starts.items():
+            name = channels[number]
+            if name in _TABLES:
+                self._rows[name].add(array, offsets)
+            else:
+                self._decode(name, array, offsets)
+
+    def _decode(self, name: str, array: rows.Bytes, starts: rows.Offsets) -> None:
+        kind = message_type(topics.TYPES[name])
+        times = rows.log_times(array, starts).tolist()
+        sizes = rows.lengths(array, starts).tolist()
+        for start, size, time in zip(starts.tolist(), sizes, times, strict=True):
+            begin = start + MESSAGE.size
+            try:
+                fields = kind.decode(array[begin : begin + size].tobytes())
+            except MessageError:
+                self._damaged += 1
+                continue
+            self._messages[name].append((time, fields))
+
+    # --- from messages to a recording --------------------------------------------------------
+
+    def _recording(self) -> Recording:
+        start = min((each.start for each in self._surveys if each.chunks), default=0)
+        end = max((each.end for each in self._surveys if each.chunks), default=0)
+        joint_states = self._series(topics.JOINT_STATES, start)
+        reference = self._series(topics.REFERENCE, start)
+        actuator_states = self._actuators(start)
+        descriptions = self._messages[topics.ROBOT_DESCRIPTION]
+
+        def entries(name: str, make: Callable[[Fields], T]) -> list[Entry[T]]:
+            return self._entries(name, make, start)
+
+        recording = Recording(
+            paths=tuple(each.path for each in self._surveys),
+            hand=self._hand,
+            start=start,
+            end=end,
+            finished=all(each.finished for each in self._surveys),
+            metadata=self._surveys[0].values,
+            attachments={
+                name: bytes(attachment.data)
+                for each in reversed(self._surveys)
+                for name, attachment in each.attachments.items()
+            },
+            joint_states=joint_states,
+            actuator_states=actuator_states,
+            reference=reference,
+            goals=entries(topics.GOALS, convert.goal_of),
+            commands=entries(topics.COMMANDS, convert.command_of),
+            feedback=entries(topics.FEEDBACK, convert.feedback_of),
+            results=entries(topics.RESULTS, convert.result_of),
+            events=entries(topics.EVENTS, convert.event_of),
+            device_status=entries(topics.DEVICE_STATUS, convert.device_status_of),
+            loop_statistics=entries(topics.LOOP_STATISTICS, convert.loop_statistics_of),
+            channels=_channels_of(self._messages[topics.CHANNELS], start),
+            urdf=str(descriptions[0][1]["data"]) if descriptions else "",
+        )
+        skipped = sum(table.skipped for table in self._rows.values())
+        if self._damaged:
+            self._notes.append(f"{self._damaged} messages make no sense and are left out")
+        if skipped:
+            self._notes.append(f"{skipped} messages with other joints are left out")
+        object.__setattr__(recording, "notes", tuple(self._notes))
+        return recording
+
+    def _series(self, name: str, start: int) -> JointSeries:
+        table = self._rows[name]
+        order = _order(table.times)
+        wall = table.times[order]
+        return JointSeries(
+            t=(wall - start) / _SECOND,
+            wall=wall,
+            names=table.names,
+            **{key: table.column(key)[order] for key in ("position", "velocity", "effort")},
+        )
+
+    def _actuators(self, start: int) -> ActuatorSeries:
+        table = self._rows[topics.ACTUATOR_STATES]
+        order = _order(table.times)
+        wall = table.times[order]
+        wide = ["position", "velocity", "effort", "current", "temperature", "grasped", "fresh"]
+        return ActuatorSeries(
+            t=(wall - start) / _SECOND,
+            wall=wall,
+            names=table.names,
+            tick=table.column("tick")[order].reshape(-1),
+            time=table.column("time")[order].reshape(-1),
+            **{key: table.column(key)[order] for key in wide},
+        )
+
+    def _entries(self, name: str, make: Callable[[Fields], T], start: int) -> list[Entry[T]]:
+        entries = []
+        for time, fields in self._messages[name]:
+            try:
+                value = make(fields)
+            except MessageError:
+                self._damaged += 1
+                continue
+            stamp = float(fields.get("time", 0.0))
+            entries.append(Entry((time - start) / _SECOND, time, stamp, value))
+        return sorted(entries, key=lambda entry: entry.wall)
+
+
+def _starts(
+    place: ChunkPlace, stream: BinaryIO, data: rows.Bytes, channels: Mapping[int, str]
+) -> dict[int, rows.Offsets] | None:
+    """Return where the messages of the channels begin; ``None`` if the index cannot be trusted."""
+    if not place.indexes:
+        return None
+    found: dict[int, rows.Offsets] = {}
+    for number in channels:
+        index = place.indexes.get(number)
+        if index is None:
+            continue
+        try:
+            entries = np.frombuffer(index.read(stream)[6:], dtype="<u8").reshape(-1, 2)
+        except (DamagedRecordError, ValueError):
+            return None
+        starts = entries[:, 1].astype(np.int64)
+        if not rows.valid(data, starts, number):
+            return None
+        found[number] = starts
+    return found
+
+
+def _order(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
+    """Return what sorts by time; nothing is copied when the times are sorted already."""
+    if times.size < 2 or bool((times[1:] >= times[:-1]).all()):
+        return slice(None)
+    return np.argsort(times, kind="stable")
+
+
+def _channels_of(messages: Sequence[tuple[int, Fields]], start: int) -> dict[str, Channel]:
+    times: dict[str, list[float]] = {}
+    values: dict[str, list[FloatArray]] = {}
+    for time, fields in messages:
+        ends = np.cumsum(fields["length"].astype(np.int64))
+        if len(ends) != len(fields["name"]):
+            continue
+        for name, value in zip(fields["name"], np.split(fields["value"], ends[:-1]), strict=True):
+            times.setdefault(name, []).append((time - start) / _SECOND)
+            values.setdefault(name, []).append(value)
+    return {name: Channel(name, np.array(times[name]), tuple(values[name])) for name in times}

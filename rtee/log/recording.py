@@ -1,0 +1,249 @@
+"""A recording in memory: arrays by topic, goals with their spans, attachments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.errors import LogError, suggestion
+from rtee.types import (
+    BoolArray,
+    Command,
+    DeviceStatus,
+    Event,
+    Feedback,
+    FloatArray,
+    Goal,
+    LoopStatistics,
+    Result,
+)
+
+T = TypeVar("T")
+
+_SECOND = 1e9
+
+
+@dataclass(frozen=True)
+class JointSeries:
+    """Joint states over time.
+
+    Attributes:
+        t: Time since the recording's start ``(k,)`` [s].
+        wall: The same since 1970 ``(k,)`` [ns].
+        names: Names of the ``n`` joints or actuators.
+        position: Positions ``(k, n)`` [rad | m].
+        velocity: Velocities ``(k, n)`` [rad/s | m/s].
+        effort: Efforts ``(k, n)`` [N·m | N]; in a reference the effort limits.
+    """
+
+    t: FloatArray
+    wall: NDArray[np.int64]
+    names: tuple[str, ...]
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def index(self, name: str) -> int:
+        """Return the column of a joint.
+
+        Raises:
+            LogError: if it is not in the recording.
+        """
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise LogError(
+                f"'{name}' is not in the recording; {suggestion(name, self.names)}"
+            ) from None
+
+
+@dataclass(frozen=True)
+class ActuatorSeries(JointSeries):
+    """What the actuators measured over time, as the loop was given it.
+
+    Attributes:
+        tick: Numbers of the ticks ``(k,)``; a gap is a missed or lost tick.
+        time: CLOCK_MONOTONIC of the ticks ``(k,)`` [s].
+        current: Motor currents ``(k, n)`` [A].
+        temperature: Temperatures ``(k, n)`` [°C].
+        grasped: The devices' own word ``(k, n)``: 1 holding, 0 not, -1 none.
+        fresh: Whether it was measured since the tick before ``(k, n)``.
+    """
+
+    tick: NDArray[np.uint64]
+    time: FloatArray
+    current: FloatArray
+    temperature: FloatArray
+    grasped: NDArray[np.int8]
+    fresh: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class Entry(Generic[T]):
+    """Something that happened.
+
+    Attributes:
+        t: When, since the recording's start [s].
+        wall: The same since 1970 [ns].
+        stamp: The same by CLOCK_MONOTONIC [s], where it is known, else 0.
+        value: What.
+    """
+
+    t: float
+    wall: int
+    stamp: float
+    value: T
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A further measured channel over time.
+
+    Attributes:
+        name: Its name.
+        t: Times since the recording's start [s], of the changes only.
+        values: Values at those times.
+    """
+
+    name: str
+    t: FloatArray
+    values: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """The time an action took.
+
+    Attributes:
+        name: The action with its elements, or the inner action's name.
+        start: When it began, since the recording's start [s].
+        end: When it ended [s]; the recording's end if it still ran.
+        outcome: ``reached``, ``grasped``, ``stalled``, ``preempted``, ``cancelled``,
+            ``timed_out``, ``aborted``, or ``running``.
+        goal_id: The goal.
+        inner: The inner actions of a timed action.
+    """
+
+    name: str
+    start: float
+    end: float
+    outcome: str
+    goal_id: str
+    inner: tuple[Span, ...] = ()
+
+
+def outcome_of(result: Result) -> str:
+    """Return the word that says best how a goal ended."""
+    for word in ("aborted", "cancelled", "preempted", "timed_out", "grasped", "reached", "stalled"):
+        if getattr(result, word):
+            return word
+    return "ended"
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording in memory.
+
+    Attributes:
+        paths: The files it was read from, in order.
+        hand: The hand's name.
+        start: Time of its first message since 1970 [ns].
+        end: Time of its last message since 1970 [ns].
+        finished: All its files have been closed properly.
+        metadata: What was written about it: rate, actuators, session and so on.
+        attachments: Attached files by name: URDF, hand.yaml, actions.
+        joint_states: All joints, those that follow included.
+        actuator_states: The actuators as measured.
+        reference: What was sent to the devices.
+        goals: Goals that were accepted.
+        commands: Calls that steered the hand otherwise.
+        feedback: Progress of the goals.
+        results: How they ended.
+        events: Events, marks among them.
+        device_status: Device status, about once a second.
+        loop_statistics: Loop statistics, about once a second.
+        channels: Further measured channels by name.
+        urdf: The robot's description.
+        notes: What is wrong with the files, one sentence each.
+    """
+
+    paths: tuple[Path, ...]
+    hand: str
+    start: int
+    end: int
+    finished: bool
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+    joint_states: JointSeries
+    actuator_states: ActuatorSeries
+    reference: JointSeries
+    goals: Sequence[Entry[Goal]] = ()
+    commands: Sequence[Entry[Command]] = ()
+    feedback: Sequence[Entry[Feedback]] = ()
+    results: Sequence[Entry[Result]] = ()
+    events: Sequence[Entry[Event]] = ()
+    device_status: Sequence[Entry[DeviceStatus]] = ()
+    loop_statistics: Sequence[Entry[LoopStatistics]] = ()
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+    urdf: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last message [s]."""
+        return (self.end - self.start) / _SECOND
+
+    @property
+    def rate(self) -> float:
+        """Rate of the loop [Hz]; 0 if it is not known."""
+        try:
+            return float(self.metadata.get("rate", "0"))
+        except ValueError:
+            return 0.0
+
+    @property
+    def marks(self) -> list[Entry[Event]]:
+        """The marks that the user set."""
+        return [entry for entry in self.events if entry.value.kind == "mark"]
+
+    @cached_property
+    def spans(self) -> list[Span]:
+        """The time that every goal took, in order."""
+        results = {entry.value.goal_id: entry for entry in self.results}
+        feedback: dict[str, list[Entry[Feedback]]] = {}
+        for entry in self.feedback:
+            feedback.setdefault(entry.value.goal_id, []).append(entry)
+        spans = []
+        for goal in self.goals:
+            name = " ".join((goal.value.action, *goal.value.elements))
+            ended = results.get(goal.value.goal_id)
+            end = ended.t if ended else self.duration
+            outcome = outcome_of(ended.value) if ended else "running"
+            given = feedback.get(goal.value.goal_id, [])
+            inner = tuple(_inner_spans(given, goal.value.goal_id, end, outcome))
+            spans.append(Span(name, goal.t, end, outcome, goal.value.goal_id, inner))
+        return spans
+
+
+def _inner_spans(
+    feedback: Sequence[Entry[Feedback]], goal_id: str, end: float, outcome: str
+) -> Iterator[Span]:
+    """Yield the inner actions of a timed action, as its feedback names them."""
+    name, start = "", 0.0
+    for entry in feedback:
+        if entry.value.inner == name:
+            continue
+        if name:
+            yield Span(name, start, entry.t, "reached", goal_id)
+        name, start = entry.value.inner, entry.t
+    if name:
+        yield Span(name, start, end, outcome, goal_id)

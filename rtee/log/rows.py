@@ -1,0 +1,189 @@
+"""Reading many messages of one layout at once into arrays."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.errors import MessageError
+from rtee.log.chunks import MESSAGE
+from rtee.messages.cdr import DTYPES
+from rtee.messages.layout import offsets
+from rtee.messages.schema import MessageType
+
+_LENGTH = struct.Struct("<Q")
+_AFTER_LENGTH = MESSAGE.size - 9
+_LOG_TIME = 15
+_LEAST_ROOM = 16
+
+Bytes = NDArray[np.uint8]
+Offsets = NDArray[np.int64]
+
+
+def walk(data: bytes) -> dict[int, list[int]]:
+    """Return the offsets of the messages in a chunk by channel, also of channels defined in it."""
+    found: dict[int, list[int]] = {}
+    position = 0
+    while position + MESSAGE.size <= len(data):
+        opcode, length, channel = struct.unpack_from("<BQH", data, position)
+        if position + 9 + length > len(data):
+            break
+        if opcode == 5 and length >= _AFTER_LENGTH:
+            found.setdefault(channel, []).append(position)
+        position += 9 + length
+    return found
+
+
+def gather(data: Bytes, starts: Offsets, size: int) -> Bytes:
+    """Return ``size`` bytes from each start ``(k, size)``; all must be within the data."""
+    windows = np.lib.stride_tricks.as_strided(
+        data, shape=(max(0, data.size - size + 1), size), strides=(1, 1), writeable=False
+    )
+    rows: Bytes = windows[starts]
+    return rows
+
+
+def lengths(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
+    """Return the lengths of the messages whose records begin at the starts [bytes]."""
+    raw = np.ascontiguousarray(gather(data, starts + 1, 8)).view("<u8")[:, 0]
+    return raw.astype(np.int64) - _AFTER_LENGTH
+
+
+def log_times(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
+    """Return the log times [ns since 1970] of the records at the starts."""
+    return np.ascontiguousarray(gather(data, starts + _LOG_TIME, 8)).view("<i8")[:, 0]
+
+
+def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
+    """Whether an index tells the truth: messages of the channel begin at all starts."""
+    if not starts.size:
+        return True
+    if starts.min() < 0 or starts.max() + MESSAGE.size > data.size:
+        return False
+    heads = gather(data, starts, 11)
+    if not (heads[:, 0] == 5).all():
+        return False
+    if not (np.ascontiguousarray(heads[:, 9:11]).view("<u2") == channel).all():
+        return False
+    sizes = lengths(data, starts)
+    return bool((sizes >= 0).all() and (starts + MESSAGE.size + sizes <= data.size).all())
+
+
+class Rows:
+    """Collects messages of one type and layout into arrays, one row per message.
+
+    The first message fixes the layout: the names and the lengths of its arrays. Messages that have
+    another one are left out and counted.
+
+    Args:
+        kind: Type of the messages.
+        expected: How many there probably are.
+
+    Attributes:
+        names: The names in the messages.
+        skipped: Messages left out.
+    """
+
+    def __init__(self, kind: MessageType, expected: int) -> None:
+        self._kind = kind
+        self._room = max(expected, _LEAST_ROOM)
+        self._kinds = {field.name: field.kind for field in kind.fields}
+        self._where: dict[str, tuple[int, int]] = {}
+        self._first = np.empty(0, dtype=np.uint8)
+        self._constant: list[tuple[int, int]] = []
+        self._columns: dict[str, NDArray[Any]] = {}
+        self._times = np.empty(self._room, dtype=np.int64)
+        self._count = 0
+        self.names: tuple[str, ...] = ()
+        self.skipped = 0
+
+    def add(self, data: Bytes, starts: Offsets) -> None:
+        """Take the messages whose records begin at the starts in a chunk's data."""
+        if not starts.size:
+            return
+        sizes = lengths(data, starts)
+        if not self._first.size and not self._fix(data, starts, sizes):
+            self.skipped += len(starts)
+            return
+        fitting = sizes == self._first.size
+        if not fitting.all():
+            self.skipped += int(len(starts) - fitting.sum())
+            starts = starts[fitting]
+            if not starts.size:
+                return
+        rows = gather(data, starts + MESSAGE.size, self._first.size)
+        same = np.ones(len(rows), dtype=bool)
+        for begin, end in self._constant:
+            same &= (rows[:, begin:end] == self._first[begin:end]).all(axis=1)
+        if not same.all():
+            self.skipped += int(len(rows) - same.sum())
+            rows, starts = rows[same], starts[same]
+        self._store(rows, log_times(data, starts))
+
+    def _fix(self, data: Bytes, starts: Offsets, sizes: NDArray[np.int64]) -> bool:
+        """Take the layout from the first message that is one."""
+        for start, size in zip(starts.tolist(), sizes.tolist(), strict=True):
+            begin = start + MESSAGE.size
+            message = data[begin : begin + size].tobytes()
+            try:
+                fields = self._kind.decode(message)
+                self._where = offsets(self._kind, message)
+            except MessageError:
+                continue
+            self.names = tuple(fields["name"])
+            self._first = np.frombuffer(message, dtype=np.uint8)
+            break
+        else:
+            return False
+        self._constant = self._gaps()
+        for name, (_, count) in self._where.items():
+            self._columns[name] = np.empty((self._room, count), dtype=DTYPES[self._kinds[name]])
+        return True
+
+    def _gaps(self) -> list[tuple[int, int]]:
+        """Return the ranges of bytes that are the same in every message."""
+        gaps = []
+        position = 12
+        for name, (offset, count) in sorted(self._where.items(), key=lambda item: item[1][0]):
+            if offset > position:
+                gaps.append((position, offset))
+            position = offset + count * DTYPES[self._kinds[name]].itemsize
+        if position < self._first.size:
+            gaps.append((position, self._first.size))
+        return gaps
+
+    def _store(self, rows: Bytes, times: NDArray[np.int64]) -> None:
+        begin = self._count
+        end = begin + len(rows)
+        if end > self._room:
+            self._grow(end)
+        self._times[begin:end] = times
+        for name, (offset, count) in self._where.items():
+            if not count:
+                continue
+            dtype = DTYPES[self._kinds[name]]
+            part = np.ascontiguousarray(rows[:, offset : offset + count * dtype.itemsize])
+            self._columns[name][begin:end] = part.view(dtype)
+        self._count = end
+
+    def _grow(self, least: int) -> None:
+        self._room = max(least, 2 * self._room)
+        self._times = np.resize(self._times, self._room)
+        for name, column in self._columns.items():
+            grown = np.empty((self._room, column.shape[1]), dtype=column.dtype)
+            grown[: self._count] = column[: self._count]
+            self._columns[name] = grown
+
+    @property
+    def times(self) -> NDArray[np.int64]:
+        """Log times of the messages [ns since 1970]."""
+        return self._times[: self._count]
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a field of all messages ``(k, n)``; ``n`` is 1 for scalars."""
+        if not self._columns:
+            return np.empty((0, 0), dtype=DTYPES[self._kinds[name]])
+        return self._columns[name][: self._count]

@@ -1,0 +1,212 @@
+"""What a file holds, found by walking over it once without decompressing anything."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Schema
+
+from rtee.errors import LogError
+from rtee.log.chunks import INDEX_ENTRY
+from rtee.log.mcapfile import MAGIC
+from rtee.log.rotation import METADATA
+from rtee.log.scan import (
+    DamagedRecordError,
+    Record,
+    attachment_of,
+    channel_of,
+    header_of,
+    metadata_of,
+    scan,
+    schema_of,
+)
+from rtee.log.sink import reason
+
+_INDEX_HEAD = struct.Struct("<HI")
+_CHUNK_TIMES = struct.Struct("<QQ")
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkPlace:
+    """Where a chunk stands.
+
+    Attributes:
+        record: Its record.
+        start: Its earliest log time [ns since 1970].
+        end: Its latest log time [ns since 1970].
+        indexes: Channel to the record of its message index.
+    """
+
+    record: Record
+    start: int
+    end: int
+    indexes: dict[int, Record] = field(default_factory=dict)
+
+    def count(self, channel: int) -> int:
+        """Return the number of its messages on a channel, according to its index."""
+        index = self.indexes.get(channel)
+        return 0 if index is None else (index.length - _INDEX_HEAD.size) // INDEX_ENTRY
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What a file holds.
+
+    Attributes:
+        path: The file.
+        size: Its size [bytes].
+        library: What wrote it.
+        finished: It has been closed; otherwise it is being written, or its writer was killed.
+        good: Up to here it is sound [bytes].
+        metadata: Records of metadata by name.
+        attachments: The attachments by name.
+        schemas: The schemas by identifier.
+        channels: The channels by identifier.
+        chunks: The chunks in order.
+        loose: Messages outside chunks: foreign files only.
+        notes: What is wrong with it, one sentence each.
+    """
+
+    path: Path
+    size: int
+    library: str
+    finished: bool
+    good: int
+    metadata: Mapping[str, Mapping[str, str]]
+    attachments: Mapping[str, Attachment]
+    schemas: Mapping[int, Schema]
+    channels: Mapping[int, Channel]
+    chunks: tuple[ChunkPlace, ...]
+    loose: int
+    notes: tuple[str, ...]
+
+    @property
+    def values(self) -> Mapping[str, str]:
+        """What rtee wrote about the recording; empty for foreign files."""
+        return self.metadata.get(METADATA, {})
+
+    @property
+    def hand(self) -> str:
+        """The hand's name: as recorded, or of the first topic with joint states."""
+        if "hand" in self.values:
+            return self.values["hand"]
+        for channel in self.channels.values():
+            head, _, tail = channel.topic.strip("/").rpartition("/")
+            if tail == "joint_states":
+                return head
+        return ""
+
+    def count(self, channel: int) -> int:
+        """Return the number of messages on a channel, according to the indexes."""
+        return sum(chunk.count(channel) for chunk in self.chunks)
+
+    @property
+    def start(self) -> int:
+        """Earliest log time [ns since 1970]; 0 without messages."""
+        return min((chunk.start for chunk in self.chunks), default=0)
+
+    @property
+    def end(self) -> int:
+        """Latest log time [ns since 1970]; 0 without messages."""
+        return max((chunk.end for chunk in self.chunks), default=0)
+
+
+def survey(path: Path | str) -> Survey:
+    """Look at what a file holds.
+
+    Raises:
+        LogError: if it cannot be opened or is no MCAP file.
+    """
+    path = Path(path)
+    try:
+        return _Surveyor(path).look()
+    except OSError as error:
+        raise LogError(f"cannot be read: {reason(error)}", path=path) from error
+
+
+class _Surveyor:
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._library = ""
+        self._metadata: dict[str, Mapping[str, str]] = {}
+        self._attachments: dict[str, Attachment] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._chunks: list[ChunkPlace] = []
+        self._loose = 0
+        self._notes: list[str] = []
+
+    def look(self) -> Survey:
+        with self._path.open("rb") as stream:
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise LogError("is no MCAP file", path=self._path)
+            size = self._path.stat().st_size
+            good = len(MAGIC)
+            data = True
+            finished = False
+            for record in scan(stream):
+                if record.opcode == Opcode.FOOTER:
+                    stream.seek(record.end)
+                    finished = stream.read(len(MAGIC)) == MAGIC
+                elif record.opcode == Opcode.DATA_END:
+                    data = False
+                elif data:
+                    try:
+                        self._take(record, stream)
+                    except DamagedRecordError as error:
+                        self._notes.append(str(error))
+                    good = record.end
+        if not finished:
+            left = size - good if data else 0
+            self._notes.append(
+                "the file was not closed: it is being written, or its writer was killed"
+                + (f"; {left} bytes at its end are of no use" if left else "")
+            )
+        return Survey(
+            path=self._path,
+            size=size,
+            library=self._library,
+            finished=finished,
+            good=good,
+            metadata=self._metadata,
+            attachments=self._attachments,
+            schemas=self._schemas,
+            channels=self._channels,
+            chunks=tuple(self._chunks),
+            loose=self._loose,
+            notes=tuple(self._notes),
+        )
+
+    def _take(self, record: Record, stream: BinaryIO) -> None:
+        match record.opcode:
+            case Opcode.CHUNK:
+                times = record.read(stream, _CHUNK_TIMES.size)
+                if len(times) < _CHUNK_TIMES.size:
+                    raise DamagedRecordError("a chunk is shorter than any")
+                self._chunks.append(ChunkPlace(record, *_CHUNK_TIMES.unpack(times)))
+            case Opcode.MESSAGE_INDEX:
+                head = record.read(stream, _INDEX_HEAD.size)
+                if self._chunks and len(head) == _INDEX_HEAD.size:
+                    channel, _ = _INDEX_HEAD.unpack(head)
+                    self._chunks[-1].indexes[channel] = record
+            case Opcode.HEADER:
+                self._library = header_of(record.read(stream)).library
+            case Opcode.METADATA:
+                name, values = metadata_of(record.read(stream))
+                self._metadata[name] = values
+            case Opcode.ATTACHMENT:
+                attachment = attachment_of(record.read(stream))
+                self._attachments[attachment.name] = attachment
+            case Opcode.SCHEMA:
+                schema = schema_of(record.read(stream))
+                self._schemas[schema.id] = schema
+            case Opcode.CHANNEL:
+                channel_record = channel_of(record.read(stream))
+                self._channels[channel_record.id] = channel_record
+            case Opcode.MESSAGE:
+                self._loose += 1
