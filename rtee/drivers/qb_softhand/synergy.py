@@ -14,8 +14,6 @@ MANIPULATION_TICKS = -4_000
 class Mapping(Protocol):
     """Between the hand's actuators and its motors, both ways."""
 
-    actuators: int
-
     def to_ticks(self, closure: tuple[float, ...]) -> tuple[float, float]:
         """Return the references of both motors [ticks]."""
         ...
@@ -34,7 +32,6 @@ class OneMotor:
     """
 
     ticks: int = CLOSURE_TICKS
-    actuators: int = 1
 
     def to_ticks(self, closure: tuple[float, ...]) -> tuple[float, float]:
         """Return the references of both motors [ticks]; there is no second one."""
@@ -60,7 +57,6 @@ class TwoMotors:
 
     lower: int = MANIPULATION_TICKS
     upper: int = CLOSURE_TICKS - MANIPULATION_TICKS
-    actuators: int = 2
 
     @property
     def half(self) -> float:

@@ -1,0 +1,246 @@
+"""Drives a qb SoftHand: one synergy, or synergy and manipulation of a SoftHand 2."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from rtee.drivers.base import Driver
+from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.options import read_options
+from rtee.drivers.qb_softhand import codec
+from rtee.drivers.qb_softhand.codec import Command
+from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
+from rtee.drivers.qb_softhand.link import QbLink
+from rtee.drivers.qb_softhand.options import QbSoftHandOptions
+from rtee.drivers.qb_softhand.parameters import Limits, current_limit, limits
+from rtee.drivers.qb_softhand.synergy import CLOSURE_TICKS, Mapping, OneMotor, TwoMotors
+from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected, RteeError
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+
+if TYPE_CHECKING:
+    from rtee.buses.pool import BusPool
+
+INACTIVE = 1
+_CURRENT_LIMIT = 1.5
+_ACTIVATION = 0.5
+_BOTH = b"\x03"
+
+
+class QbSoftHandDriver(Driver):
+    """A qb SoftHand on its serial line.
+
+    Currents and positions come in one exchange (two with two motors, whose combined answer older
+    firmware gets wrong); a reference is sent without an answer. The protocol has no set-points for
+    effort and speed, and no fault codes: what can be seen is that the motors are inactive.
+
+    Attributes:
+        mapping: Between the actuators and the motors' ticks.
+    """
+
+    Options: ClassVar[type[QbSoftHandOptions]] = QbSoftHandOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = read_options(QbSoftHandOptions, spec)
+        if len(spec.actuators) != self.options.motors:
+            raise ConfigError(
+                f"device '{spec.name}': a hand with {self.options.motors} motor(s) has as many "
+                f"actuators, not {len(spec.actuators)}"
+            )
+        self.mapping: Mapping = OneMotor() if self.options.motors == 1 else TwoMotors()
+        self._link: QbLink | None = None
+        self._current_limit = _CURRENT_LIMIT
+        self._active = False
+        self._count = 0
+        self._closure = (0.0,) * self.options.motors
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "current", "effort"}),
+            accepts=frozenset({"position"}),
+            best_rate=1.0 / self._exchange_time(),
+            recoverable=True,
+            watchdog=self.options.watchdog > 0.0,
+        )
+
+    def _exchange_time(self) -> float:
+        sizes = [6 + 16, 10] if self.options.motors == 1 else [6 + 14, 6 + 10, 10]
+        wire = sum(sizes) * 10.0 / self.options.baudrate
+        return wire + self.options.turnaround * (len(sizes) - 1)
+
+    @property
+    def _hand(self) -> QbLink:
+        if self._link is None:
+            raise NotConnected(self.spec.name, "it is not connected")
+        return self._link
+
+    async def configure(self) -> None:
+        """Open the line and identify the hand; moves nothing."""
+        options = self.options
+        bus = await self.buses.serial(
+            options.port,
+            owner=owner_of(self.spec),
+            baudrate=options.baudrate,
+            emulator=emulator_of(self.spec, QbSoftHandEmulator),
+        )
+        link = self._link = QbLink(bus, options.device, options.deadline, options.retries)
+        if not await link.ping():
+            found = await link.anybody()
+            if found is not None:
+                raise HandshakeError(
+                    self.spec.name,
+                    f"hand number {options.device}",
+                    f"number {found}",
+                    hint=f"set 'device: {found}'",
+                )
+            raise NotConnected(
+                self.spec.name,
+                f"no SoftHand answers at {options.port}",
+                hint="is its supply on, and is it the right port and baud rate?",
+            )
+        parameters = await link.parameters()
+        self._adopt(limits(parameters))
+        self._current_limit = current_limit(parameters) or _CURRENT_LIMIT
+        self._active = bool(await link.active())
+        self.capabilities = replace(
+            self.capabilities,
+            identity={
+                "model": "qb SoftHand" if options.motors == 1 else "qb SoftHand 2",
+                "number": str(options.device),
+                "parameters": str(len(parameters)) if parameters else "not told",
+            },
+        )
+
+    def _adopt(self, told: tuple[Limits, ...]) -> None:
+        options = self.options
+        if told and len(told) != options.motors:
+            raise HandshakeError(
+                self.spec.name,
+                f"a hand with {options.motors} motor(s)",
+                f"one with {len(told)}",
+                hint=f"set 'motors: {len(told)}'",
+            )
+        if options.motors == 1:
+            ticks = options.closure_ticks or (told[0].upper if told else CLOSURE_TICKS)
+            self.mapping = OneMotor(ticks)
+        else:
+            lower = told[0].lower if told else TwoMotors().lower
+            if lower >= 0:
+                lower = TwoMotors().lower
+            upper = told[0].upper if told else TwoMotors().upper
+            if options.closure_ticks is not None:
+                upper = options.closure_ticks - lower
+            self.mapping = TwoMotors(lower, upper)
+
+    async def activate(self) -> None:
+        """Activate the motors where they stand; leaves a hand that is active alone."""
+        if self.options.watchdog > 0.0:
+            byte = codec.watchdog_byte(self.options.watchdog)
+            await self._hand.send(Command.SET_WATCHDOG, bytes([byte]))
+        if not await self._hand.active():
+            await self._hand.send(Command.ACTIVATE, _BOTH)
+            await self._confirm()
+        self._active = True
+        self._closure = await self._measured()
+
+    async def _confirm(self) -> None:
+        end = time.monotonic() + _ACTIVATION
+        while not await self._hand.active():
+            if time.monotonic() > end:
+                raise DeviceFault(
+                    self.spec.name, INACTIVE, "motors inactive", hint="is the supply high enough?"
+                )
+            await asyncio.sleep(0.01)
+
+    async def _measured(self) -> tuple[float, ...]:
+        least = 1 if self.options.motors == 1 else 3
+        return self.mapping.to_closure(await self._hand.integers(Command.GET_MEASUREMENTS, least))
+
+    async def sense(self) -> ActuatorState:
+        """Return closure and motor currents."""
+        self._count += 1
+        if self._active and self._count % self.options.status_every == 0:
+            await self._check()
+        currents: tuple[int, ...]
+        if self.options.motors == 1:
+            both = await self._hand.currents_and_positions()
+            positions, currents = both.positions, both.currents_ma[:1]
+        else:
+            positions = await self._hand.integers(Command.GET_MEASUREMENTS, 3)
+            currents = await self._hand.integers(Command.GET_CURRENTS, 2)
+        current = np.array(currents, dtype=np.float64) / 1000.0
+        return ActuatorState.measured(
+            self.mapping.to_closure(positions),
+            time.monotonic(),
+            effort=current * self._effort_per_ampere(),
+            current=current,
+        )
+
+    def _effort_per_ampere(self) -> np.ndarray:
+        given = self.options.effort_per_ampere
+        if given is not None:
+            return np.full(self.options.motors, given)
+        return np.array(
+            [
+                a.effort / self._current_limit if math.isfinite(a.effort) else math.nan
+                for a in self.spec.actuators
+            ]
+        )
+
+    async def _check(self) -> None:
+        if not await self._hand.active():
+            raise DeviceFault(
+                self.spec.name,
+                INACTIVE,
+                "motors inactive",
+                hint="was the supply low, or the line silent too long? `rtee recover`",
+            )
+
+    async def move(self, reference: Reference) -> None:
+        """Send the references of the motors; nothing answers."""
+        self._closure = tuple(
+            float(wanted) if commanded else kept
+            for wanted, commanded, kept in zip(
+                reference.position, reference.mask, self._closure, strict=True
+            )
+        )
+        await self._send(self._closure)
+
+    async def _send(self, closure: tuple[float, ...]) -> None:
+        data = codec.pack_int16(*self.mapping.to_ticks(closure))
+        await self._hand.send(Command.SET_INPUTS, data)
+
+    async def stop(self) -> None:
+        """Hold the measured pose."""
+        with contextlib.suppress(RteeError, OSError):
+            self._closure = await self._measured()
+            await self._send(self._closure)
+
+    async def release(self) -> None:
+        """Deactivate the motors; the hand relaxes as far as friction lets it."""
+        with contextlib.suppress(RteeError, OSError):
+            await self.deactivate()
+
+    async def recover(self) -> None:
+        """Activate the motors again, where they stand."""
+        await self._hand.send(Command.ACTIVATE, _BOTH)
+        await self._confirm()
+        self._active = True
+        self._closure = await self._measured()
+
+    async def deactivate(self) -> None:
+        """Deactivate the motors."""
+        self._active = False
+        if self._link is not None:
+            await self._link.send(Command.ACTIVATE, b"\x00")
+
+    async def close(self) -> None:
+        """Give the line back; an active hand stays active."""
+        link, self._link = self._link, None
+        if link is not None:
+            await link.bus.release(owner_of(self.spec))

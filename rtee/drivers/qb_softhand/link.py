@@ -1,0 +1,96 @@
+"""The SoftHand's commands over a bus: request and answer, or no answer at all."""
+
+from __future__ import annotations
+
+from rtee.buses.serial import SerialBus
+from rtee.drivers.qb_softhand import codec
+from rtee.drivers.qb_softhand.codec import BROADCAST, Command, Frame, Parser, QbFrameError
+from rtee.drivers.qb_softhand.parameters import ListParser, Parameter
+from rtee.errors import BusTimeout, FrameError
+
+_LIST_DEADLINE = 0.4
+
+
+class QbLink:
+    """Talks to one hand; several may share the line.
+
+    Attributes:
+        bus: The line.
+        device: The hand's number on it.
+        deadline: Longest time for one exchange, retries included [s].
+        retries: How often a request is sent again within that time.
+    """
+
+    def __init__(self, bus: SerialBus, device: int, deadline: float, retries: int) -> None:
+        self.bus = bus
+        self.device = device
+        self.deadline = deadline
+        self.retries = retries
+        self._parser = Parser()
+
+    async def request(self, command: Command, data: bytes = b"") -> bytes:
+        """Send a command and return the data of its answer; raises `BusError`."""
+        frame = Frame(self.device, command, data)
+
+        def answers(reply: Frame) -> bool:
+            return reply.device == self.device and reply.command == command
+
+        reply: Frame = await self.bus.transact(
+            frame.to_bytes(), self._parser, self.deadline, self.retries, accept=answers
+        )
+        return reply.data
+
+    async def send(self, command: Command, data: bytes = b"") -> None:
+        """Send a command that nothing answers; raises `BusError`."""
+        await self.bus.send(Frame(self.device, command, data).to_bytes(), self.deadline)
+
+    async def ping(self) -> bool:
+        """Return whether the hand answers."""
+        try:
+            await self.request(Command.PING)
+        except (BusTimeout, FrameError):
+            return False
+        return True
+
+    async def anybody(self) -> int | None:
+        """Return the number of whatever hand answers, or ``None``; several garble each other."""
+        ping = Frame(BROADCAST, Command.PING).to_bytes()
+        try:
+            reply: Frame = await self.bus.transact(ping, self._parser, self.deadline, self.retries)
+        except (BusTimeout, FrameError):
+            return None
+        return reply.device
+
+    async def parameters(self) -> dict[int, Parameter]:
+        """Return the hand's parameters by index, or nothing where it does not tell them."""
+        request = Frame(self.device, Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
+        try:
+            return await self.bus.transact(
+                request, ListParser(self.device), _LIST_DEADLINE, retries=1
+            )
+        except (BusTimeout, FrameError):
+            return {}
+
+    async def active(self) -> int:
+        """Return the mask of active motors."""
+        data = await self.request(Command.GET_ACTIVATE)
+        try:
+            return codec.activation(data)
+        except QbFrameError as error:
+            raise FrameError(self.bus.name, str(error), data) from error
+
+    async def integers(self, command: Command, least: int) -> tuple[int, ...]:
+        """Return the 16-bit values that a command answers; raises `BusError`."""
+        data = await self.request(command)
+        try:
+            return codec.read_int16(data, least=least)
+        except QbFrameError as error:
+            raise FrameError(self.bus.name, str(error), data) from error
+
+    async def currents_and_positions(self) -> codec.CurrentsAndPositions:
+        """Return currents and positions in one exchange."""
+        data = await self.request(Command.GET_CURR_AND_MEAS)
+        try:
+            return codec.CurrentsAndPositions.from_bytes(data)
+        except QbFrameError as error:
+            raise FrameError(self.bus.name, str(error), data) from error

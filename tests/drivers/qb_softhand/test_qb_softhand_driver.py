@@ -1,0 +1,247 @@
+"""The SoftHand's driver against its emulator, bytes and all."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import AsyncIterator
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+import serial
+
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import SimulatedLine
+from rtee.drivers.qb_softhand.codec import Command, Frame
+from rtee.drivers.qb_softhand.driver import QbSoftHandDriver
+from rtee.drivers.qb_softhand.emulator import QbOptions, QbSoftHandEmulator
+from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+
+ONE = ("qbhand_synergy_joint",)
+TWO = ("qbhand2m_synergy_joint", "qbhand2m_manipulation_joint")
+
+pytestmark = pytest.mark.anyio
+
+
+def device(
+    names: tuple[str, ...] = ONE, *, name: str = "qb", emulator: dict[str, Any] | None = None,
+    **options: Any,
+) -> DeviceSpec:  # fmt: skip
+    return DeviceSpec(
+        name=name,
+        hand="qbhand",
+        driver="qb_softhand",
+        actuators=tuple(
+            ActuatorSpec(n, JointKind.REVOLUTE, -1.0, 1.0, 100.0, 20.0, 400.0, 100.0, 0.0)
+            for n in names
+        ),
+        options={
+            "port": "/dev/qb",
+            "motors": len(names),
+            "emulator": {"speed": 500_000.0, **(emulator or {})},
+            **options,
+        },
+        emulated=True,
+    )
+
+
+@contextlib.asynccontextmanager
+async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[QbSoftHandDriver]:
+    made = QbSoftHandDriver(spec, pool)
+    try:
+        await made.configure()
+        yield made
+    finally:
+        await made.close()
+        await made.close()
+
+
+def hand(pool: BusPool, name: str = "qb") -> QbSoftHandEmulator:
+    found = pool.played(f"qbhand/{name}")
+    assert isinstance(found, QbSoftHandEmulator)
+    return found
+
+
+async def settle(made: QbSoftHandDriver, goal: list[float]) -> np.ndarray:
+    for _ in range(100):
+        state = await made.sense()
+        await made.move(Reference.at(goal))
+        if np.abs(state.position - goal).max() < 3e-4:
+            break
+        await anyio.sleep(0.002)
+    return state.position
+
+
+@pytest.mark.parametrize(("names", "goal"), [(ONE, [0.5]), (TWO, [0.6, 0.3])])
+@pytest.mark.parametrize("generation", ["legacy", "modern"])
+async def test_moves_and_senses(names: tuple[str, ...], goal: list[float], generation: str) -> None:
+    spec = device(names, emulator={"generation": generation})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        assert made.capabilities.identity["parameters"] == "13"
+        assert Command.ACTIVATE not in hand(pool).frames
+        await made.activate()
+        assert Command.SET_INPUTS not in hand(pool).frames
+        assert await settle(made, goal) == pytest.approx(goal, abs=1e-3)
+        await made.sense()
+        before = dict(hand(pool).frames)
+        await made.sense()
+        await made.move(Reference.at(goal))
+        await made.sense()
+        spent = {c: n - before.get(c, 0) for c, n in hand(pool).frames.items()}
+        assert sum(spent.values()) == (3 if len(names) == 1 else 5)
+
+
+async def test_attaches_to_an_active_hand_without_a_word_of_motion() -> None:
+    async with BusPool(wire_time=False) as pool:
+        async with connected(pool, device()) as first:
+            await first.activate()
+            await settle(first, [0.4])
+        before = dict(hand(pool).frames)
+        async with connected(pool, device()) as second:
+            await second.activate()
+            assert (await second.sense()).position == pytest.approx([0.4], abs=1e-3)
+        for command in (Command.SET_INPUTS, Command.ACTIVATE):
+            assert hand(pool).frames.get(command, 0) == before.get(command, 0)
+
+
+async def test_the_limit_the_hand_tells_is_its_scale() -> None:
+    spec = device(emulator={"limit": 16_000})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        await made.activate()
+        await settle(made, [0.5])
+        assert hand(pool).axes[0].position == pytest.approx(8_000, abs=10)
+
+
+async def test_an_object_shows_in_current_and_effort() -> None:
+    async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
+        await made.activate()
+        hand(pool).hold(0.4, stiffness=3.0)
+        for _ in range(120):
+            await made.move(Reference.at([0.9]))
+            await anyio.sleep(0.002)
+        state = await made.sense()
+        assert state.position[0] == pytest.approx(0.4 + 500 / 19_000, abs=0.01)
+        assert state.current[0] == pytest.approx(1.5, abs=0.01)
+        assert state.effort[0] == pytest.approx(100.0, rel=0.01)
+
+
+async def test_masked_actuators_keep_their_reference() -> None:
+    async with BusPool(wire_time=False) as pool, connected(pool, device(TWO)) as made:
+        await made.activate()
+        await settle(made, [0.5, 0.2])
+        await made.move(Reference.at([0.9, 0.0], mask=[False, True]))
+        assert made._closure == pytest.approx((0.5, 0.0))
+
+
+async def test_stop_holds_and_release_deactivates() -> None:
+    spec = device(emulator={"speed": 5_000.0})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        await made.activate()
+        await made.move(Reference.at([1.0]))
+        await anyio.sleep(0.1)
+        await made.stop()
+        where = (await made.sense()).position[0]
+        await anyio.sleep(0.05)
+        assert 0.0 < where < 0.5
+        assert (await made.sense()).position[0] == pytest.approx(where, abs=0.01)
+        await made.release()
+        for _ in range(100):
+            if not hand(pool).active:
+                break
+            await anyio.sleep(0.005)
+        assert not hand(pool).active
+
+
+async def test_lost_activation_is_a_fault_that_recovers_where_it_stands() -> None:
+    spec = device(status_every=1)
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        await made.activate()
+        where = await settle(made, [0.3])
+        hand(pool).inject("low_supply")
+        with pytest.raises(DeviceFault, match="motors inactive"):
+            await made.sense()
+        with pytest.raises(DeviceFault, match="supply"):
+            await made.recover()
+        hand(pool).clear()
+        await made.recover()
+        assert (await made.sense()).position == pytest.approx(where, abs=1e-3)
+
+
+async def test_the_watchdog_of_firmware_that_has_one_is_armed() -> None:
+    spec = device(watchdog=0.1, emulator={"watchdog": True})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        await made.activate()
+        assert made.capabilities.watchdog
+        assert hand(pool).watchdog == pytest.approx(0.1)
+        await anyio.sleep(0.25)
+        with pytest.raises(DeviceFault):
+            await made._check()
+
+
+async def test_two_hands_share_a_line() -> None:
+    specs = [device(name="left"), device(name="right", device=2)]
+    async with BusPool(wire_time=False) as pool, contextlib.AsyncExitStack() as stack:
+        drivers = [await stack.enter_async_context(connected(pool, spec)) for spec in specs]
+        assert len(pool.buses) == 1
+        for made, goal in zip(drivers, (0.2, 0.7), strict=True):
+            await made.activate()
+            await settle(made, [goal])
+        assert hand(pool, "left").axes[0].position == pytest.approx(0.2 * 19_000, abs=20)
+        assert hand(pool, "right").axes[0].position == pytest.approx(0.7 * 19_000, abs=20)
+
+
+async def test_another_number_is_named() -> None:
+    spec = device(emulator={"device": 7})
+    async with BusPool(wire_time=False) as pool:
+        with pytest.raises(HandshakeError, match=r"number 7; set 'device: 7'"):
+            async with connected(pool, spec):
+                pass
+
+
+async def test_another_number_of_motors_is_named() -> None:
+    spec = device(emulator={"motors": 2})
+    async with BusPool(wire_time=False) as pool:
+        with pytest.raises(HandshakeError, match="motors: 2"):
+            async with connected(pool, spec):
+                pass
+
+
+async def test_silence_is_named() -> None:
+    async with BusPool(wire_time=False) as pool:
+        with pytest.raises(NotConnected, match="no SoftHand answers"):
+            async with connected(pool, device(emulator={"boot_time": 1e9})):
+                pass
+
+
+def test_the_number_of_actuators_is_checked() -> None:
+    with pytest.raises(ConfigError, match="1 motor"):
+        QbSoftHandDriver(device(TWO, motors=1), BusPool())
+
+
+def test_a_client_that_knows_only_the_sheet_drives_the_emulator() -> None:
+    """Raw bytes over a real terminal, read until silence as the older libraries do."""
+    emulated = QbSoftHandEmulator(QbOptions(speed=1e6))
+    with SimulatedLine([emulated], name="qb") as line, serial.Serial(line.address) as port:
+        port.timeout = 0.05
+
+        def ask(text: str, count: int) -> bytes:
+            port.reset_input_buffer()
+            port.write(bytes.fromhex(text))
+            return port.read(count)
+
+        assert ask("3A3A01020000", 6) == bytes.fromhex("3A3A01020000")
+        assert ask("3A3A0103800383", 1) == b""
+        assert ask("3A3A01028181", 7) == bytes.fromhex("3A3A0103810180")
+        assert ask("3A3A010682251C0000BB", 1) == b""
+        assert ask("3A3A01028383", 10) == bytes.fromhex("3A3A010683251C0000BA")
+        time.sleep(0.3)
+        assert ask("3A3A01028484", 12) == bytes.fromhex("3A3A010884251C00000000BD")
+        assert ask("3A3A00028484", 12) == bytes.fromhex("3A3A010884251C00000000BD")
+        assert ask("3A3A02028484", 1) == b""
+        assert ask("3A3A01028485", 1) == b""
+        assert b"SoftHand" in ask("3F0D0A", 64)
+        assert ask("3A3A0103800080", 1) == b""
+        assert ask("3A3A01028181", 7) == Frame(1, 129, b"\x00").to_bytes()
