@@ -28,7 +28,7 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
         The fingers, in the tree's order.
     """
     ends = _ends(urdf, moved)
-    names = _names(ends, urdf)
+    names = finger_names(ends, urdf)
     chains = []
     for name, end in zip(names, ends, strict=True):
         links = _branch(end, ends, urdf)
@@ -86,8 +86,13 @@ def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
     return path[shared:]
 
 
-def _names(ends: Sequence[str], urdf: Urdf) -> list[str]:
-    """Name fingers by the usual word in their links and joints, or by what tells the ends apart."""
+def finger_names(ends: Sequence[str], urdf: Urdf) -> list[str]:
+    """Name fingers by the usual word in their links and joints, or by what tells the ends apart.
+
+    Args:
+        ends: The last link of each finger.
+        urdf: The hand's URDF.
+    """
     words = [_word(end, ends, urdf) for end in ends]
     if all(words) and len(set(words)) == len(words):
         return [word for word in words if word]

@@ -1,0 +1,250 @@
+"""Making the folder of a new hand: hand.yaml, URDF, SRDF and meshes, all or nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from html import unescape
+from pathlib import Path, PurePosixPath
+from xml.sax.saxutils import quoteattr
+
+from rtee.errors import ConfigError, ModelError
+from rtee.hand.catalog import FILE_NAME
+from rtee.hand.discovery import finger_names
+from rtee.hand.files import make_folder, read_bytes, reason, write_atomically
+from rtee.hand.load import load_hand, load_model
+from rtee.hand.meshes import resolve_mesh
+from rtee.hand.model import Finger, Hand
+from rtee.hand.names import check_name, safe_name
+from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
+from rtee.hand.srdf import read_srdf
+from rtee.hand.srdfwrite import format_srdf, with_disabled
+from rtee.hand.touching import ALWAYS, TouchingPair, touching_pairs
+from rtee.hand.urdf import Urdf
+from rtee.hand.xmlfile import read_xml
+
+_FILENAME = re.compile(r"""(\bfilename\s*=\s*)("[^"]*"|'[^']*')""")
+_DECLARATION = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
+
+
+@dataclass(frozen=True)
+class NewHand:
+    """What was made.
+
+    Attributes:
+        folder: The hand's folder.
+        hand: The hand, loaded from there.
+        reasons: Why each finger is one.
+        pairs: Pairs of links that need not be checked for collision.
+        notes: What was noticed, one sentence each.
+    """
+
+    folder: Path
+    hand: Hand
+    reasons: tuple[str, ...]
+    pairs: tuple[TouchingPair, ...]
+    notes: tuple[str, ...]
+
+
+def make_hand(
+    name: str,
+    urdf: Path | str,
+    srdf: Path | str | None = None,
+    *,
+    package_dirs: Sequence[Path | str] = (),
+    into: Path | str = "config",
+) -> NewHand:
+    """Make the folder of a new hand.
+
+    Its meshes are copied beside the URDF and addressed relative to it. Without an SRDF one is
+    written from what is found in the tree, with the reasons.
+
+    Args:
+        name: The hand's name.
+        urdf: Its URDF.
+        srdf: Its SRDF, if it has one.
+        package_dirs: Folders to look mesh packages up in.
+        into: Folder of the hands.
+
+    Raises:
+        ConfigError: The name is not allowed or taken, or the folder cannot be written.
+        ModelError: The files do not describe a hand, or a mesh is missing.
+    """
+    check_name(name, "hand")
+    target = Path(into) / name
+    if target.exists():
+        raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
+    hand = load_model(urdf, srdf, name=name, package_dirs=package_dirs)
+    pairs = touching_pairs(hand)
+    notes = list(hand.notes)
+    if srdf is None:
+        fingers, left_out = without_linkages(hand, pairs)
+        hand = replace(hand, fingers=fingers)
+        notes += left_out
+    if len(hand.fingers) == 1:
+        notes.append(
+            "there is only one finger; if a fixed part acts as another, add a group for it to the "
+            "SRDF"
+        )
+    make_folder(into)
+    try:
+        scratch = Path(tempfile.mkdtemp(prefix=f".{name[:40]}.", dir=into))
+        try:
+            notes += _fill(scratch, hand, srdf, pairs)
+            load_hand(scratch)
+            os.chmod(scratch, 0o777 & ~_umask())
+            write_atomically(Path(into) / SCHEMA_FILE, schema_text())
+            scratch.rename(target)
+        except BaseException:
+            shutil.rmtree(scratch, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise ConfigError(f"cannot be made: {reason(error)}", path=target) from error
+    reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
+    return NewHand(target, load_hand(target), reasons, pairs, tuple(notes))
+
+
+def without_linkages(
+    hand: Hand, pairs: Sequence[TouchingPair]
+) -> tuple[tuple[Finger, ...], list[str]]:
+    """Leave out the fingers whose tip always touches another finger: they are parts of a linkage.
+
+    Args:
+        hand: A hand whose fingers were found from the tree.
+        pairs: Its pairs of touching links.
+
+    Returns:
+        The fingers that remain, named anew, and which were left out, one sentence each.
+    """
+    always = {frozenset((p.link1, p.link2)) for p in pairs if p.reason == ALWAYS}
+    kept, notes = [], []
+    for finger in hand.fingers:
+        held = next(
+            (
+                f"'{link}' of '{other.name}'"
+                for other in hand.fingers
+                for link in other.links[1:]
+                if other is not finger and link != other.tip
+                if frozenset((finger.tip, link)) in always
+            ),
+            None,
+        )
+        if held is None:
+            kept.append(finger)
+        else:
+            notes.append(
+                f"branch '{finger.name}' is left out: its end '{finger.tip}' always touches "
+                f"{held}, so it is part of a linkage"
+            )
+    if not kept or not notes:
+        return hand.fingers, []
+    names = finger_names([finger.links[-1] for finger in kept], hand.urdf)
+    return tuple(replace(f, name=n) for f, n in zip(kept, names, strict=True)), notes
+
+
+def _fill(
+    folder: Path, hand: Hand, srdf: Path | str | None, pairs: Sequence[TouchingPair]
+) -> list[str]:
+    """Write the files of a hand into a folder; return what was noticed."""
+    urdf_text, notes = _with_local_meshes(hand, folder)
+    write_atomically(folder / f"{hand.name}.urdf", urdf_text)
+    if srdf is None:
+        srdf_text = format_srdf(hand, pairs)
+    else:
+        srdf_text = _utf8(read_xml(srdf, "SRDF")[1])
+        if not read_srdf(srdf).disabled:
+            srdf_text = with_disabled(srdf_text, pairs)
+    write_atomically(folder / f"{hand.name}.srdf", srdf_text)
+    write_atomically(folder / FILE_NAME, _hand_yaml(hand))
+    return notes
+
+
+def _utf8(text: str) -> str:
+    """Return the text of an XML file as it is declared when it is written in UTF-8."""
+    return '<?xml version="1.0"?>\n' + _DECLARATION.sub("", text)
+
+
+def _with_local_meshes(hand: Hand, folder: Path) -> tuple[str, list[str]]:
+    """Copy the meshes into a folder; return the URDF with their new addresses, and notes."""
+    addresses: dict[str, str] = {}
+    notes = []
+    for uri, line, needed in _meshes(hand.urdf):
+        try:
+            source = resolve_mesh(uri, hand.urdf.path, hand.package_dirs, line=line)
+        except ModelError as error:
+            if needed:
+                raise
+            notes.append(f"a visual mesh was left where it is: {error}")
+            continue
+        addresses[uri] = _copy(source, uri, folder, set(addresses.values()))
+
+    def localised(match: re.Match[str]) -> str:
+        uri = unescape(match[2][1:-1]).strip()
+        return match[1] + quoteattr(addresses[uri]) if uri in addresses else match[0]
+
+    return _FILENAME.sub(localised, _utf8(hand.urdf.text)), notes
+
+
+def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
+    """Return every mesh once: its address, its line, and whether it is collision geometry."""
+    found: dict[str, tuple[str, int, bool]] = {}
+    for needed in (True, False):
+        for link in urdf.links.values():
+            for shape in link.collisions if needed else link.visuals:
+                if shape.kind == "mesh":
+                    found.setdefault(shape.mesh, (shape.mesh, shape.line, needed))
+    return list(found.values())
+
+
+def _copy(source: Path, uri: str, folder: Path, taken: set[str]) -> str:
+    """Copy a mesh; return its path relative to the folder."""
+    place = _place(uri, source)
+    if place in taken:
+        stem = PurePosixPath(place)
+        numbered = (str(stem.with_stem(f"{stem.stem}_{i}")) for i in range(2, len(taken) + 3))
+        place = next(other for other in numbered if other not in taken)
+    target = folder / place
+    make_folder(target.parent)
+    write_atomically(target, read_bytes(source, "mesh", ModelError))
+    return place
+
+
+def _place(uri: str, source: Path) -> str:
+    """Return where a mesh goes: as in its address below its package, or else in ``meshes``."""
+    scheme, separator, rest = uri.partition("://")
+    if separator:
+        parts = [] if scheme == "file" else rest.split("/")[1:-1]
+    else:
+        parts = uri.split("/")[:-1]
+    parts = [part for part in parts if part not in ("", ".")]
+    if ".." in parts or not parts:
+        parts = ["meshes"]
+    return "/".join([*(safe_name(part, "x") for part in parts), safe_name(source.name, "mesh")])
+
+
+def _hand_yaml(hand: Hand) -> str:
+    example = hand.actuators[0].name
+    return f"""{SCHEMA_LINE}name: {hand.name}
+urdf: {hand.name}.urdf
+srdf: {hand.name}.srdf
+
+# Limits that the URDF does not have, or tighter ones [rad or m, s, N·m or N]:
+# limits:
+#   defaults: {{acceleration: 20.0, jerk: 400.0}}
+#   {example}: {{velocity: {hand.actuators[0].velocity:g}}}
+
+# What `rtee run` drives: `kinematic` moves on the screen only, `devices` are the real ones.
+driver: kinematic
+# devices:
+#   hand: {{driver: NAME, actuators: all, options: {{port: /dev/ttyUSB0}}}}
+"""
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

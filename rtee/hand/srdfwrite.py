@@ -1,0 +1,93 @@
+"""Writing what was found in a hand as an SRDF, made to be read and edited."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from xml.sax.saxutils import escape, quoteattr
+
+from rtee.hand.chains import GROUP_OF_FINGERS
+from rtee.hand.model import Finger, Hand, JointRole
+from rtee.hand.touching import TouchingPair
+
+_HEAD = """<?xml version="1.0"?>
+<!-- Which links of the URDF are fingers. Edit names and chains; rtee checks them when it reads. -->
+"""
+
+
+def format_srdf(hand: Hand, pairs: Sequence[TouchingPair]) -> str:
+    """Return the SRDF of a hand.
+
+    Args:
+        hand: The hand.
+        pairs: Pairs of links that need not be checked for collision.
+    """
+    lines = [f"<robot name={quoteattr(hand.urdf.name)}>"]
+    for finger in hand.fingers:
+        lines += _group(finger)
+    lines.append(f'  <group name="{GROUP_OF_FINGERS}">')
+    lines += [f"    <group name={quoteattr(finger.name)}/>" for finger in hand.fingers]
+    lines.append("  </group>")
+    lines.append(
+        f'  <end_effector name="end_effector" parent_link={quoteattr(hand.base)} '
+        f'group="{GROUP_OF_FINGERS}"/>'
+    )
+    lines += _passive(hand)
+    lines += _rest(hand)
+    lines += disabled_lines(pairs)
+    lines.append("</robot>")
+    return _HEAD + "\n".join(lines) + "\n"
+
+
+def disabled_lines(pairs: Sequence[TouchingPair]) -> list[str]:
+    """Return the lines that disable collisions, with what they mean."""
+    if not pairs:
+        return []
+    return [
+        "",
+        "  <!-- Pairs of links that are never checked for collision, and why. -->",
+        *(
+            f"  <disable_collisions link1={quoteattr(pair.link1)} link2={quoteattr(pair.link2)} "
+            f"reason={quoteattr(pair.reason)}/>"
+            for pair in pairs
+        ),
+    ]
+
+
+def with_disabled(srdf: str, pairs: Sequence[TouchingPair]) -> str:
+    """Return an SRDF's text with the pairs added before its end."""
+    head, end, tail = srdf.rpartition("</robot>")
+    if not end or not pairs:
+        return srdf
+    return head + "\n".join(disabled_lines(pairs)).lstrip("\n") + "\n" + end + tail
+
+
+def _group(finger: Finger) -> list[str]:
+    reason = escape(finger.reason).replace("--", "- -")
+    return [
+        f"  <!-- {reason} -->",
+        f"  <group name={quoteattr(finger.name)}>",
+        f"    <chain base_link={quoteattr(finger.links[0])} "
+        f"tip_link={quoteattr(finger.links[-1])}/>",
+        "  </group>",
+    ]
+
+
+def _passive(hand: Hand) -> list[str]:
+    return [
+        f"  <passive_joint name={quoteattr(joint.name)}/>"
+        for joint in hand.joints
+        if joint.role is JointRole.PASSIVE
+    ]
+
+
+def _rest(hand: Hand) -> list[str]:
+    return [
+        "",
+        "  <!-- The rest posture, from which grasping actions start [rad | m]. -->",
+        f'  <group_state name="rest" group="{GROUP_OF_FINGERS}">',
+        *(
+            f"    <joint name={quoteattr(actuator.name)} value={quoteattr(repr(actuator.rest))}/>"
+            for actuator in hand.actuators
+        ),
+        "  </group_state>",
+    ]

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rtee.hand.load import load_model
+from rtee.hand.model import Hand
+from rtee.hand.scaffold import without_linkages
+from rtee.hand.touching import touching_pairs
+
+Load = Callable[..., Hand]
+
+AS_THE_SRDF = (
+    "heri_II",
+    "heri_II_linear",
+    "onrobot_3fg15",
+    "qbhand",
+    "robotiq_3f",
+    "schunk",
+    "test_ee",
+    "test_ee_spread",
+    "two_finger",
+    "two_finger_mimic",
+)
+
+
+def test_the_tips_are_those_of_the_srdf(real: Path, real_hand: Hand) -> None:
+    found = load_model(real / f"{real.name}.urdf")
+    named, in_tree = ({finger.tip for finger in hand.fingers} for hand in (real_hand, found))
+    if real.name in AS_THE_SRDF:
+        assert in_tree == named
+    elif real.name == "dagana":
+        # A jaw that does not move cannot be told from the palm.
+        assert in_tree == named - {"dagana_gripper_top_link"}
+    else:
+        # The inner knuckles of the parallel linkages move and end in geometry, too.
+        assert in_tree == named | {"left_inner_knuckle", "right_inner_knuckle"}
+
+
+@pytest.mark.parametrize("name", ["robotiq_2f_85", "robotiq_2f_140"])
+def test_linkages_are_told_by_their_contact(shared: Path, name: str) -> None:
+    hand = load_model(shared / "hands" / name / f"{name}.urdf")
+    fingers, notes = without_linkages(hand, touching_pairs(hand))
+    assert {finger.name: finger.tip for finger in fingers} == {
+        "left": "left_inner_finger_pad",
+        "right": "right_inner_finger_pad",
+    }
+    assert len(notes) == 2
+    assert all("it is part of a linkage" in note for note in notes)
+
+
+@pytest.mark.parametrize("name", ["schunk", "qbhand"])
+def test_names_by_the_usual_words(shared: Path, name: str) -> None:
+    hand = load_model(shared / "hands" / name / f"{name}.urdf")
+    last = "pinky" if name == "schunk" else "little"
+    assert set(hand.finger_names) == {"thumb", "index", "middle", "ring", last}
+    assert all("carries" in finger.reason for finger in hand.fingers)
+
+
+def robot(*joints: tuple[str, str, str], solid: str = "") -> str:
+    """Return a robot of revolute (``r``) and fixed (``f``) joints from one link to another."""
+    links = dict.fromkeys(link for _, a, b in joints for link in (a, b))
+    shape = "<collision><geometry><sphere radius='0.01'/></geometry></collision>"
+    text = "".join(f"<link name='{n}'>{shape if n in solid.split() else ''}</link>" for n in links)
+    for i, (kind, parent, child) in enumerate(joints):
+        limit = "<limit lower='0' upper='1' velocity='1' effort='1'/>" if kind == "r" else ""
+        text += (
+            f"<joint name='j{i}' type='{'revolute' if kind == 'r' else 'fixed'}'>"
+            f"<parent link='{parent}'/><child link='{child}'/>{limit}</joint>"
+        )
+    return f"<robot name='r'>{text}</robot>"
+
+
+def test_bases_lie_where_branches_part(load: Load) -> None:
+    text = robot(
+        ("f", "world", "palm"),
+        ("r", "palm", "fold"),
+        ("r", "fold", "ring"),
+        ("r", "fold", "little"),
+        ("r", "palm", "index"),
+        solid="palm fold ring little index",
+    )
+    hand = load(text, None)
+    assert {f.name: f.links for f in hand.fingers} == {
+        "ring": ("fold", "ring"),
+        "little": ("fold", "little"),
+        "index": ("palm", "index"),
+    }
+    assert hand.finger("ring").actuators == ("j1", "j2")
+    assert hand.finger("ring").own == ("j2",)
+
+
+def test_ends_that_do_not_move_are_no_fingers(load: Load) -> None:
+    text = robot(
+        ("r", "palm", "jaw"), ("f", "palm", "cover"), ("r", "palm", "empty"), solid="palm jaw cover"
+    )
+    assert [finger.tip for finger in load(text, None).fingers] == ["jaw"]
+
+
+def test_ends_fixed_to_one_another_are_one_finger(load: Load) -> None:
+    text = robot(
+        ("r", "palm", "a"),
+        ("f", "a", "pad"),
+        ("f", "a", "frame"),
+        ("f", "frame", "nail"),
+        ("r", "palm", "b"),
+        solid="palm a pad nail b",
+    )
+    assert [finger.tip for finger in load(text, None).fingers] == ["nail", "b"]
+
+
+def test_a_link_without_geometry_at_the_end_is_not_the_tip(load: Load) -> None:
+    text = robot(("r", "palm", "a"), ("f", "a", "frame"), ("r", "palm", "b"), solid="palm a b")
+    assert [finger.tip for finger in load(text, None).fingers] == ["a", "b"]
+    assert load(text, None).fingers[0].links == ("palm", "a")
+
+
+def test_names_are_unique_and_allowed(load: Load) -> None:
+    text = robot(
+        *(("r", "palm", link) for link in ("f 1 end", "f/2/end", "f-3-end")),
+        solid="palm",
+    ).replace("end'>", "end'><collision><geometry><sphere radius='1'/></geometry></collision>")
+    assert load(text, None).finger_names == ("f_1_end", "f_2_end", "f-3-end")
+    text = robot(
+        *(("r", "palm", f"hand_{i}_link") for i in (1, 2)), solid="palm hand_1_link hand_2_link"
+    )
+    assert load(text, None).finger_names == ("finger_1", "finger_2")
