@@ -7,7 +7,7 @@ measurements gives the same references, bit for bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from rtee.errors import GoalRejected
@@ -88,9 +88,8 @@ class Controller:
         self._profile.seed(rest)
         for i, position in rest.items():
             self._limiter.seed(i, position)
-        self._measured = Measured(
-            hand.rest.tolist(), [math.nan] * n, [math.nan] * n, [False] * n, [-1] * n
-        )
+        nothing = [math.nan] * n
+        self._measured = Measured(nothing, nothing, nothing, [False] * n, [-1] * n)
         self.max_velocity = list(limits.velocity)
         self.reference_position = self._limiter.position
         self.reference_velocity = self._limiter.velocity
@@ -145,10 +144,10 @@ class Controller:
                 plan = self.running
                 if plan is not None and command.text in ("", plan.goal.goal_id):
                     self._executor.end(stamp, self._measured, cancelled=True)
-                    self._hold(stamp)
+                    self._hold(stamp, range(self._profile.size))
             case "hold":
                 self._executor.end(stamp, self._measured, cancelled=True, reason=command.text)
-                self._hold(stamp)
+                self._hold(stamp, self._free())
             case "freeze":
                 self._executor.end(stamp, self._measured, cancelled=True, reason=command.text)
                 frozen = self._indices(command.values)
@@ -169,12 +168,24 @@ class Controller:
             return list(range(len(self.active)))
         return [self.hand.actuator_index(name) for name in values]
 
-    def _hold(self, stamp: float) -> None:
+    def _free(self) -> list[int]:
+        """Return the actuators that nothing blocks; the others may be holding something."""
+        return [i for i in range(self._profile.size) if not self._contact.blocked(i)]
+
+    def _hold(self, stamp: float, indices: Collection[int]) -> None:
         """Brake; when that is done, hold what is measured: a blocked finger stops pushing."""
-        everything = range(self._profile.size)
-        self._profile.go({}, brake=everything)
-        self._leave_hold(everything)
-        self._settling = dict.fromkeys(everything, stamp + _SETTLE)
+        self._profile.go({}, brake=indices)
+        self._leave_hold(indices)
+        self._settling.update(dict.fromkeys(indices, stamp + _SETTLE))
+
+    def posture_to_keep(self) -> list[float]:
+        """Return where to leave the hand: as measured, but blocked fingers keep their grip."""
+        return [
+            position
+            if math.isnan(measured := self._measured.position[i]) or self._contact.blocked(i)
+            else measured
+            for i, position in enumerate(self._limiter.position)
+        ]
 
     def _leave_hold(self, indices: Iterable[int]) -> None:
         for i in indices:
@@ -209,7 +220,7 @@ class Controller:
         if plan is None or not plan.involved.intersection(indices):
             return
         self._executor.end(stamp, self._measured, aborted=True, reason=reason)
-        self._hold(stamp)
+        self._hold(stamp, self._free())
 
     # --- a tick ------------------------------------------------------------------------------
 

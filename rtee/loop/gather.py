@@ -1,0 +1,134 @@
+"""From the states of a hand's devices to the state of the hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.loop.contact import Measured
+from rtee.loop.supervisor import Supervisor
+from rtee.types import BoolArray, FloatArray, readonly
+
+_WORDS = {None: -1, False: 0, True: 1}
+
+
+class Gather:
+    """Merges what the devices measured; arrays it gives out are never changed afterwards.
+
+    A position that is not measured any more keeps its last value; before the first measurement it
+    is ``NaN``.
+
+    Args:
+        devices: The devices, which together have every actuator once.
+
+    Attributes:
+        position: Positions ``(n,)`` [rad | m].
+        velocity: Velocities ``(n,)`` [rad/s | m/s].
+        effort: Efforts ``(n,)`` [N·m | N].
+        current: Currents ``(n,)`` [A].
+        temperature: Temperatures ``(n,)`` [°C].
+        grasped: The devices' own word ``(n,)``.
+        fresh: Whether measured since the call before ``(n,)``.
+        extras: Further channels, ``device/channel``.
+        measured: The same as lists, for the controller.
+    """
+
+    def __init__(self, devices: Sequence[Supervisor]) -> None:
+        n = sum(len(device.indices) for device in devices)
+        unmeasured = readonly([math.nan] * n)
+        self._devices = tuple(devices)
+        self._indices = [np.array(device.indices, dtype=np.intp) for device in devices]
+        self._where = dict(zip((d.name for d in devices), self._indices, strict=True))
+        self._whole = len(devices) == 1 and tuple(devices[0].indices) == tuple(range(n))
+        self._seen = [0] * len(devices)
+        self._fresh: dict[int, tuple[BoolArray, list[bool]]] = {}
+        self._extras: dict[str, Mapping[str, FloatArray]] = {}
+        self.position: FloatArray = unmeasured
+        self.velocity: FloatArray = unmeasured
+        self.effort: FloatArray = unmeasured
+        self.current: FloatArray = unmeasured
+        self.temperature: FloatArray = unmeasured
+        self.grasped: NDArray[np.int8] = np.full(n, -1, dtype=np.int8)
+        self.extras: Mapping[str, FloatArray] = {}
+        self.fresh, listed = self._flags(0)
+        nothing = [math.nan] * n
+        self.measured = Measured(nothing, nothing, nothing, listed, [-1] * n)
+
+    def collect(self) -> None:
+        """Take the states that came since the last call."""
+        new = 0
+        for k, device in enumerate(self._devices):
+            if device.states == self._seen[k] or device.state is None:
+                continue
+            self._seen[k] = device.states
+            new |= device.state.fresh << k
+            self._merge(k, device)
+        self.fresh, self.measured.fresh = self._flags(new)
+
+    def known(self, device: Supervisor) -> bool:
+        """Return whether every position of a device has been measured."""
+        return all(map(math.isfinite, (self.measured.position[i] for i in device.indices)))
+
+    def where(self, device: Supervisor) -> NDArray[np.intp] | None:
+        """Return the hand's indices of a device's actuators, ``None`` if it has all, in order."""
+        return None if self._whole else self._where[device.name]
+
+    def _flags(self, devices: int) -> tuple[BoolArray, list[bool]]:
+        found = self._fresh.get(devices)
+        if found is None:
+            flags = np.zeros(sum(len(i) for i in self._indices), dtype=np.bool_)
+            for k, indices in enumerate(self._indices):
+                flags[indices] = bool(devices >> k & 1)
+            flags.flags.writeable = False
+            found = self._fresh[devices] = (flags, flags.tolist())
+        return found
+
+    def _merge(self, k: int, device: Supervisor) -> None:
+        state = device.state
+        if state is None:
+            return
+        positions = state.position.tolist()
+        total = sum(positions)
+        if total - total != 0.0:  # something in it is not finite
+            known = self.position[self._indices[k]]
+            position = np.where(np.isfinite(state.position), state.position, known)
+        else:
+            position = state.position
+        measured = self.measured
+        if self._whole:
+            self.position = position
+            self.velocity = state.velocity
+            self.effort = state.effort
+            self.current = state.current
+            self.temperature = state.temperature
+        else:
+            where = self._indices[k]
+            self.position = _put(self.position, where, position)
+            self.velocity = _put(self.velocity, where, state.velocity)
+            self.effort = _put(self.effort, where, state.effort)
+            self.current = _put(self.current, where, state.current)
+            self.temperature = _put(self.temperature, where, state.temperature)
+        measured.position = self.position.tolist()
+        measured.effort = self.effort.tolist()
+        measured.temperature = self.temperature.tolist()
+        if state.grasped is not None:
+            grasped = self.grasped.copy()
+            grasped[self._indices[k]] = [_WORDS[word] for word in state.grasped]
+            self.grasped = grasped
+            measured.grasped = grasped.tolist()
+        if state.extras or self._extras.get(device.name):
+            self._extras[device.name] = state.extras
+            self.extras = {
+                f"{name}/{channel}": values
+                for name, channels in self._extras.items()
+                for channel, values in channels.items()
+            }
+
+
+def _put(into: FloatArray, where: NDArray[np.intp], values: FloatArray) -> FloatArray:
+    changed = into.copy()
+    changed[where] = values
+    return changed

@@ -1,0 +1,286 @@
+"""What happens in one hand at a tick."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Self
+
+import anyio
+import anyio.abc
+import numpy as np
+
+from rtee.drivers.base import Driver
+from rtee.errors import ConfigError
+from rtee.hand.model import Hand
+from rtee.loop.controller import Controller
+from rtee.loop.gather import Gather
+from rtee.loop.histogram import TickStatistics
+from rtee.loop.notify import Observers
+from rtee.loop.observer import TickRecord
+from rtee.loop.plan import Plan
+from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
+from rtee.loop.supervisor import Supervisor
+from rtee.types import (
+    Command,
+    DeviceStatus,
+    Event,
+    Feedback,
+    LoopStatistics,
+    Reference,
+    Result,
+)
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+    from rtee.loop.clock import Tick
+
+log = logging.getLogger(__name__)
+
+CONFIRM_WITHIN = 0.15
+"""Time a device has to confirm a stop [s]."""
+
+
+class HandTicks:
+    """The part of a hand's loop that the clock calls; see `rtee.loop.handloop.HandLoop`.
+
+    ``async with`` starts the devices' tasks and, at the end, closes them.
+
+    Args:
+        hand: The hand.
+        library: Its grasping actions.
+        settings: The loop's settings.
+        devices: Its devices with their drivers; together they drive every actuator once.
+        now: The clock [s].
+
+    Attributes:
+        hand: The hand.
+        library: Its grasping actions.
+        settings: The loop's settings.
+        controller: The pure part.
+        devices: The devices' supervisors, by name.
+        clock_statistics: Statistics of the clock that ticks it, once it ticks.
+
+    Raises:
+        ConfigError: if an actuator is driven by no device, or by two.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        library: ActionLibrary,
+        settings: LoopSettings,
+        devices: Sequence[tuple[DeviceSettings, Driver]],
+        *,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.hand = hand
+        self.library = library
+        self.settings = settings
+        self.controller = Controller(hand, settings)
+        self.clock_statistics: TickStatistics | None = None
+        self._observers = Observers(now)
+        self._now = now
+        self.devices: dict[str, Supervisor] = {}
+        for device, driver in devices:
+            indices = tuple(hand.actuator_index(a.name) for a in device.spec.actuators)
+            supervisor = Supervisor(device, driver, indices, self._observers.event, now=now)
+            self.devices[device.spec.name] = supervisor
+        self._check_devices(devices)
+        self._gather = Gather(list(self.devices.values()))
+        self._pending: deque[Plan | Command] = deque()
+        self._was_active: dict[str, bool] = dict.fromkeys(self.devices, False)
+        self._group: anyio.abc.TaskGroup | None = None
+        self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
+        self._status_at = -math.inf
+        self._record: TickRecord | None = None
+
+    def _check_devices(self, devices: Sequence[tuple[DeviceSettings, Driver]]) -> None:
+        driven: dict[str, str] = {}
+        for device, _ in devices:
+            spec = device.spec
+            for actuator in spec.actuators:
+                if actuator.name in driven:
+                    raise ConfigError(
+                        f"{spec.source + ': ' if spec.source else ''}the actuator"
+                        f" '{actuator.name}' is driven by two devices,"
+                        f" '{driven[actuator.name]}' and '{spec.name}'"
+                    )
+                driven[actuator.name] = spec.name
+        missing = [name for name in self.hand.actuator_names if name not in driven]
+        if missing or len(self.devices) != len(devices):
+            what = f"the actuator '{missing[0]}'" if missing else "a device's name is used twice:"
+            raise ConfigError(f"{self.hand.name}: {what} is driven by no device of its own")
+
+    @property
+    def name(self) -> str:
+        """The hand's name."""
+        return self.hand.name
+
+    async def __aenter__(self) -> Self:
+        """Start the devices' tasks."""
+        self._group = anyio.create_task_group()
+        await self._group.__aenter__()
+        for device in self.devices.values():
+            self._group.start_soon(device.run, name=f"{self.name}/{device.name}")
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """End a running goal and close the devices."""
+        self._take_at_once(Command("freeze", "the loop ended", stamp=self._now()))
+        group, self._group = self._group, None
+        if group is not None:
+            group.cancel_scope.cancel()
+            await group.__aexit__(None, None, None)
+
+    async def ready(self) -> None:
+        """Wait until every device has tried to connect once.
+
+        Raises:
+            UserError: if a device can't ever be connected by a mistake of the user.
+        """
+        for device in self.devices.values():
+            await device.tried.wait()
+            if device.mistake is not None:
+                raise device.mistake
+
+    # --- a tick ------------------------------------------------------------------------------
+
+    def tick(self, tick: Tick) -> None:
+        """Do one tick; takes no time to speak of and never waits."""
+        stamp = tick.due_ns * 1e-9
+        controller, gather = self.controller, self._gather
+        gather.collect()
+        self._follow_devices()
+        while self._pending:
+            self._begin(self._pending.popleft(), tick.number, stamp)
+        controller.step(stamp, gather.measured)
+        record = self._record = TickRecord(
+            tick.number,
+            stamp,
+            tick.wall_ns,
+            gather.position,
+            gather.velocity,
+            gather.effort,
+            gather.current,
+            gather.temperature,
+            gather.fresh,
+            np.array(controller.reference_position),
+            np.array(controller.reference_velocity),
+            np.array(controller.reference_effort),
+            gather.grasped,
+            gather.extras,
+        )
+        for device in self.devices.values():
+            if device.due(tick.number):
+                moving = self._was_active[device.name] and not device.muted
+                device.offer(self._reference(device, record) if moving else None)
+        self._observers.tick(record)
+        if controller.outbox:
+            self._deliver()
+        if stamp >= self._status_at:
+            self._status_at = stamp + self.settings.statistics_window
+            self._observers.status(self.statuses(), self.statistics())
+
+    def _reference(self, device: Supervisor, record: TickRecord) -> Reference:
+        top = np.array(self.controller.max_velocity)
+        where = self._gather.where(device)
+        if where is None:
+            return Reference.at(
+                record.reference_position,
+                max_effort=record.reference_effort,
+                max_velocity=top,
+                velocity=record.reference_velocity,
+            )
+        return Reference.at(
+            record.reference_position[where],
+            max_effort=record.reference_effort[where],
+            max_velocity=top[where],
+            velocity=record.reference_velocity[where],
+        )
+
+    def _follow_devices(self) -> None:
+        """Notice devices that may be moved now, or not any more."""
+        for name, device in self.devices.items():
+            active = device.active and self._gather.known(device)
+            if active != self._was_active[name]:
+                self._was_active[name] = active
+                self._change(device, active)
+            if device.rejected:
+                text, device.rejected = device.rejected, ""
+                self._pending.appendleft(Command("fail", text, self._names(device)))
+                self._observers.event(Event("rejected", name, text, self._now(), "warning"))
+
+    def _change(self, device: Supervisor, active: bool) -> None:
+        names = self._names(device)
+        if active:
+            accepts = float("max_effort" in device.driver.capabilities.accepts)
+            self._pending.appendleft(Command("active", "", dict.fromkeys(names, 1.0)))
+            self._pending.appendleft(Command("accepts", "", dict.fromkeys(names, accepts)))
+            return
+        text = f"device '{device.name}': {device.trouble}"
+        self._pending.appendleft(Command("active", "", dict.fromkeys(names, 0.0)))
+        self._pending.appendleft(Command("fail", text, names))
+        if any(self._was_active.values()):
+            self.behave(self.settings.safety.on_link_lost, text)
+
+    @staticmethod
+    def _names(device: Supervisor) -> dict[str, float]:
+        return {actuator.name: 1.0 for actuator in device.spec.actuators}
+
+    def _begin(self, what: Plan | Command, tick: int, stamp: float) -> None:
+        if isinstance(what, Plan):
+            self._observers.goal(what.goal, stamp)
+            self.controller.take(what, stamp)
+            return
+        command = replace(what, tick=tick, stamp=stamp)
+        self._observers.command(command)
+        self.controller.apply(command)
+
+    def _take_at_once(self, command: Command) -> None:
+        self._begin(command, -1 if self._record is None else self._record.tick, command.stamp)
+        self._deliver()
+
+    def _deliver(self) -> None:
+        outbox = self.controller.outbox
+        items, outbox.items[:] = list(outbox.items), []
+        for item in items:
+            match item:
+                case Feedback():
+                    self._observers.feedback(item)
+                case Result():
+                    self._observers.result(item)
+                    waiting = self._waiters.pop(item.goal_id, None)
+                    if waiting is not None:
+                        waiting[1].append(item)
+                        waiting[0].set()
+                case Event():
+                    self._observers.event(item)
+        if outbox.release:
+            hot, outbox.release = outbox.release, set()
+            for device in self.devices.values():
+                if hot.intersection(device.indices):
+                    self._start(device.release, CONFIRM_WITHIN)
+
+    def statuses(self) -> list[DeviceStatus]:
+        """Return how the devices are doing."""
+        return [device.status() for device in self.devices.values()]
+
+    def statistics(self) -> LoopStatistics:
+        """Return how the clock is doing."""
+        clock = self.clock_statistics
+        if clock is None:
+            return LoopStatistics(rate=self.settings.rate)
+        return clock.summary(self._observers.dropped)
+
+    def behave(self, behaviour: Behaviour, reason: str) -> None:
+        """Do what the settings say for when nobody drives the hand any more; returns at once."""
+        raise NotImplementedError
+
+    def _start(self, function: Callable[..., object], *arguments: object) -> None:
+        if self._group is not None:
+            self._group.start_soon(function, *arguments)  # type: ignore[arg-type]

@@ -1,0 +1,253 @@
+"""One hand's loop, as the rest of the program uses it."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Awaitable, Callable, Mapping
+
+import anyio
+
+from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
+from rtee.loop.hand_ticks import CONFIRM_WITHIN, HandTicks
+from rtee.loop.observer import LoopObserver, TickRecord
+from rtee.loop.plan import OPEN, make_plan
+from rtee.loop.settings import Behaviour
+from rtee.loop.supervisor import Supervisor
+from rtee.types import Command, Event, Goal, Reference, Result
+
+log = logging.getLogger(__name__)
+
+ITSELF = "rtee"
+"""The client of goals that the loop gives itself."""
+
+
+class HandLoop(HandTicks):
+    """The loop of one hand. All methods are called in the thread of its event loop.
+
+    ``async with`` starts the devices' tasks and, at the end, closes them. `tick` is called by
+    whoever has the clock; it never waits.
+    """
+
+    # --- goals -------------------------------------------------------------------------------
+
+    def submit(self, goal: Goal) -> None:
+        """Take a goal; it begins at the next tick. Its result comes to the observers.
+
+        Raises:
+            GoalRejected: if a value of it cannot be used, or a device is not active.
+            UnknownAction: if there is no such action.
+            ActionError: if the action doesn't exist with these elements.
+        """
+        plan = make_plan(
+            goal,
+            self.hand,
+            self.library,
+            self.settings,
+            effort_accepted={
+                index
+                for device in self.devices.values()
+                if "max_effort" in device.driver.capabilities.accepts
+                for index in device.indices
+            },
+        )
+        self.controller.check_active(plan.involved)
+        self._pending.append(plan)
+
+    async def execute(self, goal: Goal) -> Result:
+        """Take a goal and wait for its result; being cancelled cancels the goal. See `submit`."""
+        done, results = anyio.Event(), list[Result]()
+        self._waiters[goal.goal_id] = (done, results)
+        try:
+            self.submit(goal)
+            await done.wait()
+        except anyio.get_cancelled_exc_class():
+            self.cancel(goal.goal_id)
+            raise
+        finally:
+            self._waiters.pop(goal.goal_id, None)
+        return results[0]
+
+    def cancel(self, goal_id: str) -> None:
+        """Cancel a goal: the hand brakes and holds the measured posture. Unknown: nothing."""
+        self._pending.append(Command("cancel", goal_id))
+
+    def hold(self, reason: str = "") -> None:
+        """Brake and hold the measured posture; what blocked fingers may hold, they keep."""
+        self._pending.append(Command("hold", reason))
+
+    def jog(self, positions: Mapping[str, float], max_velocity: float | None = None) -> None:
+        """Move some actuators by hand; a running goal is pre-empted.
+
+        Args:
+            positions: Where to, by actuator [rad | m]; clamped into the limits.
+            max_velocity: Velocity not to be exceeded [rad/s | m/s]; ``None``: the actuators' own.
+
+        Raises:
+            GoalRejected: if an actuator is unknown or not active, or a value is no number.
+        """
+        names = self.hand.actuator_names
+        for name, value in positions.items():
+            if name not in names:
+                raise GoalRejected(f"unknown actuator '{name}'; {suggestion(name, names)}")
+            if not math.isfinite(value):
+                raise GoalRejected(f"the position of '{name}' must be a number, not {value:g}")
+        if max_velocity is not None and not (max_velocity > 0 and math.isfinite(max_velocity)):
+            raise GoalRejected(f"the velocity must be above 0, not {max_velocity:g}")
+        self.controller.check_active(self.hand.actuator_index(name) for name in positions)
+        text = "" if max_velocity is None else repr(float(max_velocity))
+        self._pending.append(Command("jog", text, dict(positions)))
+
+    # --- devices -----------------------------------------------------------------------------
+
+    async def stop(self, reason: str = "stopped") -> list[tuple[str, bool]]:
+        """Stop all devices now; a running goal is cancelled. Cannot raise.
+
+        Returns:
+            Every device with whether it confirmed that it was told.
+        """
+        confirmed = await self._all_devices(reason, Supervisor.stop)
+        missing = [name for name, done in confirmed if not done]
+        text = f"{self.name}: {reason}"
+        text += f"; not confirmed by {', '.join(missing)}" if missing else "; confirmed"
+        self._observers.event(
+            Event("stop", self.name, text, self._now(), "error" if missing else "info")
+        )
+        return confirmed
+
+    async def release(self, reason: str = "released") -> list[tuple[str, bool]]:
+        """Let all devices go limp; they are inactive afterwards. Returns as `stop`."""
+        return await self._all_devices(reason, Supervisor.release)
+
+    async def keep(self, reason: str = "") -> list[tuple[str, bool]]:
+        """Send every device one last reference: where it is, or what it holds with. As `stop`."""
+        posture = self.controller.posture_to_keep()
+        effort = self.controller.reference_effort
+
+        async def keep(device: Supervisor, within: float) -> bool:
+            where = list(device.indices)
+            position = [posture[i] for i in where]
+            if not all(map(math.isfinite, position)):
+                return await device.stop(within)
+            last = Reference.at(position, max_effort=[effort[i] for i in where])
+            return await device.hold(last, within)
+
+        return await self._all_devices(reason, keep)
+
+    async def _all_devices(
+        self, reason: str, what: Callable[[Supervisor, float], Awaitable[bool]]
+    ) -> list[tuple[str, bool]]:
+        confirmed: dict[str, bool] = dict.fromkeys(self.devices, False)
+
+        async def one(device: Supervisor) -> None:
+            try:
+                confirmed[device.name] = await what(device, CONFIRM_WITHIN)
+            except Exception:
+                log.exception("device '%s' could not be told: %s", device.name, reason)
+
+        for device in self.devices.values():
+            device.muted = True
+        self._pending.append(Command("freeze", reason))
+        try:
+            async with anyio.create_task_group() as group:
+                for device in self.devices.values():
+                    group.start_soon(one, device)
+        finally:
+            # Whatever moved meanwhile: the reference begins again where the hand is now.
+            self._pending.append(Command("freeze", reason))
+            for device in self.devices.values():
+                device.muted = False
+        return list(confirmed.items())
+
+    async def recover(self, device: str | None = None) -> None:
+        """Bring a device, or all, out of fault or inactivity; nothing moves by it.
+
+        Raises:
+            ConfigError: if there is no such device.
+            RteeError: what the device says if it doesn't work; the others were recovered.
+        """
+        if device is not None and device not in self.devices:
+            raise ConfigError(f"unknown device '{device}'; {suggestion(device, self.devices)}")
+        wanted = list(self.devices.values()) if device is None else [self.devices[device]]
+        errors: list[Exception] = []
+
+        async def one(supervisor: Supervisor) -> None:
+            try:
+                await supervisor.recover()
+            except (RteeError, TimeoutError) as error:
+                errors.append(error)
+
+        async with anyio.create_task_group() as group:
+            for supervisor in wanted:
+                group.start_soon(one, supervisor)
+        if errors:
+            raise errors[0]
+
+    async def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
+        """Change gains of a device, or of every device that has them.
+
+        Raises:
+            ConfigError: if there is no such device, no device has such a gain, or a value is bad.
+            RteeError: if a device doesn't take them.
+        """
+        if device is not None and device not in self.devices:
+            raise ConfigError(f"unknown device '{device}'; {suggestion(device, self.devices)}")
+        chosen = [d for d in self.devices.values() if device in (None, d.name)]
+        for name, value in gains.items():
+            known = {gain for d in chosen for gain in d.driver.capabilities.gains}
+            if name not in known:
+                raise ConfigError(f"unknown gain '{name}'; {suggestion(name, known)}")
+            if not math.isfinite(value):
+                raise ConfigError(f"the gain '{name}' must be a number, not {value:g}")
+        for supervisor in chosen:
+            own = {k: v for k, v in gains.items() if k in supervisor.driver.capabilities.gains}
+            if own:
+                await supervisor.set_gains(own)
+
+    # --- when nobody drives it ---------------------------------------------------------------
+
+    def client_lost(self, client: str) -> None:
+        """Do what is configured for when the client that holds the hand has died."""
+        text = f"the client '{client}' is lost"
+        self._observers.event(Event("client_lost", client, text, self._now(), "warning"))
+        self.behave(self.settings.safety.on_client_lost, text)
+
+    def behave(self, behaviour: Behaviour, reason: str) -> None:
+        """Do what the settings say for when nobody drives the hand any more; returns at once."""
+        match behaviour:
+            case Behaviour.HOLD:
+                self.hold(reason)
+            case Behaviour.STOP:
+                self._start(self.stop, reason)
+            case Behaviour.RELEASE:
+                self._start(self.release, reason)
+            case Behaviour.OPEN:
+                self.hold(reason)
+                try:
+                    self.submit(Goal(OPEN, client=ITSELF))
+                except RteeError as error:
+                    log.warning("%s cannot open: %s", self.name, error)
+
+    # --- watching ----------------------------------------------------------------------------
+
+    def add_observer(self, observer: LoopObserver) -> None:
+        """Have an observer told everything from now on."""
+        self._observers.add(observer)
+
+    def remove_observer(self, observer: LoopObserver) -> None:
+        """Tell an observer no more."""
+        self._observers.remove(observer)
+
+    def announce(self, event: Event) -> None:
+        """Tell the observers an event from outside, such as a mark or a new action."""
+        self._observers.event(event)
+
+    def snapshot(self) -> TickRecord:
+        """Return what was known at the last tick.
+
+        Raises:
+            RteeError: if there was none yet.
+        """
+        if self._record is None:
+            raise RteeError(f"{self.name}: the loop has not ticked yet")
+        return self._record

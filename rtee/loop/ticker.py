@@ -1,0 +1,41 @@
+"""One clock for one hand or several."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from rtee.loop.clock import AnyClock, ticking
+from rtee.loop.hand_ticks import HandTicks
+from rtee.loop.histogram import TickStatistics
+
+
+async def drive(
+    loops: Sequence[HandTicks], clock: AnyClock, *, idle: Callable[[int], None] | None = None
+) -> None:
+    """Tick some hands until cancelled or the clock ends.
+
+    The busy time of a tick is the processor time that this thread used from one wake-up to the
+    next: the hands, their devices' tasks, recording and publishing.
+
+    Args:
+        loops: The hands.
+        clock: Their clock.
+        idle: Called after each tick with when the next one is due, CLOCK_MONOTONIC [ns].
+    """
+    statistics = TickStatistics(clock.rate)
+    period_ns = round(clock.period * 1e9)
+    for loop in loops:
+        loop.clock_statistics = statistics
+    used = time.thread_time_ns()
+    first = True
+    async with ticking(clock) as ticks:
+        async for tick in ticks:
+            now = time.thread_time_ns()
+            if not first:
+                statistics.add(tick.woken_ns, tick.lateness_ns, now - used, tick.missed)
+            used, first = now, False
+            for loop in loops:
+                loop.tick(tick)
+            if idle is not None:
+                idle(tick.due_ns + period_ns)
