@@ -58,6 +58,23 @@ string alias                 # its name within a timed action
 float64 before               # margin before it starts [s]
 float64 after                # margin after it is completed [s]
 """,
+    "rtee_msgs/msg/Evidence": """\
+# What the extraction found at a posture of a pinch; frames: the hand's base.
+float64 depth                # penetration of the tips [m]
+float64 distance             # of the tips [m]
+float64 frame_distance       # of the origins of the tips' links [m]; NaN: unknown
+float64 contact_at           # intensity at which the tips first touch; NaN: unknown
+float64[] point              # contact point [m], or empty
+float64[] normal             # unit normal, or empty
+bool clear                   # nothing else collides
+bool path_clear              # nor on the straight way from rest
+string[] colliding           # links that do collide, two per pair
+string[] pair                # fingers of a multi-pinch that touch, two per pair
+float64[] pair_depth         # depth of each pair [m]
+float64[] angles             # between normal and line of closing, per tip [rad], or empty
+bool force_closure           # a small ball at the contact is held
+float64 friction             # coefficient assumed for that
+""",
     "rtee_msgs/msg/Action": """\
 # A grasping action of the hand.
 string name                  # its name
@@ -65,8 +82,10 @@ string kind                  # primitive, composed, timed or generic
 string[] elements            # fingers or actuator, for a primitive
 string[] fingers             # fingers involved
 string description           # one sentence
-float64 contact_at           # intensity at which a pinch first touches; NaN: none
+bool independent             # parts of a composed one share no actuator
+bool stored                  # it stands in a file of the hand
 rtee_msgs/Posture[] postures # ranked postures of a primitive; one otherwise; per part if timed
+rtee_msgs/Evidence[] evidence # per posture of a primitive, or empty
 rtee_msgs/ActionPart[] parts # inner actions of a composed or timed one
 """,
     "rtee_msgs/msg/ActionList": """\
@@ -92,13 +111,50 @@ rtee_msgs/PrimitiveGroup[] groups
 # A list of names.
 string[] names
 """,
-    "rtee_msgs/msg/GenericAction": """\
-# A generic action to be made while the hand runs.
+    "rtee_msgs/msg/NewAction": """\
+# A composed, timed or generic action to be made while the hand runs.
+string client                # who asks
+rtee_msgs/Action action      # the action; the hand works out the postures of what it is made of
+bool store                   # also write it to the hand's folder
+bool replace                 # replace an action of the same name
+""",
+    "rtee_msgs/msg/ActionName": """\
+# An action that is meant: to find its partners, to remove, store or rename it.
 string client                # who asks
 string name                  # its name
-string description           # one sentence
-rtee_msgs/Posture posture    # its set-points
-bool store                   # also write it to the hand's folder
+string what                  # an element, or the new name
+""",
+    "rtee_msgs/msg/State": """\
+# Everything that is measured of a hand and sent to it in one tick; NaN: not measured.
+std_msgs/Header header
+uint64 tick                  # number of the tick
+float64 time                 # when it was due, CLOCK_MONOTONIC of the hand's computer [s]
+string[] name                # actuators
+float64[] position           # [rad | m]
+float64[] velocity           # [rad/s | m/s]
+float64[] effort             # [N.m | N]
+float64[] current            # [A]
+float64[] temperature        # [degC]
+int8[] grasped               # the device's own word: 1 holding, 0 not, -1 none
+bool[] fresh                 # measured since the last tick
+float64[] reference_position # sent [rad | m]
+float64[] reference_velocity # its velocity [rad/s | m/s]
+float64[] reference_effort   # effort limit sent [N.m | N]; inf: the device's own
+string[] joint               # all moving joints
+float64[] joint_position     # [rad | m]
+string[] channel             # further measured channels, device/channel
+uint32[] channel_length      # values per channel
+float64[] channel_value      # values of all channels, one channel after the other
+""",
+    "rtee_msgs/msg/StreamRequest": """\
+# A client asks for states at a rate of its own.
+string client                # who asks
+float64 rate                 # wanted [Hz]
+""",
+    "rtee_msgs/msg/PostureRequest": """\
+# A client asks for the hand's information at a posture; empty: at rest.
+string[] name                # actuators
+float64[] position           # [rad | m]
 """,
     "rtee_msgs/msg/ActuatorInfo": """\
 # An actuator as a grasp planner needs it.

@@ -1,0 +1,93 @@
+"""The requests that a hand answers on the network, with the types of question and answer.
+
+A client asks by a Zenoh query on ``rtee/<hand>/<group>/<name>``. The answer is a message of the
+reply's type, or, as a Zenoh error, a ``rtee_msgs/Reply`` that says why not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rtee.messages.schema import MessageType, message_type
+from rtee.messages.topics import PREFIX
+
+STOP = "stop"
+"""Group of the one request that is always taken, from everybody, before all others."""
+
+CONTROL = "control"
+"""Group of the requests that steer the hand."""
+
+ASK = "ask"
+"""Group of the requests that only want to know, or that change the actions."""
+
+CLIENTS = "clients"
+"""Part of the keys of clients' liveliness tokens."""
+
+ALIVE = "alive"
+"""Last part of the key of a hand's liveliness token."""
+
+STATES = "states"
+"""Part of the keys of streams of states."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A request.
+
+    Attributes:
+        group: Its group.
+        name: Its name.
+        question: Type of the question.
+        answer: Type of the answer.
+        text: What it does, in one sentence.
+    """
+
+    group: str
+    name: str
+    question: MessageType
+    answer: MessageType
+    text: str
+
+    def key(self, hand: str) -> str:
+        """Return its key on the network; ``*`` as the hand stands for all."""
+        return f"{PREFIX}/{hand}/{self.group}/{self.name}"
+
+
+def _request(group: str, name: str, question: str, answer: str, text: str) -> Request:
+    return Request(
+        group,
+        name,
+        message_type(f"rtee_msgs/msg/{question}"),
+        message_type(f"rtee_msgs/msg/{answer}" if answer != "String" else "std_msgs/msg/String"),
+        text,
+    )
+
+
+_ALL = (
+    _request(STOP, "stop", "ClientRequest", "StopReply", "Stop all devices now; needs no lease."),
+    _request(CONTROL, "hello", "ClientRequest", "Reply", "Answered once the client is known."),
+    _request(CONTROL, "do", "Goal", "Reply", "Execute an action; feedback and a result follow."),
+    _request(CONTROL, "cancel", "GoalReference", "Reply", "Cancel a goal; the hand holds."),
+    _request(CONTROL, "hold", "ClientRequest", "Reply", "Hold the measured posture."),
+    _request(CONTROL, "open", "ClientRequest", "Reply", "Go to the rest posture."),
+    _request(CONTROL, "jog", "NamedValues", "Reply", "Move actuators to positions."),
+    _request(CONTROL, "gains", "NamedValues", "Reply", "Change gains of a device."),
+    _request(CONTROL, "recover", "ClientRequest", "Reply", "Bring devices out of a fault."),
+    _request(CONTROL, "take", "ClientRequest", "Reply", "Take the hand: nobody else may move it."),
+    _request(CONTROL, "release", "ClientRequest", "Reply", "Give the hand back."),
+    _request(CONTROL, "stream", "StreamRequest", "Reply", "Have states published at a rate."),
+    _request(ASK, "state", "Empty", "State", "The newest state."),
+    _request(ASK, "status", "Empty", "Status", "The loop and its devices."),
+    _request(ASK, "info", "PostureRequest", "HandInfo", "The hand, for a grasp planner."),
+    _request(ASK, "robot_description", "Empty", "String", "The URDF."),
+    _request(ASK, "actions", "ActionFilter", "ActionList", "The actions that pass a filter."),
+    _request(ASK, "primitives", "Empty", "PrimitiveGroups", "The primitives, by name."),
+    _request(ASK, "partners", "ActionName", "Names", "What an element can be paired with."),
+    _request(ASK, "add", "NewAction", "Reply", "Add an action."),
+    _request(ASK, "store", "ActionName", "Reply", "Write an action to the hand's folder."),
+    _request(ASK, "remove", "ActionName", "Reply", "Remove an action."),
+    _request(ASK, "rename", "ActionName", "Reply", "Rename an action."),
+)
+
+REQUESTS: dict[str, Request] = {request.name: request for request in _ALL}
+"""The requests by name."""
