@@ -9,6 +9,8 @@ records of `mcap.records`.
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import os
 import struct
 import zlib
@@ -59,6 +61,21 @@ class Preamble:
     channels: Sequence[Channel] = ()
 
 
+def being_written(path: Path) -> bool:
+    """Whether a recorder has the file open."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno in (errno.EWOULDBLOCK, errno.EACCES)
+    finally:
+        os.close(descriptor)
+    return False
+
+
 class McapFile:
     """An MCAP file being written.
 
@@ -82,6 +99,8 @@ class McapFile:
         self._indexes: list[McapRecord] = []
         begin = self._begin()
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        with contextlib.suppress(OSError):  # not every file system has locks
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._size = 0
         try:
             self._append(begin)
@@ -104,6 +123,14 @@ class McapFile:
     def end(self) -> int:
         """Latest log time [ns since 1970]; 0 while there is no message."""
         return self._end
+
+    @property
+    def linked(self) -> bool:
+        """Whether the file still has its name: somebody may have removed or replaced it."""
+        try:
+            return os.path.samestat(self.path.stat(), os.fstat(self._descriptor))
+        except FileNotFoundError:
+            return False
 
     def _begin(self) -> bytes:
         data = bytearray(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from rtee.log.mcapfile import MAGIC
+from rtee.log.mcapfile import MAGIC, being_written
 from rtee.log.scan import Record, metadata_of, scan
 
 METADATA = "rtee"
@@ -161,7 +161,7 @@ class Retention:
                 break
             if file.path not in self._ours:
                 self._ours[file.path] = is_ours(file.path, self._hand)
-            if not self._ours[file.path]:
+            if not self._ours[file.path] or being_written(file.path):
                 continue
             try:
                 file.path.unlink()

@@ -126,6 +126,17 @@ def messages_of(content: bytes) -> tuple[bytes, Chunk]:
     return data, chunk
 
 
+def definitions_of(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of the schemas and channels among the records of a chunk."""
+    position = 0
+    while position + _HEAD.size <= len(data):
+        opcode, length = _HEAD.unpack_from(data, position)
+        position += _HEAD.size
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            yield opcode, data[position : position + length]
+        position += length
+
+
 def _decompressed(chunk: Chunk) -> bytes:
     if not chunk.compression:
         return chunk.data

@@ -134,7 +134,7 @@ class DiskSink:
         if not self.wanted:
             return
         try:
-            if self._file is not None and not _linked(self._file.path):
+            if self._file is not None and not self._file.linked:
                 self._close()
             if self._file is None:
                 self._open(chunk.start)
@@ -185,12 +185,3 @@ class DiskSink:
             return None
         self._make_room(look=True)
         return path
-
-
-def _linked(path: Path) -> bool:
-    """Whether the file still has its name: somebody may have removed it."""
-    try:
-        path.lstat()
-    except FileNotFoundError:
-        return False
-    return True

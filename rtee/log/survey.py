@@ -20,13 +20,16 @@ from rtee.log.scan import (
     Record,
     attachment_of,
     channel_of,
+    definitions_of,
     header_of,
+    messages_of,
     metadata_of,
     scan,
     schema_of,
 )
 from rtee.log.sink import reason
 
+_DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")
 _CHUNK_TIMES = struct.Struct("<QQ")
 
@@ -155,13 +158,17 @@ class _Surveyor:
                     finished = stream.read(len(MAGIC)) == MAGIC
                 elif record.opcode == Opcode.DATA_END:
                     data = False
-                elif data:
+                elif data or record.opcode in _DEFINITIONS:
                     try:
                         self._take(record, stream)
                     except DamagedRecordError as error:
                         self._notes.append(str(error))
-                    good = record.end
+                    good = record.end if data else good
+            if not self._channels:
+                self._define_from_chunks(stream)
         if not finished:
+            if self._chunks:
+                self._chunks[-1].indexes.clear()  # the index of the last chunk may be cut off
             left = size - good if data else 0
             self._notes.append(
                 "the file was not closed: it is being written, or its writer was killed"
@@ -181,6 +188,24 @@ class _Surveyor:
             loose=self._loose,
             notes=tuple(self._notes),
         )
+
+    def _define_from_chunks(self, stream: BinaryIO) -> None:
+        """Take schemas and channels from within chunks, where other software puts them."""
+        for chunk in self._chunks:
+            try:
+                data, _ = messages_of(chunk.record.read(stream))
+                for opcode, content in definitions_of(data):
+                    self._define(opcode, content)
+            except DamagedRecordError:
+                continue
+
+    def _define(self, opcode: int, content: bytes) -> None:
+        if opcode == Opcode.SCHEMA:
+            schema = schema_of(content)
+            self._schemas[schema.id] = schema
+        else:
+            channel = channel_of(content)
+            self._channels[channel.id] = channel
 
     def _take(self, record: Record, stream: BinaryIO) -> None:
         match record.opcode:
@@ -202,11 +227,7 @@ class _Surveyor:
             case Opcode.ATTACHMENT:
                 attachment = attachment_of(record.read(stream))
                 self._attachments[attachment.name] = attachment
-            case Opcode.SCHEMA:
-                schema = schema_of(record.read(stream))
-                self._schemas[schema.id] = schema
-            case Opcode.CHANNEL:
-                channel_record = channel_of(record.read(stream))
-                self._channels[channel_record.id] = channel_record
+            case Opcode.SCHEMA | Opcode.CHANNEL:
+                self._define(record.opcode, record.read(stream))
             case Opcode.MESSAGE:
                 self._loose += 1

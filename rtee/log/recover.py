@@ -1,0 +1,155 @@
+"""Making a recording whole whose writer was killed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from rtee.errors import LogError
+from rtee.log import rows
+from rtee.log.chunks import PackedChunk, index_records
+from rtee.log.mcapfile import McapFile, Preamble, being_written
+from rtee.log.scan import DamagedRecordError, messages_of
+from rtee.log.sink import reason
+from rtee.log.survey import ChunkPlace, Survey, survey
+
+_SECOND = 1e9
+_RECORD_HEAD = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What was recovered.
+
+    Attributes:
+        path: The whole file.
+        untouched: The file was whole already.
+        chunks: Chunks recovered.
+        messages: Messages recovered.
+        damaged: Chunks that were damaged and left out.
+        lost_bytes: Bytes at the end that were of no use.
+        seconds: Time from the first to the last message [s].
+    """
+
+    path: Path
+    untouched: bool
+    chunks: int
+    messages: int
+    damaged: int
+    lost_bytes: int
+    seconds: float
+
+
+def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
+    """Make a recording whole that was never closed, or has damaged chunks.
+
+    Every sound chunk is kept with a newly made index. The whole file is written beside the old one
+    and replaces it only when it is complete.
+
+    Args:
+        path: The recording.
+        output: Where to write the whole file; unless given it replaces the old one.
+
+    Raises:
+        LogError: if the file is being written, cannot be read or is no MCAP file, or if the whole
+            one cannot be written.
+    """
+    path = Path(path)
+    if being_written(path):
+        raise LogError("is being written; stop the recording first", path=path)
+    found = survey(path)
+    target = path if output is None else Path(output)
+    temporary: Path | None = None
+    try:
+        with path.open("rb") as stream:
+            damaged = sum(1 for chunk in found.chunks if not _sound(chunk, stream))
+            if found.finished and not damaged:
+                if target != path:
+                    shutil.copyfile(path, target)
+                return _report(found, target, 0, untouched=True)
+            folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=".recover."))
+            temporary = folder / target.name
+            file = McapFile(temporary, _preamble(found), sync=False)
+            try:
+                for chunk in _chunks(found, stream):
+                    file.write(chunk)
+            finally:
+                file.close()
+        os.replace(temporary, target)
+    except OSError as error:
+        raise LogError(f"cannot be recovered: {reason(error)}", path=path) from error
+    finally:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                shutil.rmtree(temporary.parent)
+    return _report(survey(target), target, damaged, untouched=False, lost=found.size - found.good)
+
+
+def _report(found: Survey, path: Path, damaged: int, *, untouched: bool, lost: int = 0) -> Recovery:
+    return Recovery(
+        path=path,
+        untouched=untouched,
+        chunks=len(found.chunks),
+        messages=sum(chunk.count(number) for chunk in found.chunks for number in chunk.indexes),
+        damaged=damaged,
+        lost_bytes=lost,
+        seconds=(found.end - found.start) / _SECOND,
+    )
+
+
+def _preamble(found: Survey) -> Preamble:
+    return Preamble(
+        library=found.library,
+        metadata=found.metadata,
+        attachments=tuple(found.attachments.values()),
+        schemas=tuple(found.schemas.values()),
+        channels=tuple(found.channels.values()),
+    )
+
+
+def _sound(place: ChunkPlace, stream: BinaryIO) -> bool:
+    try:
+        messages_of(place.record.read(stream))
+    except DamagedRecordError:
+        return False
+    return True
+
+
+def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
+    """Yield the sound chunks, each with an index made from its messages."""
+    for place in found.chunks:
+        content = place.record.read(stream)
+        try:
+            data, chunk = messages_of(content)
+        except DamagedRecordError:
+            continue
+        array = np.frombuffer(data, dtype=np.uint8)
+        entries = {}
+        for number, offsets in rows.walk(data).items():
+            if number in found.channels:
+                starts = np.array(offsets, dtype=np.int64)
+                times = rows.log_times(array, starts).astype(np.uint64)
+                entries[number] = (times, starts.astype(np.uint64))
+        if not entries:
+            continue
+        index, where = index_records(entries)
+        stream.seek(place.record.offset - _RECORD_HEAD)
+        yield PackedChunk(
+            record=stream.read(_RECORD_HEAD) + content,
+            index=index,
+            index_offsets=where,
+            counts={number: len(times) for number, (times, _) in entries.items()},
+            start=chunk.message_start_time,
+            end=chunk.message_end_time,
+            compressed_size=len(chunk.data),
+            uncompressed_size=chunk.uncompressed_size,
+            compression=chunk.compression,
+        )

@@ -1,0 +1,320 @@
+"""Full disks, rotation, the bound on space, the flight recorder."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from log.samples import Log, recorded, settings, tick
+from rtee.errors import LogError
+from rtee.hand.model import Hand
+from rtee.log import read
+from rtee.log.mcapfile import being_written
+from rtee.log.rotation import is_ours, parse_name, parts_of, recordings
+from rtee.types import Event
+
+
+@pytest.fixture
+def largest_file() -> Iterator[object]:
+    """Sets the size beyond which the system refuses to let files grow, as a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def limit(size: int | None) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft if size is None else size, hard))
+
+    yield limit
+    limit(None)
+    signal.signal(signal.SIGXFSZ, before)
+
+
+def check_gap(log: Log, path: Path, lost_text: str) -> None:
+    """The recording has a gap, is whole all the same, and the loss is counted and said."""
+    recording = read(path)
+    assert recording.finished
+    ticks = recording.actuator_states.tick.tolist()
+    lost = log.writer.sink.lost_ticks
+    assert 0 < lost < 600
+    assert len(ticks) == 600 - lost == log.writer.sink.written_ticks
+    assert ticks[0] == 0
+    assert ticks[-1] == 599
+    told = [event.kind for event in log.told]
+    assert told == ["log_failed", "log_resumed"]
+    assert lost_text in log.told[0].text
+    assert f"after {lost} ticks were lost" in log.told[1].text
+    kinds = [entry.value.kind for entry in recording.events]
+    assert kinds == ["log_resumed"] or kinds == ["log_failed", "log_resumed"]
+
+
+def test_a_file_that_may_not_grow_loses_ticks_until_it_may(
+    claw: Hand, tmp_path: Path, largest_file
+) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 200)
+    largest_file(log.writer.sink.size + 100)
+    log.run(200, 400)
+    assert log.writer.sink.problem == "File too large"
+    assert read(recorded(tmp_path)[0]).actuator_states.tick[-1] < 250
+    largest_file(None)
+    log.run(400, 600)
+    log.writer.close()
+    check_gap(log, recorded(tmp_path)[0], "File too large")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small file system needs root")
+def test_a_full_disk_loses_ticks_until_there_is_room(claw: Hand, tmp_path: Path) -> None:
+    small = tmp_path / "small"
+    small.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(small)], capture_output=True
+    )
+    if mounted.returncode:
+        pytest.skip("no file system can be mounted here")
+    try:
+        log = Log(claw, settings(small))
+        ballast = small / "ballast"
+        log.run(0, 200)
+        with ballast.open("wb", buffering=0) as stream:
+            try:
+                while True:
+                    stream.write(bytes(1024))
+            except OSError:
+                pass
+        log.run(200, 400)
+        assert log.writer.sink.problem == "No space left on device"
+        ballast.unlink()
+        log.run(400, 600)
+        log.writer.close()
+        check_gap(log, recorded(small)[0], "No space left on device")
+    finally:
+        subprocess.run(["umount", str(small)], check=True)
+
+
+def test_closing_on_a_full_disk_leaves_a_file_that_reads(
+    claw: Hand, tmp_path: Path, largest_file
+) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 200)
+    log.writer.flush()
+    largest_file(log.writer.sink.size + 100)
+    log.writer.close()
+    recording = read(recorded(tmp_path)[0])
+    assert not recording.finished
+    assert len(recording.reference) == 200
+
+
+def test_a_recording_that_could_not_begin_begins_when_there_is_room(
+    claw: Hand, tmp_path: Path, largest_file
+) -> None:
+    log = Log(claw, settings(tmp_path), start=False)
+    largest_file(100)
+    log.writer.start()
+    log.run(0, 100)
+    assert recorded(tmp_path) == []
+    assert log.writer.sink.problem == "File too large"
+    largest_file(None)
+    log.run(100, 200)
+    log.writer.close()
+    (path,) = recorded(tmp_path)
+    assert read(path).actuator_states.tick[-1] == 199
+
+
+def test_a_file_that_somebody_removed_is_followed_by_another(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 100)
+    recorded(tmp_path)[0].unlink()
+    log.run(100, 300)
+    log.writer.close()
+    (path,) = recorded(tmp_path)
+    assert read(path).actuator_states.tick[-1] == 299
+
+
+def test_files_are_rotated_by_size(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path, max_file_size=30_000))
+    log.run(0, 600)
+    log.writer.close()
+    paths = recorded(tmp_path)
+    assert len(paths) > 2
+    assert [parse_name(path).part for path in paths] == list(range(len(paths)))
+    assert parts_of(paths[1]) == paths
+    for path in paths:
+        assert read(path).finished
+        assert read(path).urdf == claw.urdf.text
+        assert is_ours(path, "claw")
+    whole = read(paths[1], series=True)
+    assert whole.paths == tuple(paths)
+    assert whole.actuator_states.tick.tolist() == list(range(600))
+    assert read(tmp_path).actuator_states.tick.tolist() == list(range(600))
+
+
+def test_files_are_rotated_by_time(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path, max_file_time=2.0))
+    log.run(0, 500)
+    log.writer.close()
+    counts = [len(read(path).reference) for path in recorded(tmp_path)]
+    assert sum(counts) == 500
+    assert len(counts) == 3
+    assert counts[:2] == [pytest.approx(200, abs=60)] * 2
+
+
+def test_two_recordings_that_begin_together_get_names_of_their_own(
+    claw: Hand, tmp_path: Path
+) -> None:
+    logs = [Log(claw, settings(tmp_path)) for _ in range(3)]
+    assert len(recorded(tmp_path)) == 3
+    for log in logs:
+        log.run(0, 10)
+        log.writer.close()
+    assert [len(parts_of(path)) for path in recorded(tmp_path)] == [1, 1, 1]
+
+
+def test_the_oldest_recordings_make_room_and_nothing_else(claw: Hand, tmp_path: Path) -> None:
+    name = "claw_20200101T000000000Z_000.mcap"
+    (tmp_path / name).write_bytes(bytes(50_000))  # looks like ours, but is not
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "claw_backup.mcap").write_bytes(bytes(50_000))
+    log = Log(claw, settings(tmp_path, max_total_size=250_000, max_file_size=30_000))
+    for number in log.ticks(0, 3000):
+        if number % 500 == 0:
+            total = sum(file.size for file in recordings(tmp_path, "claw"))
+            assert total < 250_000 + 30_000
+    log.writer.close()
+    left = {path.name for path in tmp_path.iterdir()}
+    assert {name, "notes.txt", "claw_backup.mcap"} <= left
+    kept = read(tmp_path)
+    assert kept.actuator_states.tick[-1] == 2999
+    assert kept.actuator_states.tick[0] > 500
+    assert kept.actuator_states.tick.tolist() == list(
+        range(int(kept.actuator_states.tick[0]), 3000)
+    )
+
+
+def test_recordings_of_other_hands_do_not_make_room(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path, max_total_size=100_000))
+    log.run(0, 100)
+    log.writer.close()
+    other = tmp_path / recorded(tmp_path)[0].name.replace("claw", "paw")
+    recorded(tmp_path)[0].rename(other)
+    log = Log(claw, settings(tmp_path, max_total_size=60_000))
+    log.run(0, 2000)
+    log.writer.close()
+    assert other.exists()
+    assert not is_ours(other, "paw")
+
+
+def test_a_recording_that_another_process_writes_is_not_removed(claw: Hand, tmp_path: Path) -> None:
+    running = Log(claw, settings(tmp_path))
+    running.run(0, 100)
+    (path,) = recorded(tmp_path)
+    assert being_written(path)
+    log = Log(claw, settings(tmp_path, max_total_size=80_000))
+    log.run(0, 2000)
+    log.writer.close()
+    assert path.exists()
+    running.writer.close()
+    assert not being_written(path)
+
+
+# --- the flight recorder -------------------------------------------------------------------------
+
+
+def flights(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*_flight.mcap"))
+
+
+def fault(now: float) -> Event:
+    return Event("device_fault", "motor", "overcurrent", now, "error")
+
+
+def test_a_fault_writes_out_the_last_seconds_without_a_recording(
+    claw: Hand, tmp_path: Path
+) -> None:
+    log = Log(claw, settings(tmp_path, enabled=False, flight_recorder=3.0), start=False)
+    log.run(0, 1000)
+    log.writer.item(fault(log.time.now), log.time.now)
+    log.writer.poll()
+    (path,) = recorded(tmp_path)
+    assert flights(tmp_path) == [path]
+    recording = read(path)
+    assert recording.finished
+    assert recording.metadata["cause"] == "device_fault: overcurrent"
+    assert recording.urdf == claw.urdf.text
+    ticks = recording.actuator_states.tick.tolist()
+    assert ticks == list(range(ticks[0], 1000))
+    assert 300 <= len(ticks) <= 360
+    assert recording.events[-1].value.kind == "device_fault"
+    assert log.told[-1].kind == "flight_recorded"
+    assert log.writer.flight_files == [path]
+
+
+def test_faults_in_quick_succession_are_written_once_and_again_later(
+    claw: Hand, tmp_path: Path
+) -> None:
+    log = Log(claw, settings(tmp_path, enabled=False), start=False)
+    for number in log.ticks(0, 1500):
+        if number in (100, 110, 400):
+            log.writer.item(fault(log.time.now), log.time.now)
+    assert len(flights(tmp_path)) == 2
+    later = read(flights(tmp_path)[1])
+    assert [entry.value.kind for entry in later.events].count("device_fault") == 3
+    assert later.actuator_states.tick[0] == 0
+
+
+def test_a_fault_just_before_the_end_is_written_at_the_end(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path, enabled=False), start=False)
+    log.run(0, 100)
+    log.writer.item(fault(log.time.now), log.time.now)
+    log.writer.close()
+    assert len(flights(tmp_path)) == 1
+
+
+def test_the_flight_recorder_keeps_within_its_memory(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path, enabled=False, flight_size=40_000), start=False)
+    log.run(0, 2000)
+    assert log.writer.flight is not None
+    assert 0 < log.writer.flight.size <= 40_000
+    assert 0 < log.writer.flight.seconds < 20
+
+
+def test_a_flight_that_cannot_be_written_is_said(claw: Hand, tmp_path: Path, largest_file) -> None:
+    log = Log(claw, settings(tmp_path, enabled=False), start=False)
+    log.run(0, 200)
+    largest_file(5000)
+    log.writer.item(fault(log.time.now), log.time.now)
+    log.writer.poll()
+    assert list(tmp_path.iterdir()) == []
+    assert [event.kind for event in log.told] == ["log_failed"]
+
+
+def test_without_recording_and_flight_recorder_nothing_is_encoded(
+    claw: Hand, tmp_path: Path
+) -> None:
+    log = Log(claw, settings(tmp_path, enabled=False, flight_recorder=0.0), start=False)
+    log.writer.tick(tick(0))
+    log.writer.item(fault(log.time.now), log.time.now)
+    assert log.writer.waiting() is None
+
+
+def test_a_fault_is_recorded_on_disk_too(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 100)
+    log.writer.item(fault(log.time.now), log.time.now)
+    log.run(100, 200)
+    log.writer.close()
+    paths = [path for path in recorded(tmp_path) if path not in flights(tmp_path)]
+    recording = read(paths)
+    kinds = [entry.value.kind for entry in recording.events]
+    assert kinds == ["device_fault", "flight_recorded"]
+    assert len(recording.reference) == 200
+
+
+def test_names() -> None:
+    assert parse_name(Path("claw_20231114T221320000Z_000.mcap")) is None  # it does not exist
+    with pytest.raises(LogError):
+        read("claw_20231114T221320000Z_000.mcap")
