@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import ClassVar, Literal
 
 from rtee.buses.emulator import Emulator
@@ -43,7 +43,7 @@ class ModbusEmulator(Emulator):
     """A device of 16-bit registers.
 
     Attributes:
-        FUNCTIONS: Function codes that it knows.
+        FUNCTIONS: Function codes that it knows, unless told otherwise.
         EXCEPTIONS: Whether it refuses by an exception; else it stays silent.
         unit: Its number on the line.
         any_unit: Whether it answers to any number, as many devices do on TCP.
@@ -55,8 +55,16 @@ class ModbusEmulator(Emulator):
     )
     EXCEPTIONS: ClassVar[bool] = False
 
-    def __init__(self, unit: int, framing: Framing = "rtu", *, baudrate: int = 115200) -> None:
+    def __init__(
+        self,
+        unit: int,
+        framing: Framing = "rtu",
+        *,
+        baudrate: int = 115200,
+        functions: Collection[int] | None = None,
+    ) -> None:
         super().__init__()
+        self.functions = frozenset(self.FUNCTIONS if functions is None else functions)
         self.unit = unit
         self.framing = framing
         self.any_unit = framing == "tcp"
@@ -91,7 +99,7 @@ class ModbusEmulator(Emulator):
     def _handle(self, request: Request, now: float) -> bytes | None:
         function = request.pdu[0]
         try:
-            if function not in self.FUNCTIONS:
+            if function not in self.functions:
                 raise Refused(ILLEGAL_FUNCTION)
             return bytes([function]) + self._done(function, request.pdu[1:], now)
         except Refused as refusal:

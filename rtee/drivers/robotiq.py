@@ -1,0 +1,130 @@
+"""What Robotiq's grippers have in common on Modbus: a block to write, a block to read."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Literal
+
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.modbus_frames import READ_HOLDING
+from rtee.errors import BusTimeout
+
+ExchangeKind = Literal["auto", "combined", "separate"]
+
+_TRIES = 3
+_REFRESH = 0.005
+"""The grippers refresh their registers every 5 ms."""
+
+
+class Blocks:
+    """The output and the input block of one gripper.
+
+    One exchange writes the output block and reads the input block, with function 23 where the
+    gripper has it, else with functions 16 and 3 or 4. The grippers refuse by silence, so function
+    23 counts as missing when it was never answered in three tries.
+
+    Attributes:
+        bus: The line or connection.
+        unit: The gripper's number on it.
+        deadline: Longest time of one exchange [s].
+    """
+
+    def __init__(
+        self,
+        bus: ModbusBus,
+        unit: int,
+        *,
+        output: int,
+        source: int,
+        count: int,
+        deadline: float,
+        kind: ExchangeKind = "auto",
+        function: int = READ_HOLDING,
+        retries: int = 1,
+    ) -> None:
+        self.bus = bus
+        self.unit = unit
+        self.deadline = deadline
+        self._output = output
+        self._source = source
+        self._count = count
+        self._kind = kind
+        self._function = function
+        self._retries = retries
+        self._silent = 0
+        self._cached: tuple[tuple[int, ...], float] | None = None
+
+    @property
+    def combined(self) -> bool:
+        """Whether function 23 is used."""
+        return self._kind != "separate"
+
+    async def read(self) -> tuple[int, ...]:
+        """Return the input block; errors as for `rtee.buses.modbus.ModbusBus.read`."""
+        return await self.bus.read(
+            self.unit,
+            self._source,
+            self._count,
+            deadline=self.deadline,
+            retries=self._retries,
+            function=self._function,
+        )
+
+    async def write(self, values: Sequence[int]) -> None:
+        """Write the output block; errors as for `read`."""
+        await self.bus.write(
+            self.unit, self._output, values, deadline=self.deadline, retries=self._retries
+        )
+
+    async def exchange(self, values: Sequence[int]) -> tuple[int, ...]:
+        """Write the output block and return the input block; errors as for `read`."""
+        if self.combined:
+            try:
+                block = await self.bus.exchange(
+                    self.unit,
+                    self._output,
+                    values,
+                    self._source,
+                    self._count,
+                    deadline=self.deadline,
+                    retries=self._retries,
+                )
+            except ModbusRefusal as refusal:
+                if self._kind != "auto" or refusal.code != 1:
+                    raise
+                self._kind = "separate"
+            except BusTimeout:
+                self._silent += 1
+                if self._kind != "auto" or self._silent < _TRIES:
+                    raise
+                self._kind = "separate"
+            else:
+                self._kind = "combined"
+                return block
+        await self.write(values)
+        return await self.read()
+
+    def keep(self, block: tuple[int, ...]) -> None:
+        """Keep an input block that came with an exchange, for the next `fresh`."""
+        self._cached = block, time.monotonic()
+
+    def fresh(self, age: float) -> tuple[tuple[int, ...], float] | None:
+        """Return the kept block, once, and its time; ``None`` when older than ``age`` [s]."""
+        cached, self._cached = self._cached, None
+        if cached is None or time.monotonic() - cached[1] > age:
+            return None
+        return cached
+
+    def best_rate(self, sent: int) -> float:
+        """Return the fastest rate of exchanges that the wire and the gripper allow [Hz].
+
+        Args:
+            sent: Registers written in one exchange.
+        """
+        answer = 2 + 2 * self._count
+        if self.combined:
+            once = self.bus.exchange_time(10 + 2 * sent, answer)
+        else:
+            once = self.bus.exchange_time(6 + 2 * sent, 5) + self.bus.exchange_time(5, answer)
+        return 1.0 / max(once, _REFRESH)

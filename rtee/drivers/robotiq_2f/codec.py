@@ -1,0 +1,288 @@
+"""Registers and units of Robotiq's two-finger grippers; no I/O.
+
+Sources: the grippers' instruction manuals (register map, bits, fault codes, example frames) and,
+    for
+speeds and end counts, published drivers. Every two bytes make a register, the first in its high
+half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Self
+
+from rtee.errors import FrameError
+
+OUTPUT = 0x03E8
+"""First register of the block that the host writes."""
+
+INPUT = 0x07D0
+"""First register of the block that the gripper answers with."""
+
+COUNT = 3
+"""Registers of either block that carry something."""
+
+_CURRENT = 0.01
+"""Motor current per count of gCU [A]."""
+
+
+class Activation(IntEnum):
+    """gSTA: how far the activation is."""
+
+    RESET = 0
+    UNDER_WAY = 1
+    UNUSED = 2
+    DONE = 3
+
+
+class Grasp(IntEnum):
+    """gOBJ: what the fingers met; only meaningful while gGTO is set."""
+
+    MOVING = 0
+    CONTACT_OPENING = 1
+    CONTACT_CLOSING = 2
+    AT_REQUEST = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A code of gFLT.
+
+    Attributes:
+        name: What it is called.
+        hint: What to do.
+        warning: It is no fault that stops the gripper.
+        major: Only a reset with a new activation clears it.
+    """
+
+    name: str
+    hint: str = ""
+    warning: bool = False
+    major: bool = False
+
+
+FAULTS: dict[int, Fault] = {
+    0x05: Fault("the action waits for the activation", "wait", warning=True),
+    0x07: Fault("not activated", "activate it: the fingers then close and open once"),
+    0x08: Fault("over temperature", "let it cool down"),
+    0x09: Fault("no communication for a second", warning=True),
+    0x0A: Fault("supply below the minimum voltage", "check the 24 V supply", major=True),
+    0x0B: Fault("automatic release under way", "wait until it ends, then recover", major=True),
+    0x0C: Fault(
+        "internal fault", "recover; if it comes back, the gripper needs service", major=True
+    ),
+    0x0D: Fault("activation failed", "free the fingers, then recover and activate", major=True),
+    0x0E: Fault("overcurrent", "free the fingers, then recover", major=True),
+    0x0F: Fault("automatic release completed", "recover and activate", major=True),
+}
+"""The fault codes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What distinguishes the models.
+
+    Attributes:
+        name: Its name.
+        stroke: Distance of the fingertips when open [m].
+        speed: Slowest and fastest closing, of one fingertip against the other [m/s].
+        force: Weakest and strongest grip [N].
+        prismatic: The actuator is one finger's slide instead of the driving knuckle.
+    """
+
+    name: str
+    stroke: float
+    speed: tuple[float, float]
+    force: tuple[float, float]
+    prismatic: bool = False
+
+
+MODELS: dict[str, Model] = {
+    "2f_85": Model("2F-85", 0.085, (0.020, 0.150), (20.0, 235.0)),
+    "2f_140": Model("2F-140", 0.140, (0.030, 0.250), (10.0, 125.0)),
+    "hand_e": Model("Hand-E", 0.050, (0.020, 0.150), (20.0, 185.0), prismatic=True),
+}
+"""The models by the name in the options."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the host asks for: the output block.
+
+    Attributes:
+        activate: rACT; clearing it resets the gripper and its faults.
+        go: rGTO; clearing it stops.
+        release: rATR, the automatic release.
+        direction: rARD, the direction of the automatic release.
+        position: rPR, 0 open to 255 closed.
+        speed: rSP, 0 slowest (not stopped) to 255.
+        force: rFR, 0 weakest (not none) to 255.
+    """
+
+    activate: bool = False
+    go: bool = False
+    release: bool = False
+    direction: bool = False
+    position: int = 0
+    speed: int = 0
+    force: int = 0
+
+    def to_registers(self) -> tuple[int, int, int]:
+        """Return the three registers."""
+        action = self.activate | self.go << 3 | self.release << 4 | self.direction << 5
+        return action << 8, self.position, self.speed << 8 | self.force
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int]) -> Self:
+        """Read it from three registers."""
+        action = registers[0] >> 8
+        return cls(
+            activate=bool(action & 0x01),
+            go=bool(action & 0x08),
+            release=bool(action & 0x10),
+            direction=bool(action & 0x20),
+            position=registers[1] & 0xFF,
+            speed=registers[2] >> 8,
+            force=registers[2] & 0xFF,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What the gripper says: the input block.
+
+    Attributes:
+        activated: gACT.
+        going: gGTO; clear while stopped, activating or releasing.
+        activation: gSTA.
+        grasp: gOBJ.
+        fault: gFLT; see `FAULTS`.
+        controller_fault: kFLT, of the optional controller.
+        requested: gPR, echo of the accepted position.
+        position: gPO, measured.
+        raw_current: gCU.
+    """
+
+    activated: bool = False
+    going: bool = False
+    activation: Activation = Activation.RESET
+    grasp: Grasp = Grasp.MOVING
+    fault: int = 0
+    controller_fault: int = 0
+    requested: int = 0
+    position: int = 0
+    raw_current: int = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is activated and takes commands."""
+        return self.activated and self.activation is Activation.DONE
+
+    @property
+    def current(self) -> float:
+        """Motor current [A]."""
+        return self.raw_current * _CURRENT
+
+    def to_registers(self) -> tuple[int, int, int]:
+        """Return the three registers."""
+        state = self.activated | self.going << 3 | self.activation << 4 | self.grasp << 6
+        faults = self.fault | self.controller_fault << 4
+        return state << 8, faults << 8 | self.requested, self.position << 8 | self.raw_current
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
+        """Read it from three registers.
+
+        Raises:
+            FrameError: if bits are set that this gripper always leaves clear.
+        """
+        state = registers[0] >> 8
+        if registers[0] & 0xFF or state & 0x06:
+            raw = b"".join(r.to_bytes(2, "big") for r in registers)
+            raise FrameError(bus, f"no status of a 2-finger gripper: {raw.hex(' ')}", raw)
+        return cls(
+            activated=bool(state & 0x01),
+            going=bool(state & 0x08),
+            activation=Activation(state >> 4 & 3),
+            grasp=Grasp(state >> 6 & 3),
+            fault=registers[1] >> 8 & 0x0F,
+            controller_fault=registers[1] >> 12,
+            requested=registers[1] & 0xFF,
+            position=registers[2] >> 8,
+            raw_current=registers[2] & 0xFF,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Converts between counts and the actuator's units.
+
+    Position is linear in the counts between the fully open and the fully closed gripper. Speed and
+    force are those of the fingertips; at the actuator they follow from the virtual work of the
+    linear width, so that force times change of width is effort times change of position.
+
+    Attributes:
+        model: The gripper.
+        opened: Position of the actuator when fully open [rad | m].
+        closed: Position of the actuator when fully closed [rad | m].
+        open_count: gPO when fully open.
+        closed_count: gPO when fully closed.
+    """
+
+    model: Model
+    opened: float
+    closed: float
+    open_count: int = 3
+    closed_count: int = 230
+
+    @property
+    def width_per_position(self) -> float:
+        """Change of the fingertips' distance per change of the actuator's position [m/rad | 1]."""
+        return self.model.stroke / abs(self.closed - self.opened)
+
+    def position(self, count: float) -> float:
+        """Return the actuator's position for a count [rad | m]."""
+        part = (count - self.open_count) / (self.closed_count - self.open_count)
+        return self.opened + part * (self.closed - self.opened)
+
+    def count(self, position: float) -> int:
+        """Return the count for an actuator's position, the nearest one that can be sent."""
+        part = (position - self.opened) / (self.closed - self.opened)
+        return _byte(self.open_count + part * (self.closed_count - self.open_count))
+
+    def width(self, position: float) -> float:
+        """Return the distance of the fingertips for an actuator's position [m]."""
+        return self.model.stroke * (self.closed - position) / (self.closed - self.opened)
+
+    def at_width(self, width: float) -> float:
+        """Return the actuator's position for a distance of the fingertips [rad | m]."""
+        return self.closed - width / self.model.stroke * (self.closed - self.opened)
+
+    def speed_count(self, velocity: float) -> int:
+        """Return rSP for a velocity of the actuator [rad/s | m/s]; infinite is the fastest."""
+        return _share(velocity * self.width_per_position, self.model.speed)
+
+    def velocity(self, count: int) -> float:
+        """Return the velocity of the actuator that rSP means [rad/s | m/s]."""
+        low, high = self.model.speed
+        return (low + (high - low) * count / 255) / self.width_per_position
+
+    def force_count(self, effort: float) -> int:
+        """Return rFR for an effort of the actuator [N·m | N]; infinite is the strongest."""
+        return _share(effort / self.width_per_position, self.model.force)
+
+    def effort(self, count: int) -> float:
+        """Return the effort of the actuator that rFR means [N·m | N]."""
+        low, high = self.model.force
+        return (low + (high - low) * count / 255) * self.width_per_position
+
+
+def _share(value: float, between: tuple[float, float]) -> int:
+    low, high = between
+    return _byte(min((value - low) / (high - low), 1.0) * 255)
+
+
+def _byte(value: float) -> int:
+    return min(max(round(value), 0), 255)

@@ -1,0 +1,165 @@
+"""The 2F's registers by the frames of its manual, and its units there and back."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtee.buses.modbus_frames import rtu_frame
+from rtee.drivers.robotiq_2f.codec import (
+    FAULTS,
+    MODELS,
+    Activation,
+    Command,
+    Grasp,
+    Scale,
+    Status,
+)
+from rtee.errors import FrameError
+
+
+def registers(frame: str, skip: int) -> list[int]:
+    body = bytes.fromhex(frame)[skip:-2]
+    return list(struct.unpack(f">{len(body) // 2}H", body))
+
+
+WRITES = [
+    ("09 10 03 E8 00 03 06 00 00 00 00 00 00 73 30", Command()),
+    ("09 10 03 E8 00 03 06 01 00 00 00 00 00 72 E1", Command(activate=True)),
+    (
+        "09 10 03 E8 00 03 06 09 00 00 FF FF FF 42 29",
+        Command(activate=True, go=True, position=255, speed=255, force=255),
+    ),
+    (
+        "09 10 03 E8 00 03 06 09 00 00 00 FF FF 72 19",
+        Command(activate=True, go=True, position=0, speed=255, force=255),
+    ),
+    (
+        "09 10 03 E8 00 03 06 09 00 00 73 B2 96 76 BC",
+        Command(activate=True, go=True, position=115, speed=178, force=150),
+    ),
+    ("09 10 03 E8 00 03 06 11 00 00 00 00 00 70 71", Command(activate=True, release=True)),
+]
+
+
+@pytest.mark.parametrize(("frame", "command"), WRITES)
+def test_a_command_is_the_manuals_frame(frame: str, command: Command) -> None:
+    pdu = bytes.fromhex("1003E8000306") + struct.pack(">3H", *command.to_registers())
+    assert rtu_frame(9, pdu) == bytes.fromhex(frame)
+    assert Command.from_registers(registers(frame, 7)) == command
+
+
+def test_a_whole_cycle_is_one_frame() -> None:
+    command = Command(activate=True, go=True, position=0x80, speed=255, force=0x40)
+    pdu = bytes.fromhex("1707D0000303E8000306") + struct.pack(">3H", *command.to_registers())
+    assert rtu_frame(9, pdu) == bytes.fromhex(
+        "09 17 07 D0 00 03 03 E8 00 03 06 09 00 00 80 FF 40 96 56"
+    )
+
+
+READS = [
+    (
+        "09 03 06 39 00 00 FF 0E 0A F7 8B",
+        Status(True, True, Activation.DONE, Grasp.MOVING, 0, 0, 255, 14, 10),
+    ),
+    (
+        "09 04 06 B9 00 00 FF BD 00 5C 9A",
+        Status(True, True, Activation.DONE, Grasp.CONTACT_CLOSING, 0, 0, 255, 189, 0),
+    ),
+    (
+        "09 04 06 39 00 00 00 BB 10 71 06",
+        Status(True, True, Activation.DONE, Grasp.MOVING, 0, 0, 0, 187, 16),
+    ),
+    (
+        "09 03 06 F9 00 00 00 0D 00 56 4C",
+        Status(True, True, Activation.DONE, Grasp.AT_REQUEST, 0, 0, 0, 13, 0),
+    ),
+    (
+        "09 17 06 39 00 00 80 10 0A CF 0C",
+        Status(True, True, Activation.DONE, Grasp.MOVING, 0, 0, 0x80, 16, 10),
+    ),
+    (
+        "09 04 06 F1 00 0F 00 03 00 11 96",
+        Status(True, False, Activation.DONE, Grasp.AT_REQUEST, 15, 0, 0, 3, 0),
+    ),
+    (
+        "09 04 06 00 00 07 00 03 00 06 D7",
+        Status(False, False, Activation.RESET, Grasp.MOVING, 7, 0, 0, 3, 0),
+    ),
+]
+
+
+@pytest.mark.parametrize(("frame", "status"), READS)
+def test_a_status_is_the_manuals_frame(frame: str, status: Status) -> None:
+    assert Status.from_registers(registers(frame, 3)) == status
+    function = bytes.fromhex(frame)[1]
+    pdu = bytes([function, 6]) + struct.pack(">3H", *status.to_registers())
+    assert rtu_frame(9, pdu) == bytes.fromhex(frame)
+
+
+@pytest.mark.parametrize(("word", "state"), [(0x1100, Activation.UNDER_WAY), (0x3100, Activation.DONE)])
+def test_the_activation_is_read_from_the_first_register(word: int, state: Activation) -> None:
+    assert Status.from_registers([word, 0, 0]).activation is state
+
+
+def test_the_current_is_ten_milliamperes_a_count() -> None:
+    assert Status(raw_current=0x10).current == pytest.approx(0.16)
+
+
+@pytest.mark.parametrize("words", [(0x39C0, 0, 0), (0x3700, 0, 0), (0x3901, 0, 0)])
+def test_another_grippers_status_is_refused(words: tuple[int, int, int]) -> None:
+    with pytest.raises(FrameError, match="no status of a 2-finger gripper"):
+        Status.from_registers(words)
+
+
+@given(st.tuples(*[st.integers(0, 0xFFFF)] * 3))
+def test_any_three_registers_are_a_status_or_refused(words: tuple[int, int, int]) -> None:
+    try:
+        status = Status.from_registers(words)
+    except FrameError:
+        return
+    assert status.to_registers() == (words[0] & 0xF900, *words[1:])
+
+
+def scales() -> list[Scale]:
+    return [
+        Scale(MODELS["2f_85"], 0.0, 0.82),
+        Scale(MODELS["2f_140"], 0.0, 0.7, open_count=13),
+        Scale(MODELS["hand_e"], 0.0, 0.025),
+    ]
+
+
+@pytest.mark.parametrize("scale", scales(), ids=lambda s: s.model.name)
+def test_every_count_comes_back(scale: Scale) -> None:
+    for count in range(scale.open_count, scale.closed_count + 1):
+        assert scale.count(scale.position(count)) == count
+    for count in range(256):
+        assert scale.speed_count(scale.velocity(count)) == count
+        assert scale.force_count(scale.effort(count)) == count
+
+
+@pytest.mark.parametrize("scale", scales(), ids=lambda s: s.model.name)
+def test_the_width_is_the_stroke_when_open_and_nothing_when_closed(scale: Scale) -> None:
+    assert scale.width(scale.opened) == pytest.approx(scale.model.stroke)
+    assert scale.width(scale.closed) == pytest.approx(0.0)
+    for width in (0.0, 0.01, 0.02):
+        assert scale.width(scale.at_width(width)) == pytest.approx(width)
+    closer = scale.width(scale.position(150)) - scale.width(scale.position(151))
+    assert closer == pytest.approx(scale.model.stroke / (scale.closed_count - scale.open_count))
+
+
+def test_effort_and_velocity_are_those_of_the_fingertips_by_virtual_work() -> None:
+    scale = Scale(MODELS["2f_85"], 0.0, 0.8)
+    assert scale.effort(255) == pytest.approx(235.0 * 0.085 / 0.8)
+    assert scale.velocity(255) == pytest.approx(0.150 * 0.8 / 0.085)
+    assert scale.force_count(math.inf) == scale.speed_count(math.inf) == 255
+    assert scale.force_count(0.0) == scale.speed_count(0.0) == 0
+
+
+def test_every_fault_has_a_name_and_all_but_warnings_a_hint() -> None:
+    assert all(fault.name and (fault.hint or fault.warning) for fault in FAULTS.values())
+    assert {code for code, fault in FAULTS.items() if fault.major} == {10, 11, 12, 13, 14, 15}
