@@ -206,8 +206,8 @@ class HandTicks:
     def _follow_devices(self) -> None:
         """Notice devices that may be moved now, or not any more."""
         for name, device in self.devices.items():
-            active = device.active and self._gather.known(device)
-            if active != self._was_active[name]:
+            active = device.active
+            if active != self._was_active[name] and (not active or self._gather.known(device)):
                 self._was_active[name] = active
                 self._change(device, active)
             if device.rejected:
@@ -265,6 +265,10 @@ class HandTicks:
             for device in self.devices.values():
                 if hot.intersection(device.indices):
                     self._start(device.release, CONFIRM_WITHIN)
+
+    def now(self) -> float:
+        """Return the time of the clock it lives by [s]."""
+        return self._now()
 
     def statuses(self) -> list[DeviceStatus]:
         """Return how the devices are doing."""

@@ -1,0 +1,131 @@
+"""Real-time set-up of the loop's thread; what the system does not permit becomes a warning."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import sys
+import time
+
+from rtee.loop.settings import RealtimeSettings
+
+_MCL_CURRENT = 1
+_MCL_FUTURE = 2
+
+
+def set_up(settings: RealtimeSettings) -> list[str]:
+    """Ask the system for what the settings want, for the calling thread alone.
+
+    Threads started later by this one are ordinary again (SCHED_RESET_ON_FORK).
+
+    Args:
+        settings: What to ask for; nothing is done unless they are enabled.
+
+    Returns:
+        A sentence for everything that was not permitted, with what to configure.
+    """
+    if not settings.enabled:
+        return []
+    if not sys.platform.startswith("linux"):
+        return [f"real-time scheduling is not supported on {sys.platform}; running as it is"]
+    warnings: list[str] = []
+    if settings.lock_memory:
+        warnings += _lock_memory()
+    if settings.cpus:
+        warnings += _pin(settings.cpus)
+    warnings += _schedule(settings.priority)
+    return warnings
+
+
+def _schedule(priority: int) -> list[str]:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except PermissionError:
+        return [
+            f"SCHED_FIFO priority {priority} is not permitted; allow it by a line"
+            f" '<user> - rtprio {priority}' in /etc/security/limits.d/rtee.conf and a new login,"
+            f" or 'LimitRTPRIO={priority}' in the systemd unit"
+        ]
+    except OSError as error:
+        return [f"SCHED_FIFO priority {priority} was refused: {error.strerror}"]
+    return []
+
+
+def _lock_memory() -> list[str]:
+    library = ctypes.CDLL(None, use_errno=True)
+    if library.mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0:
+        return []
+    reason = os.strerror(ctypes.get_errno())
+    return [
+        f"the memory could not be locked ({reason}); allow it by a line '<user> - memlock"
+        " unlimited' in /etc/security/limits.d/rtee.conf and a new login, or"
+        " 'LimitMEMLOCK=infinity' in the systemd unit"
+    ]
+
+
+def _pin(cpus: tuple[int, ...]) -> list[str]:
+    try:
+        os.sched_setaffinity(0, cpus)
+    except OSError as error:
+        present = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+        wanted = ", ".join(map(str, cpus))
+        return [f"CPU {wanted} cannot be used ({error.strerror}); there are: {present}"]
+    return []
+
+
+class Collector:
+    """Collects garbage between ticks, never during one.
+
+    What exists when it starts is taken out of the collector's sight (`gc.freeze`); then it collects
+    young objects often and all seldom, when there is time left before the next tick.
+
+    Args:
+        every: How often each of the three generations is collected [ns].
+    """
+
+    def __init__(
+        self, every: tuple[int, int, int] = (100_000_000, 2_000_000_000, 20_000_000_000)
+    ) -> None:
+        self._every = every
+        self._due = [0, 0, 0]
+        self._cost = [0, 0, 0]
+        self._was_enabled = False
+
+    def start(self) -> None:
+        """Take over from the automatic collection."""
+        self._was_enabled = gc.isenabled()
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        now = time.monotonic_ns()
+        self._due = [now + every for every in self._every]
+
+    def stop(self) -> None:
+        """Give the automatic collection back."""
+        gc.unfreeze()
+        if self._was_enabled:
+            gc.enable()
+
+    def idle(self, until_ns: int) -> None:
+        """Collect what is due if it can be done in time; else later.
+
+        Args:
+            until_ns: When the next tick is due, CLOCK_MONOTONIC [ns].
+        """
+        now = time.monotonic_ns()
+        if now < self._due[0]:
+            return
+        for generation in (2, 1, 0):
+            if now < self._due[generation]:
+                continue
+            late = now - self._due[generation] > self._every[generation]
+            if now + 2 * self._cost[generation] > until_ns and not late:
+                return
+            gc.collect(generation)
+            done = time.monotonic_ns()
+            # A slow collection counts, but is forgotten in time: it may have been preempted.
+            self._cost[generation] = max(done - now, self._cost[generation] * 7 // 8)
+            for younger in range(generation + 1):
+                self._due[younger] = done + self._every[younger]
+            return

@@ -1,0 +1,73 @@
+"""How a hand's loop ends: the configured behaviour, within a bounded time, whatever happens."""
+
+from __future__ import annotations
+
+import logging
+
+import anyio
+
+from rtee.errors import RteeError
+from rtee.loop.handloop import ITSELF, HandLoop
+from rtee.loop.plan import OPEN
+from rtee.loop.settings import Behaviour
+from rtee.types import Event, Goal
+
+log = logging.getLogger(__name__)
+
+OPEN_WITHIN = 3.0
+"""Time that opening may take at the end [s]."""
+
+REST_WITHIN = 0.18
+"""Time that everything else may take [s]."""
+
+
+async def bring_to_rest(
+    loop: HandLoop, behaviour: Behaviour, reason: str, *, ticking: bool = True
+) -> list[tuple[str, bool]]:
+    """Bring a hand to rest before its loop ends. Can't raise, can't be cancelled, ends in time.
+
+    Args:
+        loop: The hand.
+        behaviour: What to do.
+        reason: Why, for the log.
+        ticking: Whether the hand still gets its ticks; else it can't open, and is stopped.
+
+    Returns:
+        Every device with whether it confirmed that it was told.
+    """
+    confirmed = dict.fromkeys(loop.devices, False)
+    with anyio.CancelScope(shield=True):
+        try:
+            if behaviour is Behaviour.OPEN:
+                opened = ticking and await _open(loop)
+                behaviour = Behaviour.HOLD if opened else Behaviour.STOP
+            with anyio.move_on_after(REST_WITHIN):
+                match behaviour:
+                    case Behaviour.RELEASE:
+                        confirmed |= dict(await loop.release(reason))
+                    case Behaviour.STOP:
+                        confirmed |= dict(await loop.stop(reason))
+                    case _:
+                        confirmed |= dict(await loop.keep(reason))
+            _tell(loop, behaviour, reason, confirmed)
+        except Exception:
+            log.exception("%s could not be brought to rest (%s)", loop.name, behaviour)
+    return list(confirmed.items())
+
+
+async def _open(loop: HandLoop) -> bool:
+    with anyio.move_on_after(OPEN_WITHIN):
+        try:
+            await loop.execute(Goal(OPEN, client=ITSELF, timeout=OPEN_WITHIN))
+        except RteeError as error:
+            log.warning("%s cannot open: %s", loop.name, error)
+            return False
+    return True
+
+
+def _tell(loop: HandLoop, behaviour: Behaviour, reason: str, confirmed: dict[str, bool]) -> None:
+    missing = [name for name, done in confirmed.items() if not done]
+    text = f"{loop.name}: {reason}, {behaviour}"
+    text += f"; not confirmed by {', '.join(missing)}" if missing else "; confirmed"
+    severity = "error" if missing else "info"
+    loop.announce(Event("at_rest", loop.name, text, loop.now(), severity))
