@@ -1,0 +1,289 @@
+"""DYNAMIXEL protocol 2.0: packets, byte stuffing, CRC, resynchronising parsers. No I/O.
+
+The driver leaves the wire to dynamixel-sdk; this codec is for the emulated servos and for whoever
+wants to read a trace.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import ClassVar, Generic, Self, TypeVar
+
+HEADER = b"\xff\xff\xfd\x00"
+BROADCAST = 0xFE
+STATUS = 0x55
+LONGEST = 1024
+"""Largest length field that is taken for one."""
+_STUFFED = b"\xff\xff\xfd"
+
+
+class DynamixelFrameError(ValueError):
+    """Bytes that are no packet."""
+
+
+class Instruction(IntEnum):
+    """What a host asks."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+class Error(IntEnum):
+    """The low seven bits of a status packet's error."""
+
+    NONE = 0
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+ALERT = 0x80
+"""Bit of a status packet's error: the hardware error status says more."""
+
+
+class Hardware(IntFlag):
+    """The bits of the hardware error status."""
+
+    INPUT_VOLTAGE = 0x01
+    HALL_SENSOR = 0x02
+    OVERHEATING = 0x04
+    ENCODER = 0x08
+    ELECTRICAL_SHOCK = 0x10
+    OVERLOAD = 0x20
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        value = byte << 8
+        for _ in range(8):
+            value = (value << 1) ^ (0x8005 if value & 0x8000 else 0)
+        table.append(value & 0xFFFF)
+    return tuple(table)
+
+
+_CRC = _crc_table()
+
+
+def crc16(data: Iterable[int], start: int = 0) -> int:
+    """Return the CRC of bytes: polynomial 0x8005, neither reflected nor inverted."""
+    value = start
+    for byte in data:
+        value = (value << 8 & 0xFFFF) ^ _CRC[(value >> 8 ^ byte) & 0xFF]
+    return value
+
+
+def stuff(data: bytes) -> bytes:
+    """Return what follows the length field with ``FF FF FD`` made unlike a header."""
+    return data.replace(_STUFFED, _STUFFED + b"\xfd")
+
+
+def unstuff(data: bytes) -> bytes:
+    """Undo `stuff`."""
+    return data.replace(_STUFFED + b"\xfd", _STUFFED)
+
+
+def _sealed(device: int, body: bytes) -> bytes:
+    if len(body) + 2 > LONGEST or not 0 <= device <= BROADCAST:
+        raise DynamixelFrameError(f"no packet can carry {len(body)} bytes for id {device}")
+    packet = HEADER + struct.pack("<BH", device, len(body) + 2) + body
+    return packet + struct.pack("<H", crc16(packet))
+
+
+def _opened(raw: bytes) -> tuple[int, bytes]:
+    """Return the id and what follows the length field, still stuffed."""
+    if len(raw) < 10 or raw[:4] != HEADER:
+        raise DynamixelFrameError("a packet begins with FF FF FD 00 and has at least ten bytes")
+    device, length = struct.unpack_from("<BH", raw, 4)
+    if not 3 <= length <= LONGEST or len(raw) != length + 7:
+        raise DynamixelFrameError(f"a length of {length} does not fit {len(raw)} bytes")
+    if crc16(raw[:-2]) != raw[-2] | raw[-1] << 8:
+        raise DynamixelFrameError("the CRC does not match")
+    return device, raw[7:-2]
+
+
+@dataclass(frozen=True, slots=True)
+class InstructionPacket:
+    """What a host sends.
+
+    Attributes:
+        device: Id of the servo, or `BROADCAST`.
+        instruction: What it asks; an integer, as servos answer unknown ones with an error.
+        params: Its parameters.
+    """
+
+    device: int
+    instruction: int
+    params: bytes = b""
+
+    def to_bytes(self) -> bytes:
+        """Return the packet as sent."""
+        return _sealed(self.device, stuff(bytes([self.instruction]) + self.params))
+
+    @classmethod
+    def from_bytes(cls, raw: bytes) -> Self:
+        """Return the packet that ``raw`` is; raises `DynamixelFrameError`."""
+        device, body = _opened(raw)
+        if body[0] == STATUS:
+            raise DynamixelFrameError("this is a status packet")
+        body = unstuff(body)
+        return cls(device, body[0], body[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class StatusPacket:
+    """What a servo answers.
+
+    Attributes:
+        device: Its id.
+        error: Error number, and the alert bit.
+        params: What it tells.
+    """
+
+    device: int
+    error: int = 0
+    params: bytes = b""
+
+    def to_bytes(self) -> bytes:
+        """Return the packet as sent."""
+        return _sealed(self.device, stuff(bytes([STATUS, self.error]) + self.params))
+
+    @classmethod
+    def from_bytes(cls, raw: bytes) -> Self:
+        """Return the packet that ``raw`` is; raises `DynamixelFrameError`."""
+        device, body = _opened(raw)
+        if body[0] != STATUS or len(body) < 2:
+            raise DynamixelFrameError("this is no status packet")
+        body = unstuff(body)
+        return cls(device, body[1], body[2:])
+
+
+def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = None) -> bytes:
+    """Return the one packet in which several servos answer a fast sync or bulk read.
+
+    Each servo's part is its error, its id, its data and the CRC of everything up to there. With
+    ``sizes`` of more servos than answer, it is the packet as it stops at the first missing one.
+    """
+    if sizes is None:
+        sizes = [len(a.params) for a in answers]
+    length = 1 + sum(size + 4 for size in sizes)
+    packet = HEADER + struct.pack("<BHB", BROADCAST, length, STATUS)
+    for answer in answers:
+        packet += bytes([answer.error, answer.device]) + answer.params
+        packet += struct.pack("<H", crc16(packet))
+    return packet
+
+
+def read_fast_status(raw: bytes, sizes: Sequence[int]) -> list[StatusPacket]:
+    """Return the answers in a packet of several servos with so many bytes of data each.
+
+    Raises:
+        DynamixelFrameError: if it is no such packet, or one of its CRCs does not match.
+    """
+    if len(raw) != 8 + sum(sizes) + 4 * len(sizes) or raw[:5] != HEADER + bytes([BROADCAST]):
+        raise DynamixelFrameError("this is no answer of several servos")
+    answers, at = [], 8
+    for size in sizes:
+        end = at + 2 + size
+        if crc16(raw[:end]) != raw[end] | raw[end + 1] << 8:
+            raise DynamixelFrameError("the CRC does not match")
+        answers.append(StatusPacket(raw[at + 1], raw[at], raw[at + 2 : end]))
+        at = end + 2
+    return answers
+
+
+P = TypeVar("P", InstructionPacket, StatusPacket)
+
+
+class _Parser(Generic[P]):
+    LIMIT: ClassVar[int] = 2 * (LONGEST + 7)
+
+    def __init__(self, kind: type[P]) -> None:
+        self._kind: type[P] = kind
+        self._buffer = bytearray()
+        self.errors = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept because a packet may still be completed."""
+        return len(self._buffer)
+
+    def reset(self) -> None:
+        """Forget what has come in."""
+        self._buffer.clear()
+
+    def feed(self, data: bytes) -> list[P]:
+        """Take bytes as they come in and return the packets completed by them."""
+        packets: list[P] = []
+        for start in range(0, len(data), LONGEST):
+            self._buffer += data[start : start + LONGEST]
+            self._scan(packets)
+        return packets
+
+    def _scan(self, packets: list[P]) -> None:
+        buffer = self._buffer
+        while buffer:
+            start = buffer.find(HEADER)
+            if start < 0:
+                keep = next((k for k in (3, 2, 1) if buffer.endswith(HEADER[:k])), 0)
+                del buffer[: len(buffer) - keep]
+                return
+            del buffer[:start]
+            if len(buffer) < 7:
+                return
+            length = (buffer[5] | buffer[6] << 8) + 7
+            if 10 <= length <= LONGEST + 7 and len(buffer) < length:
+                # Stuffing keeps headers out of packets: another one means that this one is cut off.
+                again = buffer.find(HEADER, 1)
+                if again < 0:
+                    return
+                self.errors += 1
+                del buffer[:again]
+                continue
+            try:
+                packets.append(self._kind.from_bytes(bytes(buffer[:length])))
+                del buffer[:length]
+            except DynamixelFrameError:
+                self.errors += 1
+                del buffer[:1]
+
+
+class InstructionParser(_Parser[InstructionPacket]):
+    """Finds instructions in a stream, as a servo does.
+
+    Attributes:
+        errors: Packets dropped for a bad length or CRC.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(InstructionPacket)
+
+
+class StatusParser(_Parser[StatusPacket]):
+    """Finds answers in a stream; a bad one costs itself, not the one that follows.
+
+    Attributes:
+        errors: Packets dropped for a bad length or CRC.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(StatusPacket)

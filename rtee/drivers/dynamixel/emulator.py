@@ -1,0 +1,245 @@
+"""Plays a line of X-series servos at the other end of the wire."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+from rtee.buses.emulator import Emulator
+from rtee.drivers.axis import VirtualObject
+from rtee.drivers.dynamixel import table
+from rtee.drivers.dynamixel.codec import (
+    ALERT,
+    BROADCAST,
+    Error,
+    Hardware,
+    Instruction,
+    InstructionPacket,
+    InstructionParser,
+    StatusPacket,
+    fast_status,
+)
+from rtee.drivers.dynamixel.servo import Servo, ServoProperties
+from rtee.drivers.properties import read_properties
+
+_CLEAR_TURNS = b"\x01DXL\x22"
+_HARDWARE = {
+    "voltage": Hardware.INPUT_VOLTAGE,
+    "overheating": Hardware.OVERHEATING,
+    "encoder": Hardware.ENCODER,
+    "shock": Hardware.ELECTRICAL_SHOCK,
+    "overload": Hardware.OVERLOAD,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LineProperties:
+    """What an emulated line of servos is like.
+
+    Attributes:
+        ids: Ids of its servos.
+        servo: What all of them are like.
+        special: What single ones are like, by id.
+        latency: Latency of the adapter per answer [s]; 1 ms or 16 ms with an FTDI chip.
+        fast: Whether they know the fast reads.
+    """
+
+    ids: tuple[int, ...] = (1,)
+    servo: ServoProperties = field(default_factory=ServoProperties)
+    special: dict[int, ServoProperties] = field(default_factory=dict)
+    latency: float = 0.0
+    fast: bool = True
+
+
+class DynamixelEmulator(Emulator):
+    """Servos on one line; all hear every instruction, each answers for itself.
+
+    Attributes:
+        properties: What the line is like.
+        servos: The servos by id.
+        counts: Instructions heard, by instruction.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
+
+    def __init__(self, properties: LineProperties | None = None) -> None:
+        super().__init__()
+        self.properties = properties or LineProperties()
+        made = self.properties
+        self._all = [Servo(i, made.special.get(i, made.servo)) for i in made.ids]
+        self._parser = InstructionParser()
+        self.counts: dict[int, int] = {}
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the servos a device's options name, standing where their joints are at 0 rad."""
+        servos: Mapping[str, Any] = options.get("servos") or {}
+        given = [dict(s) for s in servos.values()]
+        defaults: dict[str, Any] = {}
+        if given:
+            start = {s["id"]: {"start": s.get("zero", table.CENTER)} for s in given}
+            defaults = {"ids": tuple(s["id"] for s in given)}
+            if "servo" not in (options.get("emulator") or {}):
+                defaults["special"] = start
+        return cls(read_properties(LineProperties, options, **defaults))
+
+    @property
+    def servos(self) -> dict[int, Servo]:
+        """The servos by id."""
+        return {servo.number: servo for servo in self._all}
+
+    def power_cycle(self, now: float) -> None:
+        """Cut the supply of all servos and bring it back."""
+        for servo in self._all:
+            servo.reboot(now)
+        self._parser.reset()
+
+    def line_reset(self) -> None:
+        """Forget the bytes of an incomplete packet."""
+        self._parser.reset()
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the first servo (hardware errors) or all (the rest)."""
+        super().inject(fault)
+        if fault in _HARDWARE:
+            self._all[0].fail(_HARDWARE[fault])
+        self._hamper()
+
+    def clear(self, fault: str | None = None) -> None:
+        """Take a fault away; hardware errors stay latched until a reboot."""
+        super().clear(fault)
+        self._hamper()
+
+    def _hamper(self) -> None:
+        for servo in self._all:
+            servo.axis.stuck = "stuck" in self.faults
+            model = 350 if "wrong_device" in self.faults else servo.properties.model
+            servo.set(table.MODEL, model)
+
+    def hold(self, number: int, position: float, stiffness: float = 5.0, closing: int = 1) -> None:
+        """Put an object in a servo's way, met at a position [pulse]; stiffness in mA per pulse."""
+        self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
+
+    def step(self, now: float) -> list[bytes]:
+        """Let time pass; servos say nothing unasked."""
+        for servo in self._all:
+            servo.step(now)
+        return []
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Take bytes from the host and return the answers."""
+        self.step(now)
+        answers: list[bytes] = []
+        for packet in self._parser.feed(data):
+            if "silent" in self.faults:
+                continue
+            self.counts[packet.instruction] = self.counts.get(packet.instruction, 0) + 1
+            for servo in self._all:
+                servo.heard(now)
+            answers += self._answers(packet, now)
+        return answers
+
+    def _listening(self, numbers: Iterable[int], now: float) -> list[Servo]:
+        """Return the servos of these ids that can answer, in this order."""
+        servos = self.servos
+        found = [servos[n] for n in numbers if n in servos]
+        return [s for s in found if not s.unplugged and now >= s.silent_until]
+
+    def _answers(self, packet: InstructionPacket, now: float) -> list[bytes]:
+        params = packet.params
+        match packet.instruction:
+            case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if len(params) >= 4:
+                address, length = struct.unpack_from("<HH", params)
+                wanted = [(n, address, length) for n in params[4:]]
+                fast = packet.instruction == Instruction.FAST_SYNC_READ
+                return self._read_many(wanted, fast, now)
+            case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
+                wanted = list(struct.iter_unpack("<BHH", params[: len(params) // 5 * 5]))
+                fast = packet.instruction == Instruction.FAST_BULK_READ
+                return self._read_many(wanted, fast, now)
+            case Instruction.SYNC_WRITE if len(params) >= 4:
+                address, length = struct.unpack_from("<HH", params)
+                for at in range(4, len(params) - length, length + 1):
+                    for servo in self._listening([params[at]], now):
+                        servo.write(address, params[at + 1 : at + 1 + length])
+                return []
+            case Instruction.BULK_WRITE:
+                self._bulk_write(params, now)
+                return []
+        everybody = packet.device == BROADCAST
+        numbers = sorted(self.servos) if everybody else [packet.device]
+        answers = [self._single(servo, packet, now) for servo in self._listening(numbers, now)]
+        if everybody and packet.instruction != Instruction.PING:
+            return []
+        return self._delayed([a.to_bytes() for a in answers if a is not None], numbers)
+
+    def _bulk_write(self, params: bytes, now: float) -> None:
+        at = 0
+        while at + 5 <= len(params):
+            number, address, length = struct.unpack_from("<BHH", params, at)
+            for servo in self._listening([number], now):
+                servo.write(address, params[at + 5 : at + 5 + length])
+            at += 5 + length
+
+    def _status(self, servo: Servo, error: int, params: bytes = b"") -> StatusPacket:
+        return StatusPacket(servo.number, error | (ALERT if servo.alert else 0), params)
+
+    def _single(self, servo: Servo, packet: InstructionPacket, now: float) -> StatusPacket | None:
+        params = packet.params
+        level = servo.get(table.STATUS_RETURN_LEVEL)
+        match packet.instruction:
+            case Instruction.PING:
+                told = servo.read(0, 7) or bytes(7)
+                return self._status(servo, 0, told[0:2] + told[6:7])
+            case Instruction.READ if len(params) == 4:
+                address, length = struct.unpack("<HH", params)
+                data = servo.read(address, length)
+                error = Error.NONE if data is not None else Error.DATA_RANGE
+                return self._status(servo, error, data or b"") if level >= 1 else None
+            case Instruction.WRITE if len(params) > 2:
+                error = servo.write(params[0] | params[1] << 8, params[2:])
+            case Instruction.REG_WRITE if len(params) > 2:
+                error = servo.register_write(params[0] | params[1] << 8, params[2:])
+            case Instruction.ACTION:
+                servo.action()
+                error = Error.NONE
+            case Instruction.REBOOT:
+                answer = self._status(servo, 0)
+                servo.reboot(now)
+                return answer if level >= 2 else None
+            case Instruction.FACTORY_RESET if len(params) == 1:
+                answer = self._status(servo, 0)
+                servo.factory_reset(now, params[0])
+                return answer if level >= 2 else None
+            case Instruction.CLEAR if params == _CLEAR_TURNS:
+                servo.clear_turns()
+                error = Error.NONE
+            case _:
+                error = Error.INSTRUCTION
+        return self._status(servo, error) if level >= 2 else None
+
+    def _read_many(self, wanted: list[tuple[int, int, int]], fast: bool, now: float) -> list[bytes]:
+        answers = []
+        for number, address, length in wanted:
+            # Each servo waits for the answer of the one before it: a missing one silences the rest.
+            found = self._listening([number], now)
+            if not found:
+                break
+            data = found[0].read(address, length)
+            error = Error.NONE if data is not None else Error.DATA_RANGE
+            answers.append(self._status(found[0], error, data or bytes(length)))
+        if fast:
+            if not self.properties.fast or not answers:
+                return []
+            packet = fast_status(answers, [length for _, _, length in wanted])
+            return self._delayed([packet], [n for n, _, _ in wanted])
+        return self._delayed([a.to_bytes() for a in answers], [n for n, _, _ in wanted])
+
+    def _delayed(self, answers: list[bytes], numbers: Iterable[int]) -> list[bytes]:
+        """Set the turn-around of these answers: every servo's return delay, and the adapter's."""
+        servos = self.servos
+        delays = [servos[n].get(table.RETURN_DELAY) * 2e-6 for n in numbers if n in servos]
+        self.turnaround = sum(delays) + self.properties.latency
+        return answers

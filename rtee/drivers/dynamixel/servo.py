@@ -1,0 +1,328 @@
+"""One emulated X-series servo: its control table, its motor, its faults."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rtee.drivers.axis import Axis
+from rtee.drivers.dynamixel import table
+from rtee.drivers.dynamixel.codec import Error, Hardware
+from rtee.drivers.dynamixel.table import Mode, Register
+
+_PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
+"""Speed per count of a velocity [pulse/s]."""
+_FRICTION = 25.0
+_GAIN = 4.0
+_POSITION_MODES = (Mode.POSITION, Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POSITION)
+
+
+@dataclass(frozen=True, slots=True)
+class ServoProperties:
+    """What an emulated servo is like.
+
+    Attributes:
+        model: Its model number.
+        start: Shaft at power-up [pulse]; beyond one turn the turns are lost, as in the real one.
+        homing_offset: As stored in its EEPROM [pulse].
+        drive_mode: As stored in its EEPROM.
+        return_delay: As stored in its EEPROM [2 µs].
+        reboot_time: Silence after a reboot [s].
+        overload_time: Time at the current limit after which overload trips [s]; 0: never.
+        lower: Mechanical stop [pulse].
+        upper: Mechanical stop [pulse].
+    """
+
+    model: int = 1200
+    start: float = float(table.CENTER)
+    homing_offset: int = 0
+    drive_mode: int = 0
+    return_delay: int = 250
+    reboot_time: float = 0.4
+    overload_time: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+
+
+class Servo:
+    """A servo's memory and what moves behind it.
+
+    Attributes:
+        properties: What it is like.
+        axis: Its shaft, in pulses counted over turns.
+        silent_until: It answers nothing before this time [s].
+        unplugged: It answers nothing at all.
+    """
+
+    def __init__(self, number: int, properties: ServoProperties) -> None:
+        self.properties = properties
+        self.axis = Axis(
+            properties.start,
+            lower=properties.lower,
+            upper=properties.upper,
+            max_effort=float(table.CURRENT_LIMIT.default),
+            gain=_GAIN,
+            friction=_FRICTION,
+            resolution=0.5,
+        )
+        self.silent_until = -math.inf
+        self.unplugged = False
+        self._memory = bytearray(table.END)
+        self._indirect = list(table.INDIRECT_DATA)
+        self._registered: tuple[int, bytes] | None = None
+        self._heard = -math.inf
+        self._strained: float | None = None
+        self._turn = 0
+        for register in table.REGISTERS:
+            self.set(register, register.default)
+        self.set(table.ID, number)
+        self.set(table.MODEL, properties.model)
+        self.set(table.HOMING_OFFSET, properties.homing_offset)
+        self.set(table.DRIVE_MODE, properties.drive_mode)
+        self.set(table.RETURN_DELAY, properties.return_delay)
+        self._start()
+
+    # --- memory ----------------------------------------------------------------------------
+
+    def get(self, register: Register) -> int:
+        """Return a register's value."""
+        return register.unpack(bytes(self._memory[register.address :]))
+
+    def set(self, register: Register, value: int) -> None:
+        """Set a register, whatever it allows."""
+        end = register.address + register.size
+        self._memory[register.address : end] = register.pack(value)
+
+    @property
+    def number(self) -> int:
+        """Its id."""
+        return self.get(table.ID)
+
+    @property
+    def alert(self) -> bool:
+        """Whether its hardware error status says something."""
+        return self.get(table.HARDWARE_ERROR) != 0
+
+    def read(self, address: int, length: int) -> bytes | None:
+        """Return bytes of the table, or ``None`` beyond its end."""
+        if length == 0 or address + length > table.END:
+            return None
+        self._report()
+        out = bytearray(self._memory[address : address + length])
+        for at in range(max(address, table.INDIRECT_DATA.start), address + length):
+            out[at - address] = self._memory[self._points_to(at)]
+        return bytes(out)
+
+    def _points_to(self, at: int) -> int:
+        source = self._indirect[at - table.INDIRECT_DATA.start]
+        return source if 64 <= source < table.END else at
+
+    def write(self, address: int, data: bytes) -> Error:
+        """Write bytes as a host may, and return what the servo says to it."""
+        if address + len(data) > table.END or not data:
+            return Error.DATA_RANGE
+        if address >= table.INDIRECT_DATA.start:
+            for offset, byte in enumerate(data):
+                self._memory[self._points_to(address + offset)] = byte
+            self._act()
+            return Error.NONE
+        touched = [
+            r
+            for r in table.REGISTERS
+            if r.address < address + len(data) and address < r.address + r.size
+        ]
+        after = bytearray(self._memory)
+        after[address : address + len(data)] = data
+        error = self._objection(touched, after)
+        if error is not Error.NONE:
+            return error
+        mode = self.get(table.OPERATING_MODE)
+        powered = self.get(table.TORQUE)
+        self._memory = after
+        if address >= table.INDIRECT.start:
+            self._point(address, data)
+        if self.get(table.OPERATING_MODE) != mode:
+            self._enter_mode()
+        if self.get(table.TORQUE) and not powered:
+            self._torque_on()
+        self._act()
+        return Error.NONE
+
+    def _objection(self, touched: list[Register], after: bytearray) -> Error:
+        torque = self.get(table.TORQUE)
+        tripped = self.get(table.BUS_WATCHDOG) < 0
+        for register in touched:
+            if not register.writable or (register.eeprom and torque):
+                return Error.ACCESS
+            value = register.unpack(bytes(after[register.address :]))
+            low, high = register.minimum, register.maximum
+            if (low is not None and value < low) or (high is not None and value > high):
+                return Error.DATA_RANGE
+            goal = table.GOAL_PWM.address <= register.address <= table.GOAL_POSITION.address
+            if tripped and goal:
+                return Error.DATA_RANGE
+            if self._beyond(register, value):
+                return Error.DATA_LIMIT
+        return Error.NONE
+
+    def _beyond(self, register: Register, value: int) -> bool:
+        if register == table.GOAL_CURRENT:
+            return abs(value) > self.get(table.CURRENT_LIMIT)
+        if register == table.GOAL_VELOCITY:
+            return abs(value) > self.get(table.VELOCITY_LIMIT)
+        if register == table.GOAL_PWM:
+            return abs(value) > self.get(table.PWM_LIMIT)
+        if register == table.GOAL_POSITION and self.get(table.OPERATING_MODE) == Mode.POSITION:
+            return not self.get(table.MIN_POSITION) <= value <= self.get(table.MAX_POSITION)
+        return False
+
+    def _point(self, address: int, data: bytes) -> None:
+        for offset in range(len(data)):
+            slot = (address + offset - table.INDIRECT.start) // 2
+            at = table.INDIRECT.start + 2 * slot
+            self._indirect[slot] = self._memory[at] | self._memory[at + 1] << 8
+
+    def register_write(self, address: int, data: bytes) -> Error:
+        """Keep bytes to be written by `action`."""
+        self._registered = (address, data)
+        self.set(table.REGISTERED, 1)
+        return Error.NONE
+
+    def action(self) -> None:
+        """Write what `register_write` has kept."""
+        if self._registered is not None:
+            address, data = self._registered
+            self._registered = None
+            self.set(table.REGISTERED, 0)
+            self.write(address, data)
+
+    # --- life ------------------------------------------------------------------------------
+
+    def reboot(self, now: float) -> None:
+        """Begin anew: RAM at its defaults, no torque, turns lost, errors cleared."""
+        self.silent_until = now + self.properties.reboot_time
+        for register in table.REGISTERS:
+            if not register.eeprom:
+                self.set(register, register.default)
+        self._registered = None
+        self._start()
+
+    def factory_reset(self, now: float, option: int) -> None:
+        """Forget the EEPROM, too; option 1 keeps the id, 2 the baud rate as well."""
+        kept = {0x01: (table.ID,), 0x02: (table.ID, table.BAUD_RATE)}.get(option, ())
+        values = [(register, self.get(register)) for register in (*kept, table.MODEL)]
+        for register in table.REGISTERS:
+            self.set(register, register.default)
+        for register, value in values:
+            self.set(register, value)
+        self.reboot(now)
+
+    def clear_turns(self) -> None:
+        """Count turns from here."""
+        self._lose_turns()
+        self.set(table.GOAL_POSITION, self.position)
+        self._act()
+
+    def _start(self) -> None:
+        self.set(table.HARDWARE_ERROR, 0)
+        self._strained = None
+        self._lose_turns()
+        self._enter_mode()
+
+    def _lose_turns(self) -> None:
+        self._turn = math.floor(self._sign * self.axis.position / table.PULSES)
+
+    def _enter_mode(self) -> None:
+        if self.get(table.OPERATING_MODE) == Mode.POSITION:
+            self._lose_turns()
+        self.set(table.GOAL_POSITION, self.position)
+        self.set(table.GOAL_CURRENT, self.get(table.CURRENT_LIMIT))
+        self._act()
+
+    def _torque_on(self) -> None:
+        if self.get(table.OPERATING_MODE) in _POSITION_MODES:
+            self.set(table.GOAL_POSITION, self.position)
+
+    def fail(self, error: Hardware) -> None:
+        """Note a hardware error; where the shutdown mask says so, torque goes."""
+        self.set(table.HARDWARE_ERROR, self.get(table.HARDWARE_ERROR) | error)
+        if error & self.get(table.SHUTDOWN):
+            self.set(table.TORQUE, 0)
+            self._act()
+
+    # --- motion ----------------------------------------------------------------------------
+
+    @property
+    def _sign(self) -> int:
+        return -1 if self.get(table.DRIVE_MODE) & table.REVERSE else 1
+
+    @property
+    def _offset(self) -> int:
+        return self.get(table.HOMING_OFFSET) - table.PULSES * self._turn
+
+    @property
+    def position(self) -> int:
+        """Present position as it reports it [pulse]."""
+        return round(self._sign * self.axis.position) + self._offset
+
+    def heard(self, now: float) -> None:
+        """Note that there was an instruction on the bus, for anybody."""
+        self._heard = now
+
+    def step(self, now: float) -> None:
+        """Let time pass up to ``now`` [s]."""
+        self.axis.step(now)
+        torque = self.get(table.TORQUE)
+        period = self.get(table.BUS_WATCHDOG) * table.WATCHDOG_UNIT
+        if torque and period > 0.0 and now - self._heard > period:
+            self.set(table.BUS_WATCHDOG, -1)
+            self.set(table.PROFILE_VELOCITY, 0)
+            self.set(table.PROFILE_ACCELERATION, 0)
+            self.set(table.GOAL_POSITION, self.position)
+            self._act()
+        if self.axis.temperature > self.get(table.TEMPERATURE_LIMIT):
+            self.fail(Hardware.OVERHEATING)
+        self._watch_load(now)
+
+    def _watch_load(self, now: float) -> None:
+        allowed = self.properties.overload_time
+        if not allowed or abs(self.axis.effort) < 0.9 * self.get(table.CURRENT_LIMIT):
+            self._strained = None
+        elif self._strained is None:
+            self._strained = now
+        elif now - self._strained > allowed:
+            self.fail(Hardware.OVERLOAD)
+
+    def _act(self) -> None:
+        """Make the shaft do what the registers say."""
+        axis, mode = self.axis, self.get(table.OPERATING_MODE)
+        limit = self.get(table.CURRENT_LIMIT)
+        current = self.get(table.GOAL_CURRENT)
+        axis.rating = float(table.CURRENT_LIMIT.default)
+        axis.max_effort = float(limit)
+        speed = self.get(table.PROFILE_VELOCITY) or self.get(table.VELOCITY_LIMIT)
+        axis.max_velocity = min(speed, self.get(table.VELOCITY_LIMIT)) * _PULSES_PER_COUNT
+        if mode in _POSITION_MODES:
+            if mode == Mode.CURRENT_BASED_POSITION:
+                axis.max_effort = float(min(abs(current), limit))
+            axis.target = self._sign * (self.get(table.GOAL_POSITION) - self._offset)
+        else:
+            push = {Mode.CURRENT: current, Mode.VELOCITY: self.get(table.GOAL_VELOCITY)}.get(
+                Mode(mode), self.get(table.GOAL_PWM)
+            )
+            axis.target = axis.position if push == 0 else math.copysign(1e9, push * self._sign)
+            if mode == Mode.CURRENT:
+                axis.max_effort = float(min(abs(current), limit))
+            elif mode == Mode.VELOCITY:
+                axis.max_velocity = abs(push) * _PULSES_PER_COUNT
+        strong = axis.max_effort >= _FRICTION
+        axis.enabled = bool(self.get(table.TORQUE)) and strong and self.get(table.BUS_WATCHDOG) >= 0
+
+    def _report(self) -> None:
+        """Bring the registers that tell the state up to date."""
+        axis = self.axis
+        self.set(table.PRESENT_POSITION, self.position)
+        self.set(table.PRESENT_VELOCITY, round(self._sign * axis.velocity / _PULSES_PER_COUNT))
+        self.set(table.PRESENT_CURRENT, round(self._sign * axis.effort))
+        self.set(table.PRESENT_TEMPERATURE, min(round(axis.temperature), 255))
+        self.set(table.MOVING, int(abs(axis.velocity) > 10 * _PULSES_PER_COUNT))
