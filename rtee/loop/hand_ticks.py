@@ -235,6 +235,7 @@ class HandTicks:
     def _begin(self, what: Plan | Command, tick: int, stamp: float) -> None:
         if isinstance(what, Plan):
             self._observers.goal(what.goal, stamp)
+            self._observers.plan(what, stamp)
             self.controller.take(what, stamp)
             return
         command = replace(what, tick=tick, stamp=stamp)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from rtee.loop.observer import LoopObserver, TickRecord
+from rtee.loop.plan import Plan
 from rtee.types import Command, DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 log = logging.getLogger(__name__)
@@ -53,6 +54,17 @@ class Observers:
         for observer in self._all:
             try:
                 observer.on_goal(goal, stamp)
+            except Exception as error:
+                self._failed(observer, error)
+
+    def plan(self, plan: Plan, stamp: float) -> None:
+        """Tell what a goal that begins comes to: only those who ask for it by ``on_plan``."""
+        for observer in self._all:
+            tell = getattr(observer, "on_plan", None)
+            if tell is None:
+                continue
+            try:
+                tell(plan, stamp)
             except Exception as error:
                 self._failed(observer, error)
 

@@ -64,6 +64,9 @@ class TickRecord:
 class LoopObserver(Protocol):
     """Is told everything that happens in one hand's loop.
 
+    An observer may also have ``on_plan(plan, stamp)``: it is called after `on_goal` with what the
+    goal comes to, a `rtee.loop.plan.Plan`.
+
     All methods are called in the loop's thread and must return at once: no I/O, no waiting. An
     observer that raises is dropped with an event; the hand goes on.
     """
