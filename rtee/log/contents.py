@@ -13,15 +13,20 @@ from rtee.hand.model import Hand
 from rtee.log.chunks import ChunkBuilder, PackedChunk
 from rtee.log.mcapfile import Preamble
 from rtee.log.rotation import METADATA
+from rtee.loop.settings import LoopSettings
 from rtee.messages.convert import encode_string
 from rtee.messages.schema import message_type
 from rtee.messages.topics import ROBOT_DESCRIPTION, TYPES, log_topic
+from rtee.types import ActuatorSpec
 
 FORMAT = "1"
 """Version of what a recording consists of."""
 
 CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES, start=1)}
 """Name of a topic to the identifier of its channel."""
+
+REPLAY = "replay.json"
+"""Name of the attachment with what the references can be computed anew from."""
 
 _LATCHED = (
     "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline: {sec: 0, nsec: 0}\n"
@@ -34,6 +39,19 @@ _MEDIA_TYPES = {
     ".yaml": "application/yaml",
     ".json": "application/json",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Replayable:
+    """What the references of a recording can be computed anew from, besides its messages.
+
+    Attributes:
+        settings: The loop's settings.
+        actuators: The actuators with their limits and rest positions as they were used.
+    """
+
+    settings: LoopSettings
+    actuators: tuple[ActuatorSpec, ...]
 
 
 def library_name() -> str:

@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 from rtee.errors import LogError, MessageError
 from rtee.log import rows
 from rtee.log.chunks import MESSAGE
+from rtee.log.plans import plan_of
 from rtee.log.recording import ActuatorSeries, Channel, Entry, JointSeries, Recording
 from rtee.log.rotation import parts_of, recordings
 from rtee.log.scan import DamagedRecordError, messages_of
 from rtee.log.sink import reason
 from rtee.log.survey import ChunkPlace, Survey, survey
+from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
 from rtee.messages.schema import message_type
-from rtee.types import FloatArray
+from rtee.types import FloatArray, Goal
 
 T = TypeVar("T")
 
@@ -27,6 +29,8 @@ _SECOND = 1e9
 _TABLES = (topics.JOINT_STATES, topics.ACTUATOR_STATES, topics.REFERENCE)
 
 Fields = Mapping[str, Any]
+Message = tuple[int, int, Fields]
+"""Log time [ns since 1970], sequence number and fields."""
 
 
 def read(
@@ -87,7 +91,7 @@ class _Collector:
         for name in _TABLES:
             most = sum(self._count(each, name) for each in surveys) if name in wanted else 0
             self._rows[name] = rows.Rows(message_type(topics.TYPES[name]), most)
-        self._messages: dict[str, list[tuple[int, Fields]]] = {name: [] for name in topics.TYPES}
+        self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
         self._damaged = 0
 
     def _name_of(self, topic: str) -> str | None:
@@ -148,14 +152,15 @@ class _Collector:
         kind = message_type(topics.TYPES[name])
         times = rows.log_times(array, starts).tolist()
         sizes = rows.lengths(array, starts).tolist()
-        for start, size, time in zip(starts.tolist(), sizes, times, strict=True):
+        order = rows.sequences(array, starts).tolist()
+        for start, size, time, number in zip(starts.tolist(), sizes, times, order, strict=True):
             begin = start + MESSAGE.size
             try:
                 fields = kind.decode(array[begin : begin + size].tobytes())
             except MessageError:
                 self._damaged += 1
                 continue
-            self._messages[name].append((time, fields))
+            self._messages[name].append((time, number, fields))
 
     # --- from messages to a recording --------------------------------------------------------
 
@@ -165,6 +170,14 @@ class _Collector:
         joint_states = self._series(topics.JOINT_STATES, start)
         reference = self._series(topics.REFERENCE, start)
         actuator_states = self._actuators(start)
+        goals = self._entries(topics.GOALS, convert.goal_of, start)
+        by_id = {entry.value.goal_id: entry.value for entry in goals}
+        names = actuator_states.names
+
+        def plan(fields: Fields) -> Plan:
+            goal = by_id.get(fields["goal_id"], Goal(fields["action"], goal_id=fields["goal_id"]))
+            return plan_of(fields, goal, names)
+
         descriptions = self._messages[topics.ROBOT_DESCRIPTION]
 
         def entries(name: str, make: Callable[[Fields], T]) -> list[Entry[T]]:
@@ -185,7 +198,8 @@ class _Collector:
             joint_states=joint_states,
             actuator_states=actuator_states,
             reference=reference,
-            goals=entries(topics.GOALS, convert.goal_of),
+            goals=goals,
+            plans=entries(topics.PLANS, plan) if names else (),
             commands=entries(topics.COMMANDS, convert.command_of),
             feedback=entries(topics.FEEDBACK, convert.feedback_of),
             results=entries(topics.RESULTS, convert.result_of),
@@ -193,7 +207,7 @@ class _Collector:
             device_status=entries(topics.DEVICE_STATUS, convert.device_status_of),
             loop_statistics=entries(topics.LOOP_STATISTICS, convert.loop_statistics_of),
             channels=_channels_of(self._messages[topics.CHANNELS], start),
-            urdf=str(descriptions[0][1]["data"]) if descriptions else "",
+            urdf=str(descriptions[0][2]["data"]) if descriptions else "",
         )
         skipped = sum(table.skipped for table in self._rows.values())
         if self._damaged:
@@ -230,14 +244,14 @@ class _Collector:
 
     def _entries(self, name: str, make: Callable[[Fields], T], start: int) -> list[Entry[T]]:
         entries = []
-        for time, fields in self._messages[name]:
+        for time, number, fields in self._messages[name]:
             try:
                 value = make(fields)
             except MessageError:
                 self._damaged += 1
                 continue
             stamp = float(fields.get("time", 0.0))
-            entries.append(Entry((time - start) / _SECOND, time, stamp, value))
+            entries.append(Entry((time - start) / _SECOND, time, stamp, value, number))
         return sorted(entries, key=lambda entry: entry.wall)
 
 
@@ -270,10 +284,10 @@ def _order(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
     return np.argsort(times, kind="stable")
 
 
-def _channels_of(messages: Sequence[tuple[int, Fields]], start: int) -> dict[str, Channel]:
+def _channels_of(messages: Sequence[Message], start: int) -> dict[str, Channel]:
     times: dict[str, list[float]] = {}
     values: dict[str, list[FloatArray]] = {}
-    for time, fields in messages:
+    for time, _, fields in messages:
         ends = np.cumsum(fields["length"].astype(np.int64))
         if len(ends) != len(fields["name"]):
             continue

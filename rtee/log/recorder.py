@@ -13,11 +13,14 @@ from typing import Final, Self
 
 from rtee.errors import LogError
 from rtee.hand.model import Hand
-from rtee.log.contents import Contents
+from rtee.log.contents import REPLAY, Contents, Replayable
+from rtee.log.plain import to_json
 from rtee.log.settings import RecorderSettings, RecorderStatus
 from rtee.log.sink import reason
 from rtee.log.writer import Item, LogWriter
 from rtee.loop.observer import TickRecord
+from rtee.loop.plan import Plan
+from rtee.loop.settings import LoopSettings
 from rtee.types import (
     Command,
     DeviceStatus,
@@ -46,6 +49,7 @@ class Recorder:
         hand: The hand.
         settings: How to record.
         rate: Rate of the loop [Hz].
+        loop: The loop's settings; with them references can be computed anew from a recording.
         attachments: Files to attach by name: ``hand.yaml``, SRDF, actions; the URDF always is.
         metadata: Further metadata: name to value.
         notify: Told of lost and resumed recording and of written flight files, as events; called
@@ -58,12 +62,17 @@ class Recorder:
         settings: RecorderSettings,
         *,
         rate: float,
+        loop: LoopSettings | None = None,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, str] | None = None,
         notify: Callable[[Event], None] | None = None,
     ) -> None:
         self._settings = settings
-        contents = Contents(hand, rate, dict(attachments or {}), dict(metadata or {}))
+        files = dict(attachments or {})
+        if loop is not None:
+            files[REPLAY] = to_json(Replayable(loop, hand.actuators)).encode()
+        more = {"decimation": str(settings.decimation), **(metadata or {})}
+        contents = Contents(hand, rate, files, more)
         self._writer = LogWriter(contents, settings, notify)
         self._writer.dropped = lambda: self._dropped
         self._queue: queue.SimpleQueue[Work] = queue.SimpleQueue()
@@ -148,6 +157,10 @@ class Recorder:
     def on_goal(self, goal: Goal, stamp: float) -> None:
         """Record a goal."""
         self._put(goal, stamp)
+
+    def on_plan(self, plan: Plan, stamp: float) -> None:
+        """Record what a goal comes to."""
+        self._put(plan, stamp)
 
     def on_command(self, command: Command) -> None:
         """Record a command."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import LogError, suggestion
+from rtee.loop.plan import Plan
 from rtee.types import (
     BoolArray,
     Command,
@@ -96,12 +97,14 @@ class Entry(Generic[T]):
         wall: The same since 1970 [ns].
         stamp: The same by CLOCK_MONOTONIC [s], where it is known, else 0.
         value: What.
+        sequence: Tells the order of entries of the same time, also of different topics.
     """
 
     t: float
     wall: int
     stamp: float
     value: T
+    sequence: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +168,7 @@ class Recording:
         actuator_states: The actuators as measured.
         reference: What was sent to the devices.
         goals: Goals that were accepted.
+        plans: What the goals come to.
         commands: Calls that steered the hand otherwise.
         feedback: Progress of the goals.
         results: How they ended.
@@ -187,6 +191,7 @@ class Recording:
     actuator_states: ActuatorSeries
     reference: JointSeries
     goals: Sequence[Entry[Goal]] = ()
+    plans: Sequence[Entry[Plan]] = ()
     commands: Sequence[Entry[Command]] = ()
     feedback: Sequence[Entry[Feedback]] = ()
     results: Sequence[Entry[Result]] = ()

@@ -16,6 +16,7 @@ from rtee.messages.schema import MessageType
 
 _LENGTH = struct.Struct("<Q")
 _AFTER_LENGTH = MESSAGE.size - 9
+_SEQUENCE = 11
 _LOG_TIME = 15
 _LEAST_ROOM = 16
 
@@ -55,6 +56,12 @@ def lengths(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
 def log_times(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
     """Return the log times [ns since 1970] of the records at the starts."""
     return np.ascontiguousarray(gather(data, starts + _LOG_TIME, 8)).view("<i8")[:, 0]
+
+
+def sequences(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
+    """Return the sequence numbers of the records at the starts."""
+    raw = np.ascontiguousarray(gather(data, starts + _SEQUENCE, 4)).view("<u4")[:, 0]
+    return raw.astype(np.int64)
 
 
 def valid(data: Bytes, starts: Offsets, channel: int) -> bool:

@@ -11,10 +11,12 @@ import numpy as np
 from rtee.log.chunks import ChunkBuilder
 from rtee.log.contents import CHANNELS, Contents
 from rtee.log.flight import FlightRecorder
+from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
 from rtee.log.tickblock import TickChannels, TickEncoder
 from rtee.loop.observer import TickRecord
+from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
 from rtee.messages.schema import message_type
 from rtee.messages.topics import (
@@ -26,6 +28,7 @@ from rtee.messages.topics import (
     GOALS,
     JOINT_STATES,
     LOOP_STATISTICS,
+    PLANS,
     REFERENCE,
     RESULTS,
 )
@@ -39,7 +42,7 @@ from rtee.types import (
     Result,
 )
 
-Item = Goal | Command | Feedback | Result | Event | DeviceStatus | LoopStatistics
+Item = Goal | Plan | Command | Feedback | Result | Event | DeviceStatus | LoopStatistics
 """What is recorded besides ticks."""
 
 FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
@@ -78,6 +81,7 @@ class LogWriter:
         wall: Callable[[], int] = time.time_ns,
     ) -> None:
         hand = contents.hand
+        self._actuators = hand.actuator_names
         self._settings = settings
         self._notify = notify
         self._monotonic = monotonic
@@ -91,7 +95,7 @@ class LogWriter:
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
         self._due: float | None = None
         self._anchor: int | None = None
-        self._sequences = dict.fromkeys(CHANNELS.values(), 0)
+        self._sequence = 0
         self._channels_type = message_type("rtee_msgs/msg/Channels")
         self._extras: dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
         self._lost_told = 0
@@ -163,6 +167,9 @@ class LogWriter:
         match item:
             case Goal():
                 self._add(GOALS, wall, convert.encode_goal(item, time=stamp, wall=wall))
+            case Plan():
+                data = encode_plan(item, self._actuators, time=stamp, wall=wall)
+                self._add(PLANS, wall, data)
             case Command():
                 self._add(COMMANDS, wall, convert.encode_command(item, wall=wall))
             case Feedback():
@@ -181,9 +188,9 @@ class LogWriter:
         self._begun()
 
     def _add(self, topic: str, wall: int, data: bytes) -> None:
-        channel = CHANNELS[topic]
-        sequence = self._sequences[channel] = (self._sequences[channel] + 1) & 0xFFFFFFFF
-        self._builder.add(channel, sequence, wall, data)
+        # One counter for all these topics: it tells their order when times are the same.
+        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self._builder.add(CHANNELS[topic], self._sequence, wall, data)
 
     def _begun(self) -> None:
         if self._due is None:

@@ -71,6 +71,26 @@ float64 speed                # scale of the velocity limits, above 0 up to 1
 float64 timeout              # longest time [s]; NaN: as configured
 string stage                 # both, pre_grasp or grasp
 """,
+    "rtee_msgs/msg/Leg": """\
+# One way to a set of set-points.
+string name                  # inner action of a timed one, else empty
+string[] actuator            # actuators that move
+float64[] target             # where to [rad | m]
+float64 before               # time to wait before [s]
+float64 after                # time to wait after it is completed [s]
+""",
+    "rtee_msgs/msg/Plan": """\
+# What a goal comes to.
+std_msgs/Header header
+float64 time                 # when the tick was due at which it took effect, CLOCK_MONOTONIC [s]
+string goal_id               # the goal
+string action                # name of the action, as the hand writes it
+bool timed                   # the legs are inner actions
+float64 timeout              # longest time [s]
+string[] effort_name         # actuators with an effort limit of their own
+float64[] effort             # those limits [N.m | N]
+rtee_msgs/Leg[] legs         # what to do, one after the other
+""",
     "rtee_msgs/msg/Feedback": """\
 # How far a goal has come.
 std_msgs/Header header

@@ -69,7 +69,6 @@ _ALL = (
     _request(CONTROL, "do", "Goal", "Reply", "Execute an action; feedback and a result follow."),
     _request(CONTROL, "cancel", "GoalReference", "Reply", "Cancel a goal; the hand holds."),
     _request(CONTROL, "hold", "ClientRequest", "Reply", "Hold the measured posture."),
-    _request(CONTROL, "open", "ClientRequest", "Reply", "Go to the rest posture."),
     _request(CONTROL, "jog", "NamedValues", "Reply", "Move actuators to positions."),
     _request(CONTROL, "gains", "NamedValues", "Reply", "Change gains of a device."),
     _request(CONTROL, "recover", "ClientRequest", "Reply", "Bring devices out of a fault."),

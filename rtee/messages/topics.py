@@ -11,6 +11,7 @@ ACTUATOR_STATES = "actuator_states"
 REFERENCE = "reference"
 CHANNELS = "channels"
 GOALS = "goals"
+PLANS = "plans"
 FEEDBACK = "feedback"
 RESULTS = "results"
 EVENTS = "events"
@@ -25,6 +26,7 @@ TYPES: dict[str, str] = {
     REFERENCE: "sensor_msgs/msg/JointState",
     CHANNELS: "rtee_msgs/msg/Channels",
     GOALS: "rtee_msgs/msg/Goal",
+    PLANS: "rtee_msgs/msg/Plan",
     FEEDBACK: "rtee_msgs/msg/Feedback",
     RESULTS: "rtee_msgs/msg/Result",
     EVENTS: "rtee_msgs/msg/Event",

@@ -1,0 +1,67 @@
+"""Plain dataclasses as JSON and back, every number exact."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any, TypeVar
+
+from rtee.errors import LogError
+
+T = TypeVar("T")
+
+
+def to_json(value: object) -> str:
+    """Return a dataclass, or lists and mappings of such, as JSON; infinities become strings."""
+    return json.dumps(_plain(value), indent=1)
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else repr(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value
+
+
+def from_json(text: str | bytes, kind: type[T]) -> T:
+    """Return the dataclass of a kind that `to_json` wrote.
+
+    Raises:
+        LogError: if it is no such thing.
+    """
+    try:
+        made = _made(json.loads(text), kind)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise LogError(f"{kind.__name__} cannot be read from JSON: {error}") from error
+    return typing.cast("T", made)
+
+
+def _made(value: Any, kind: Any) -> Any:
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        if value is None:
+            return None
+        return _made(value, next(each for each in arguments if each is not type(None)))
+    if origin is tuple:
+        return tuple(_made(item, arguments[0]) for item in value)
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        known = {field.name for field in dataclasses.fields(kind)}
+        return typing.cast("Any", kind)(
+            **{key: _made(item, hints[key]) for key, item in value.items() if key in known}
+        )
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return kind(value)
+    return kind(value)
