@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import collections.abc
 import contextlib
 import math
 import time
@@ -238,6 +239,10 @@ class QbSoftHandDriver(Driver):
         self._active = False
         if self._link is not None:
             await self._link.send(Command.ACTIVATE, b"\x00")
+
+    def counters(self) -> collections.abc.Mapping[str, int]:
+        """Return the counters of the line."""
+        return {} if self._link is None else self._link.bus.counters.as_mapping()
 
     async def close(self) -> None:
         """Give the line back; an active hand stays active."""

@@ -24,8 +24,9 @@ class Channel:
         idle_offset: Where homing leaves it, relative to the stop [ticks].
         range: Travel between the soft limits [rad].
         reset_factor: Part of the current limit that counts as having met the stop.
-        effort_slope: Effort per current [N/mA]; 0 when it is not known.
-        effort_offset: Effort at no current [N].
+        force_slope: Force at the fingertip per current [N/mA]; 0 when it is not known.
+        force_offset: Force at no current [N].
+        lever: Distance from the joint to the fingertip [m].
     """
 
     index: int
@@ -36,8 +37,9 @@ class Channel:
     idle_offset: int
     range: float
     reset_factor: float
-    effort_slope: float = 0.0
-    effort_offset: float = 0.0
+    force_slope: float = 0.0
+    force_offset: float = 0.0
+    lever: float = 0.1
 
     @property
     def rad_per_tick(self) -> float:
@@ -69,28 +71,30 @@ class Channel:
         return abs(velocity / self.rad_per_tick)
 
     def to_effort(self, current_ma: float) -> float:
-        """Return the effort [N] of a current [mA], signed; ``NaN`` when the scale is not known."""
-        if self.effort_slope == 0.0:
+        """Return the effort [N·m] of a current [mA]: positive closes; ``NaN`` when not known."""
+        if self.force_slope == 0.0:
             return math.nan
-        size = max(0.0, self.effort_slope * abs(current_ma) + self.effort_offset)
+        size = max(0.0, self.force_slope * abs(current_ma) + self.force_offset) * self.lever
         return math.copysign(size, current_ma * -self.direction)
 
     def to_current(self, effort: float) -> float:
-        """Return the current [mA] that gives an effort [N]; ``NaN`` when the scale is not known."""
-        if self.effort_slope == 0.0:
+        """Return the current [mA] that gives an effort [N·m]; ``NaN`` when not known."""
+        if self.force_slope == 0.0:
             return math.nan
-        return max(0.0, (abs(effort) - self.effort_offset) / self.effort_slope)
+        return max(0.0, (abs(effort) / self.lever - self.force_offset) / self.force_slope)
 
 
 CHANNELS: tuple[Channel, ...] = (
-    Channel(0, "Thumb_Flexion", +1, -175_000, -5_000, -15_000, 0.97, 0.75, 0.015, -1.543),
+    Channel(0, "Thumb_Flexion", +1, -175_000, -5_000, -15_000, 0.97, 0.75, 0.015, -1.543, 0.106),
     Channel(1, "Thumb_Opposition", +1, -150_000, -5_000, -15_000, 0.99, 0.75),
-    Channel(2, "Index_Finger_Distal", +1, -47_000, -2_000, -8_000, 1.33, 0.75, 0.014, -0.07),
-    Channel(3, "Index_Finger_Proximal", -1, 2_000, 42_000, 8_000, 0.80, 0.75, 0.015, 0.282),
-    Channel(4, "Middle_Finger_Distal", +1, -47_000, -2_000, -8_000, 1.33, 0.75, 0.014, -0.026),
-    Channel(5, "Middle_Finger_Proximal", -1, 2_000, 42_000, 8_000, 0.80, 0.75, 0.015, 0.336),
-    Channel(6, "Ring_Finger", +1, -47_000, -2_000, -8_000, 0.98, 0.75, 0.007, -0.073),
-    Channel(7, "Pinky", +1, -47_000, -2_000, -8_000, 0.98, 0.75, 0.005, 0.081),
+    Channel(2, "Index_Finger_Distal", +1, -47_000, -2_000, -8_000, 1.33, 0.75, 0.014, -0.07, 0.046),
+    Channel(3, "Index_Finger_Proximal", -1, 2_000, 42_000, 8_000, 0.80, 0.75, 0.015, 0.282, 0.094),
+    Channel(
+        4, "Middle_Finger_Distal", +1, -47_000, -2_000, -8_000, 1.33, 0.75, 0.014, -0.026, 0.053
+    ),
+    Channel(5, "Middle_Finger_Proximal", -1, 2_000, 42_000, 8_000, 0.80, 0.75, 0.015, 0.336, 0.102),
+    Channel(6, "Ring_Finger", +1, -47_000, -2_000, -8_000, 0.98, 0.75, 0.007, -0.073, 0.104),
+    Channel(7, "Pinky", +1, -47_000, -2_000, -8_000, 0.98, 0.75, 0.005, 0.081, 0.089),
     Channel(8, "Finger_Spread", +1, -47_000, -2_000, -25_000, 0.58, 0.40),
 )
 """The channels in the order of the wire, with the offsets built into the vendor's library."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
@@ -43,6 +44,12 @@ if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
 
 
+_HOMING = (
+    "`rtee recover` homes it: every finger moves to its open stop, so nothing may be in the way; "
+    "or set `home: on_connect`"
+)
+
+
 class SchunkSvhDriver(Driver):
     """A SCHUNK SVH on its serial line.
 
@@ -70,6 +77,7 @@ class SchunkSvhDriver(Driver):
         self._limits = Limits()
         self._targets = [0] * codec.CHANNELS
         self._enabled = 0
+        self._home_asked = False
         self._baseline = codec.ControllerState()
         self._answer: tuple[codec.FeedbackAll, float] | None = None
         self._count = 0
@@ -130,7 +138,7 @@ class SchunkSvhDriver(Driver):
             changes = given.model_dump(exclude_none=True, exclude={"current_limit"})
             per_ampere = changes.pop("effort_per_ampere", None)
             if per_ampere is not None:
-                changes |= {"effort_slope": per_ampere / 1000.0, "effort_offset": 0.0}
+                changes |= {"force_slope": per_ampere / 1000.0, "force_offset": 0.0, "lever": 1.0}
             return replace(channel, **changes)
 
         self._table = tuple(with_options(c) for c in channels_for(firmware.version))
@@ -173,15 +181,10 @@ class SchunkSvhDriver(Driver):
             await self._seed()
             return
         if not homed:
-            if self.options.home == "on_demand":
-                raise DeviceFault(
-                    self.spec.name,
-                    power.NOT_HOMED,
-                    "not homed",
-                    recoverable=False,
-                    hint="homing moves every finger; allow it by 'home: on_connect'",
-                )
+            if self.options.home == "on_demand" and not self._home_asked:
+                raise DeviceFault(self.spec.name, power.NOT_HOMED, "not homed", hint=_HOMING)
             await self.home()
+        self._home_asked = False
         await self._enable()
 
     async def home(self) -> None:
@@ -261,12 +264,14 @@ class SchunkSvhDriver(Driver):
                 hint="let it cool down, then `rtee recover`",
             )
         if lost:
+            # Without its supply the hand forgets where its fingers are.
+            self.stops = {}
             names = ", ".join(c.name for c in self._table if lost >> c.index & 1)
             raise DeviceFault(
                 self.spec.name,
                 power.LOST_POWER,
                 f"switched off: {names}",
-                hint="was the 24 V supply cut? `rtee recover`, then home again",
+                hint=f"was the 24 V supply cut? {_HOMING}",
             )
 
     async def move(self, reference: Reference) -> None:
@@ -295,7 +300,10 @@ class SchunkSvhDriver(Driver):
             await self.deactivate()
 
     async def recover(self) -> None:
-        """Clear latched faults and enable the channels where they stand."""
+        """Clear latched faults; enable the channels where they stand, if that is known.
+
+        Where it isn't, the next `activate` homes the hand, which moves it.
+        """
         await power.disable(self._hand)
         self._enabled = 0
         self._warnings = ()
@@ -304,7 +312,8 @@ class SchunkSvhDriver(Driver):
         echoed = state.pwm_fault == codec.ControllerState.CLEAR
         self._baseline = state if echoed else codec.ControllerState()
         self._check(state)
-        if set(self._index) <= set(self.stops):
+        self._home_asked = not set(self._index) <= set(self.stops)
+        if not self._home_asked:
             await self._enable()
 
     async def deactivate(self) -> None:
@@ -313,6 +322,10 @@ class SchunkSvhDriver(Driver):
         if self._link is not None:
             self._enabled = 0
             await power.disable(self._link)
+
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of the line."""
+        return {} if self._link is None else self._link.bus.counters.as_mapping()
 
     async def close(self) -> None:
         """Give the line back; what is enabled stays enabled."""

@@ -22,7 +22,7 @@ class ChannelOptions(BaseModel):
         idle_offset: Where homing leaves it, relative to the stop [ticks].
         reset_factor: Part of the current limit that counts as having met the stop.
         current_limit: Largest current [A].
-        effort_per_ampere: Effort per current [N/A], where the table has none.
+        effort_per_ampere: Effort per current [N·m/A], where the table has none.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -40,8 +40,8 @@ class SchunkSvhOptions(DeviceOptions):
 
     Attributes:
         port: Where it is: a tty, ``socket://host:port`` or ``rfc2217://host:port``.
-        home: Whether it may look for its stops, which moves every finger: ``on_connect`` at the
-            first activation, ``on_demand`` only when asked.
+        home: When it may look for its stops, which moves every finger: ``on_connect`` at the
+            first activation, ``on_demand`` only after `recover`.
         stops_file: Where the stops found are kept, so that a later program can attach to a hand
             that has stayed enabled; empty: nowhere.
         home_timeout: Longest time in which a channel may stand still while homing [s].

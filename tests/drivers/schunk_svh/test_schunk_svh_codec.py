@@ -211,8 +211,8 @@ def test_units_have_inverses(channel: codec.Packet, angle: float, stop: int) -> 
         channel.to_rad(ticks, zero), angle, abs_tol=abs(channel.rad_per_tick) * 0.5001
     )
     assert channel.to_ticks(channel.to_rad(ticks, zero), zero) == ticks
-    if channel.effort_slope:
-        assert math.isclose(channel.to_effort(channel.to_current(3.0)) * channel.direction, -3.0)
+    if channel.force_slope:
+        assert math.isclose(channel.to_effort(channel.to_current(0.3)) * channel.direction, -0.3)
 
 
 def test_gearing_is_that_of_the_sheet() -> None:
