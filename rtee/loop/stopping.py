@@ -49,7 +49,8 @@ async def bring_to_rest(
                         confirmed |= dict(await loop.stop(reason))
                     case _:
                         confirmed |= dict(await loop.keep(reason))
-            _tell(loop, behaviour, reason, confirmed)
+            if behaviour is not Behaviour.STOP:  # which tells it by itself
+                _tell(loop, behaviour, reason, confirmed)
         except Exception:
             log.exception("%s could not be brought to rest (%s)", loop.name, behaviour)
     return list(confirmed.items())

@@ -11,7 +11,7 @@ from rtee.loop.histogram import TickStatistics
 
 
 async def drive(
-    loops: Sequence[HandTicks], clock: AnyClock, *, idle: Callable[[int], None] | None = None
+    loops: Sequence[HandTicks], clock: AnyClock, idle: Callable[[int], None] | None = None
 ) -> None:
     """Tick some hands until cancelled or the clock ends.
 

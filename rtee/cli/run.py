@@ -1,0 +1,112 @@
+"""`rtee run`: run one hand or several."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import complete_hand
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+app = typer.Typer()
+
+
+def _complete_driver(incomplete: str) -> list[str]:
+    from rtee.drivers.registry import driver_names
+
+    return [name for name in ("devices", *driver_names()) if name.startswith(incomplete)]
+
+
+def _companions(gui: bool) -> tuple[tuple[str, ...], ...]:
+    if not gui:
+        return ()
+    return ((sys.executable, "-c", "from rtee.cli import main; main()", "gui"),)
+
+
+def _options(values: Sequence[str]) -> dict[str, object]:
+    """Return driver options given as NAME=VALUE; a value is read like one in hand.yaml."""
+    from rtee.errors import ConfigError
+    from rtee.hand.yamlfile import parse_yaml
+
+    found: dict[str, object] = {}
+    for value in values:
+        name, equals, _ = value.partition("=")
+        if not (name and equals):
+            raise ConfigError(f"--option {value}: should be NAME=VALUE")
+        text = f"{name}: {value.partition('=')[2]}\n"
+        found |= parse_yaml(text, Path("--option"), "the option").data
+    return found
+
+
+@app.command()
+def run(
+    hands: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="HAND…", help="Names of hands, or their folders.", autocompletion=complete_hand
+        ),
+    ],
+    driver: Annotated[
+        str | None,
+        typer.Option(
+            help="kinematic, devices (those of hand.yaml), or a driver's name.",
+            autocompletion=_complete_driver,
+        ),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Option of a driver that hand.yaml doesn't have."),
+    ] = None,
+    emulated: Annotated[
+        bool, typer.Option("--emulated", help="Talk to emulators instead of the real devices.")
+    ] = False,
+    rate: Annotated[float | None, typer.Option(help="Ticks per second, 1 to 2000.")] = None,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Ask for real-time scheduling.")
+    ] = False,
+    log: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the recordings.")
+    ] = None,
+    no_log: Annotated[bool, typer.Option("--no-log", help="Write no recordings.")] = False,
+    gui: Annotated[bool, typer.Option("--gui", help="Open the hands in the browser.")] = False,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, metavar="S", help="End after this many seconds.")
+    ] = None,
+    trace: Annotated[bool, typer.Option("--trace", help="Record the bytes on all buses.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show every event, not only warnings.")
+    ] = False,
+) -> None:
+    """Run one hand or several until Ctrl-C: take goals, drive the devices, record everything."""
+    import logging
+
+    import anyio
+
+    from rtee.run import RunOptions, run_hands
+
+    logging.basicConfig(
+        format="%(asctime)s %(levelname)s %(message)s",
+        level=logging.INFO if verbose else logging.WARNING,
+    )
+    options = RunOptions(
+        driver=driver,
+        emulated=emulated,
+        driver_options=_options(option or []),
+        rate=rate,
+        realtime=realtime,
+        log=log,
+        record=not no_log,
+        duration=duration,
+        trace=trace,
+        companions=_companions(gui),
+    )
+
+    async def main() -> int:
+        return await run_hands(hands, options, say=lambda line: print(line, flush=True))
+
+    raise typer.Exit(anyio.run(main))

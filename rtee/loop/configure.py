@@ -1,0 +1,164 @@
+"""From hand.yaml, once read, to the loop's plain settings; imports no pydantic itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from rtee.errors import ConfigError
+from rtee.hand.model import Hand
+from rtee.loop.settings import (
+    Behaviour,
+    DeviceSettings,
+    GraspSettings,
+    LoopSettings,
+    ProfileKind,
+    ProfileSettings,
+    RealtimeSettings,
+    SafetySettings,
+    StallSettings,
+    ThermalSettings,
+)
+from rtee.types import DeviceSpec
+
+if TYPE_CHECKING:
+    from rtee.hand.config import Device, HandConfig
+
+KINEMATIC = "kinematic"
+"""The driver that needs no device."""
+
+DEVICES = "devices"
+"""Means the devices of hand.yaml."""
+
+
+def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSettings:
+    """Return the loop's settings of a hand.
+
+    Args:
+        config: Its hand.yaml.
+        rate: Ticks per second instead of those configured [Hz].
+
+    Raises:
+        ConfigError: if the rate is out of range.
+    """
+    loop, safety, thermal = config.loop, config.safety, config.thermal
+    return LoopSettings(
+        rate=loop.rate if rate is None else rate,
+        goal_timeout=loop.goal_timeout,
+        profile=ProfileSettings(ProfileKind(config.profile.kind), config.profile.bandwidth),
+        stall=StallSettings(loop.stall.time, loop.stall.speed),
+        grasp=GraspSettings(loop.grasp.effort, loop.grasp.holding_effort, loop.grasp.holding_after),
+        safety=SafetySettings(
+            on_exit=Behaviour(safety.on_exit),
+            on_client_lost=Behaviour(safety.on_client_lost),
+            on_link_lost=Behaviour(safety.on_link_lost),
+            on_error=Behaviour(safety.on_error),
+            max_step=safety.max_step,
+        ),
+        thermal=ThermalSettings(thermal.warn, thermal.derate, thermal.release),
+    )
+
+
+def realtime_settings(config: HandConfig, *, enabled: bool = False) -> RealtimeSettings:
+    """Return the real-time settings of a hand; ``enabled`` switches them on whatever it says."""
+    given = config.realtime
+    return RealtimeSettings(
+        given.enabled or enabled, given.priority, tuple(given.cpus), given.lock_memory
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceChoice:
+    """What is to drive a hand.
+
+    Attributes:
+        driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
+        emulated: Talk to emulators instead of the real devices.
+        options: Options for a driver that hand.yaml has no device for.
+        source: The hand.yaml, for messages.
+        lines: Where in it each device stands.
+    """
+
+    driver: str | None = None
+    emulated: bool = False
+    options: tuple[tuple[str, object], ...] = ()
+    source: str = ""
+    lines: Mapping[str, int] = field(default_factory=dict)
+
+
+def device_settings(
+    hand: Hand, config: HandConfig, rate: float, choice: DeviceChoice
+) -> list[DeviceSettings]:
+    """Return the devices to run a hand with.
+
+    A driver's name picks the devices of hand.yaml that use it, and kinematic ones stand in for the
+    other actuators. A driver that no device of hand.yaml uses gets all actuators.
+
+    Args:
+        hand: The hand.
+        config: Its hand.yaml.
+        rate: Rate of the loop [Hz].
+        choice: What is to drive it.
+
+    Raises:
+        ConfigError: if hand.yaml has no devices, or they leave an actuator out.
+    """
+    driver = choice.driver or (DEVICES if choice.emulated else config.driver)
+    if driver == DEVICES:
+        if not config.devices:
+            raise ConfigError(
+                f"the hand '{hand.name}' has no devices; give it some under 'devices:' in"
+                f" {choice.source or 'hand.yaml'}, or run it with --driver {KINEMATIC}"
+            )
+        chosen = list(config.devices.items())
+    else:
+        chosen = [(n, d) for n, d in config.devices.items() if d.driver == driver]
+    made = [_made(hand, name, device, rate, choice) for name, device in chosen]
+    taken = {actuator.name for device in made for actuator in device.spec.actuators}
+    left = [name for name in hand.actuator_names if name not in taken]
+    if not left:
+        return made
+    if driver == DEVICES:
+        raise ConfigError(
+            f"{choice.source or hand.name}: no device drives the actuator '{left[0]}'"
+        )
+    stand_in = KINEMATIC if made else driver
+    spec = DeviceSpec(
+        name=_free_name(stand_in, [name for name, _ in chosen]),
+        hand=hand.name,
+        driver=stand_in,
+        actuators=tuple(hand.actuator(name) for name in left),
+        options=dict(choice.options) if stand_in == driver else {},
+        rate=rate,
+        emulated=choice.emulated,
+        source=choice.source,
+    )
+    return [*made, DeviceSettings(spec)]
+
+
+def _free_name(driver: str, taken: Sequence[str]) -> str:
+    name = driver.partition(":")[2] or driver
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _made(
+    hand: Hand, name: str, device: Device, rate: float, choice: DeviceChoice
+) -> DeviceSettings:
+    names = hand.actuator_names if device.actuators == "all" else tuple(device.actuators)
+    ordered = [actuator for actuator in hand.actuators if actuator.name in names]
+    spec = DeviceSpec(
+        name=name,
+        hand=hand.name,
+        driver=device.driver,
+        actuators=tuple(ordered),
+        options=dict(device.options),
+        rate=rate,
+        every=device.every,
+        deadline=device.deadline,
+        emulated=choice.emulated,
+        source=f"{choice.source}:{choice.lines[name]}" if name in choice.lines else choice.source,
+    )
+    return DeviceSettings(spec, reconnect_active=device.reconnect == "active")

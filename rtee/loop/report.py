@@ -1,0 +1,85 @@
+"""What a run tells people: one line per hand at the start, the loop's statistics at the end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from rtee.loop.handloop import HandLoop
+from rtee.loop.observer import Observer
+from rtee.types import DeviceStatus, Lifecycle, LoopStatistics, Result
+
+
+class Tally(Observer):
+    """Counts how the goals of a hand ended."""
+
+    def __init__(self) -> None:
+        self.ends: Counter[str] = Counter()
+
+    def on_result(self, result: Result) -> None:
+        """Count it."""
+        self.ends["goals"] += 1
+        for truth in ("reached", "stalled", "grasped", "preempted", "cancelled", "timed_out"):
+            self.ends[truth] += getattr(result, truth)
+        self.ends["aborted"] += result.aborted
+
+    def text(self) -> str:
+        """Return it in words."""
+        goals = self.ends["goals"]
+        parts = [
+            f"{count} {name.replace('_', ' ')}"
+            for name, count in self.ends.items()
+            if count and name != "goals"
+        ]
+        return f"{goals} goal{'s' * (goals != 1)}" + (f" ({', '.join(parts)})" if parts else "")
+
+
+def device_words(status: DeviceStatus) -> str:
+    """Return how a device is, in a few words."""
+    identity = " ".join(value for value in status.identity.values() if value)
+    who = f"{status.name}: {identity or status.driver}"
+    if status.lifecycle is Lifecycle.ACTIVE:
+        return f"{who}, active"
+    return f"{who}, {status.lifecycle}" + (f" ({status.message})" if status.message else "")
+
+
+def start_line(loop: HandLoop, log: str, network: str) -> str:
+    """Return the line that says that a hand runs.
+
+    Args:
+        loop: The hand.
+        log: Where it is recorded.
+        network: Where it is reached.
+    """
+    hand = loop.hand
+    joints, actuators = len(hand.joints), len(hand.actuators)
+    devices = "; ".join(device_words(status) for status in loop.statuses())
+    return (
+        f"{hand.name}: {actuators} actuator{'s' * (actuators != 1)}, {joints} joints,"
+        f" {len(loop.library)} actions; {loop.settings.rate:g} Hz; {devices}; log {log};"
+        f" network {network}"
+    )
+
+
+def statistics_line(statistics: LoopStatistics, names: Sequence[str]) -> str:
+    """Return a clock's statistics in one line.
+
+    Args:
+        statistics: The statistics.
+        names: The hands on this clock.
+    """
+
+    def micro(seconds: float) -> str:
+        return f"{seconds * 1e6:.0f}"
+
+    s = statistics
+    total = s.ticks + s.missed
+    share = f" ({100 * s.missed / total:.3f} %)" if s.missed else ""
+    dropped = f"; {s.dropped} log records dropped" if s.dropped else ""
+    return (
+        f"{', '.join(names)}: {s.ticks} ticks at {s.rate:g} Hz, {s.missed} missed{share};"
+        f" lateness p50 {micro(s.lateness_p50)}, p99 {micro(s.lateness_p99)},"
+        f" p99.9 {micro(s.lateness_p999)}, max {micro(s.lateness_max)} µs;"
+        f" busy p50 {micro(s.busy_p50)}, p99 {micro(s.busy_p99)}, max {micro(s.busy_max)} µs"
+        f"{dropped}"
+    )

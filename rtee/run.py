@@ -1,0 +1,406 @@
+"""The composition root: from hand.yaml to running hands with recorder, network and signals."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import anyio
+
+from rtee.actions.library import ActionLibrary
+from rtee.buses.pool import BusPool
+from rtee.drivers.registry import find_driver
+from rtee.errors import ConfigError, LoopError, RteeError
+from rtee.hand.config import HandConfig, read_document
+from rtee.hand.load import hand_folder, load_configured
+from rtee.hand.model import Hand
+from rtee.log import Recorder, RecorderSettings
+from rtee.loop.clock import Clock
+from rtee.loop.configure import DeviceChoice, device_settings, loop_settings, realtime_settings
+from rtee.loop.handloop import HandLoop
+from rtee.loop.observer import Observer
+from rtee.loop.realtime import Collector, set_up
+from rtee.loop.report import Tally, start_line, statistics_line
+from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings, RealtimeSettings
+from rtee.loop.stopping import bring_to_rest
+from rtee.loop.ticker import drive
+from rtee.types import Event
+
+log = logging.getLogger(__name__)
+
+CONNECT_WITHIN = 3.0
+"""The hands start to tick after this time [s], even if a device is still connecting or homing."""
+
+_SIGNALS = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the command line may override.
+
+    Attributes:
+        driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
+        emulated: Talk to emulators instead of the real devices.
+        driver_options: Options for a driver that hand.yaml has no device for.
+        rate: Ticks per second [Hz]; ``None``: as in hand.yaml.
+        realtime: Ask for real-time scheduling whatever hand.yaml says.
+        log: Folder of the recordings; ``None``: as in hand.yaml.
+        record: ``False``: write no recordings; the flight recorder stays.
+        duration: End after this long [s]; ``None``: never by itself.
+        trace: Log the bytes of all buses.
+        companions: Commands that run beside, and are ended with the hands.
+        config_dirs: Folders to look hands up in, before the usual ones.
+    """
+
+    driver: str | None = None
+    emulated: bool = False
+    driver_options: Mapping[str, object] = field(default_factory=dict)
+    rate: float | None = None
+    realtime: bool = False
+    log: Path | None = None
+    record: bool = True
+    duration: float | None = None
+    trace: bool = False
+    companions: tuple[tuple[str, ...], ...] = ()
+    config_dirs: tuple[Path, ...] = ()
+
+
+class Serve(Protocol):
+    """Makes the network server of a hand."""
+
+    def __call__(
+        self, loop: HandLoop, hand: Hand, config: HandConfig
+    ) -> AbstractAsyncContextManager[object]:
+        """Return the server; entered when the hand runs, left before it ends."""
+
+
+@dataclass(frozen=True)
+class PreparedHand:
+    """A hand that was read and checked, before anything is opened.
+
+    Attributes:
+        hand: The hand.
+        config: Its hand.yaml.
+        folder: Where that stands.
+        library: Its grasping actions.
+        settings: The loop's settings.
+        devices: Its devices.
+    """
+
+    hand: Hand
+    config: HandConfig
+    folder: Path
+    library: ActionLibrary
+    settings: LoopSettings
+    devices: tuple[DeviceSettings, ...]
+
+    def attachments(self) -> dict[str, bytes]:
+        """Return the files that belong into a recording, by name."""
+        files = [self.folder / "hand.yaml"]
+        if self.config.srdf is not None:
+            files.append(self.folder / self.config.srdf)
+        files += sorted((self.folder / "actions").rglob("*.yaml"))
+        found: dict[str, bytes] = {}
+        for file in files:
+            try:
+                found[file.relative_to(self.folder).as_posix()] = file.read_bytes()
+            except (OSError, ValueError) as error:
+                log.warning("%s is not attached to the recording: %s", file, error)
+        return found
+
+    def recorder_settings(self, options: RunOptions) -> RecorderSettings:
+        """Return how it is to be recorded."""
+        given = self.config.log
+        return RecorderSettings(
+            directory=options.log or Path(given.directory),
+            enabled=options.record and (given.enabled or options.log is not None),
+            max_file_size=given.max_file_size,
+            max_file_time=given.max_file_time,
+            max_total_size=given.max_total_size,
+            flight_recorder=given.flight_recorder,
+        )
+
+
+def prepare(name: str, options: RunOptions) -> PreparedHand:
+    """Read everything about a hand and check it; nothing is opened.
+
+    Raises:
+        UserError: for every mistake in its files or the options.
+    """
+    hand, config = load_configured(name, config_dirs=options.config_dirs)
+    folder, file = hand_folder(name, config_dirs=options.config_dirs)
+    document = read_document(file)[1]
+    settings = loop_settings(config, rate=options.rate)
+    choice = DeviceChoice(
+        options.driver,
+        options.emulated,
+        tuple(options.driver_options.items()),
+        str(file),
+        {device: document.line(("devices", device)) or 1 for device in config.devices},
+    )
+    return PreparedHand(
+        hand=hand,
+        config=config,
+        folder=folder,
+        library=ActionLibrary.load(hand, folder / "actions"),
+        settings=settings,
+        devices=tuple(device_settings(hand, config, settings.rate, choice)),
+    )
+
+
+@dataclass
+class _Running:
+    prepared: PreparedHand
+    loop: HandLoop
+    recorder: Recorder
+    tally: Tally
+    server: object = None
+
+
+async def run_hands(
+    names: Sequence[str],
+    options: RunOptions | None = None,
+    *,
+    serve: Serve | None = None,
+    say: Callable[[str], None] = print,
+    until: anyio.Event | None = None,
+) -> int:
+    """Run hands until a signal, the end of the duration, or ``until``.
+
+    Args:
+        names: The hands, by name or folder.
+        options: What the command line overrides.
+        serve: Makes the network server of each; ``None``: the hands are not on the network.
+        say: Prints a line.
+        until: Set from outside to end the run.
+
+    Returns:
+        The exit status: 0.
+
+    Raises:
+        UserError: for mistakes in files or options, before anything moves.
+        LoopError: if the loop itself failed; the hands were brought to rest as configured.
+    """
+    options = options or RunOptions()
+    until = until or anyio.Event()
+    prepared = [prepare(name, options) for name in names]
+    twice = [hand.hand.name for hand in prepared]
+    if len(set(twice)) < len(twice):
+        raise ConfigError(f"the hand '{max(twice, key=twice.count)}' is given twice")
+    realtime = _realtime(prepared, options)
+    collector = Collector()
+    async with AsyncExitStack() as stack:
+        trace = _Trace()
+        pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
+        running = [await _open(hand, pool, options, stack, trace) for hand in prepared]
+        await _connected(running)
+        for one in running:
+            if serve is not None:
+                server = serve(one.loop, one.prepared.hand, one.prepared.config)
+                one.server = await stack.enter_async_context(server)
+            say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
+        for warning in set_up(realtime):
+            say(f"warning: {warning}")
+            log.warning("%s", warning)
+        collector.start()
+        stack.callback(collector.stop)
+        try:
+            await _run(running, options, collector, until)
+        finally:
+            for line in _summary(running):
+                say(line)
+    return 0
+
+
+def _realtime(prepared: Sequence[PreparedHand], options: RunOptions) -> RealtimeSettings:
+    wanted = [realtime_settings(hand.config, enabled=options.realtime) for hand in prepared]
+    return next((settings for settings in wanted if settings.enabled), RealtimeSettings())
+
+
+async def _open(
+    prepared: PreparedHand,
+    pool: BusPool,
+    options: RunOptions,
+    stack: AsyncExitStack,
+    trace: _Trace,
+) -> _Running:
+    devices = [
+        (device, find_driver(device.spec.driver, source=device.spec.source)(device.spec, pool))
+        for device in prepared.devices
+    ]
+    loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
+    recorder = Recorder(
+        prepared.hand,
+        prepared.recorder_settings(options),
+        rate=prepared.settings.rate,
+        attachments=prepared.attachments(),
+    )
+    tally = Tally()
+    await stack.enter_async_context(recorder)
+    trace.recorders.append(recorder)
+    loop.add_observer(recorder)
+    loop.add_observer(tally)
+    loop.add_observer(_EventLog())
+    await stack.enter_async_context(loop)
+    return _Running(prepared, loop, recorder, tally)
+
+
+async def _connected(running: Sequence[_Running]) -> None:
+    """Wait until all devices have tried to connect, but not for the slow ones.
+
+    Raises:
+        UserError: if a device can't ever be connected by a mistake of the user.
+    """
+    with anyio.move_on_after(CONNECT_WITHIN):
+        for one in running:
+            await one.loop.ready()
+
+
+async def _run(
+    running: Sequence[_Running], options: RunOptions, collector: Collector, until: anyio.Event
+) -> None:
+    clocks: dict[float, list[HandLoop]] = {}
+    for one in running:
+        clocks.setdefault(one.prepared.settings.rate, []).append(one.loop)
+    rested = False
+    try:
+        async with anyio.create_task_group() as group:
+            for rate, loops in clocks.items():
+                group.start_soon(drive, loops, Clock(rate), collector.idle)
+            for command in options.companions:
+                group.start_soon(_companion, command)
+            reason = await _end(options.duration, until)
+            await _rest(running, reason, ticking=True)
+            rested = True
+            group.cancel_scope.cancel()
+    except Exception as error:
+        await _rest(running, "the loop failed", failed=True)
+        rested = True
+        raise _failure(error, running) from error
+    finally:
+        if not rested:
+            await _rest(running, "the run was cancelled")
+
+
+async def _rest(
+    running: Sequence[_Running], reason: str, *, ticking: bool = False, failed: bool = False
+) -> None:
+    """Bring all hands to rest at once, as each is configured."""
+    with anyio.CancelScope(shield=True):
+        async with anyio.create_task_group() as group:
+            for one in running:
+                safety = one.prepared.settings.safety
+                behaviour = safety.on_error if failed else safety.on_exit
+                group.start_soon(_rest_one, one.loop, behaviour, reason, ticking)
+
+
+async def _rest_one(loop: HandLoop, behaviour: Behaviour, reason: str, ticking: bool) -> None:
+    await bring_to_rest(loop, behaviour, reason, ticking=ticking)
+
+
+def _failure(error: Exception, running: Sequence[_Running]) -> RteeError:
+    """Log why the loop failed, have the last minute written, and say it in one sentence."""
+    while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
+        error = error.exceptions[0]
+    log.error("the loop failed", exc_info=error)
+    for one in running:
+        one.recorder.fault("the loop failed")
+    if isinstance(error, RteeError):
+        return error
+    return LoopError(f"the loop failed: {type(error).__name__}: {error}")
+
+
+async def _end(duration: float | None, until: anyio.Event) -> str:
+    """Wait for the end; return why it came."""
+    reasons: list[str] = []
+
+    async def after_signal() -> None:
+        with anyio.open_signal_receiver(*_SIGNALS) as received:
+            async for number in received:
+                reasons.append(f"received {signal.Signals(number).name}")
+                until.set()
+
+    async def after_duration(seconds: float) -> None:
+        await anyio.sleep(seconds)
+        reasons.append(f"ran for {seconds:g} s")
+        until.set()
+
+    async with anyio.create_task_group() as group:
+        if threading.current_thread() is threading.main_thread():
+            group.start_soon(after_signal)
+        if duration is not None:
+            group.start_soon(after_duration, duration)
+        await until.wait()
+        group.cancel_scope.cancel()
+    return reasons[0] if reasons else "the run ended"
+
+
+async def _companion(command: Sequence[str]) -> None:
+    """Run a program beside, until it ends or we do."""
+    try:
+        process = await anyio.open_process(command, stdin=None, stdout=None, stderr=None)
+    except OSError as error:
+        log.error("%s cannot be started: %s", command[0], error)
+        return
+    try:
+        await process.wait()
+    finally:
+        if process.returncode is None:
+            process.terminate()
+        with anyio.CancelScope(shield=True):
+            await process.aclose()
+
+
+class _EventLog(Observer):
+    """Writes events to Python's log, so that they are seen where the run was started."""
+
+    def on_event(self, event: Event) -> None:
+        """Log it."""
+        level = {"warning": logging.WARNING, "error": logging.ERROR}
+        log.log(level.get(event.severity, logging.INFO), "%s", event.text)
+
+
+class _Trace:
+    """Puts the bytes on all buses into the recordings, as events."""
+
+    def __init__(self) -> None:
+        self.recorders: list[Recorder] = []
+
+    def __call__(self, bus: str, direction: str, data: bytes, stamp: float) -> None:
+        event = Event("trace", bus, f"{direction} {data.hex(' ')}", stamp)
+        for recorder in self.recorders:
+            recorder.on_event(event)
+
+
+def _log_words(recorder: Recorder) -> str:
+    status = recorder.status()
+    if not status.recording:
+        return "off"
+    return str(status.path) if status.path else f"not written: {status.problem}"
+
+
+def _network_words(server: object) -> str:
+    return "off" if server is None else str(getattr(server, "endpoint", "on"))
+
+
+def _summary(running: Sequence[_Running]) -> list[str]:
+    lines: list[str] = []
+    by_clock: dict[int, list[_Running]] = {}
+    for one in running:
+        by_clock.setdefault(id(one.loop.clock_statistics), []).append(one)
+    for group in by_clock.values():
+        names = [one.loop.name for one in group]
+        lines.append(statistics_line(group[0].loop.statistics(), names))
+    lines += [f"{one.loop.name}: {one.tally.text()}" for one in running]
+    for one in running:
+        for path in one.recorder.status().flight_files:
+            lines.append(f"{one.loop.name}: the last minute before the fault is in {path}")
+    return lines
