@@ -53,11 +53,19 @@ class ModbusBus(Bus):
         gap: Silence kept before a request [s].
     """
 
-    def __init__(self, name: str, line: Line, *, address: Callable[[], str] | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        line: Line,
+        *,
+        address: Callable[[], str] | None = None,
+        gap: float | None = None,
+    ) -> None:
         super().__init__(name)
         self.line = line
         self.rtu = not name.startswith("tcp://")
-        self.gap = silence(line.baudrate, line.bits) if self.rtu else 0.0
+        usual = silence(line.baudrate, line.bits) if self.rtu else 0.0
+        self.gap = usual if gap is None else gap
         self._address = address or (lambda: name)
         self._lock = asyncio.Lock()
         self._pause = Pause()

@@ -119,8 +119,9 @@ class BusPool:
 
         line = Line(baudrate, parity, stopbits)
         address = self._simulated_line(url, owner, line, emulator)
+        gap = None if emulator is None or self.wire_time else 0.0
         return await self._acquire(
-            url, ModbusBus, line, owner, lambda: ModbusBus(url, line, address=address)
+            url, ModbusBus, line, owner, lambda: ModbusBus(url, line, address=address, gap=gap)
         )
 
     async def dynamixel(
@@ -263,7 +264,7 @@ class BusPool:
                 tcp=network,
                 scheme=scheme,
                 line=line,
-                wire_time=self.wire_time and scheme != "tcp",
+                wire_time=self.wire_time,
             ).start()
             self._simulations[url] = simulation
         self._play(owner, simulation, factory)

@@ -169,9 +169,9 @@ class SimulatedLine(Simulation):
         scheme: str = "socket",
     ) -> None:
         super().__init__(name)
-        baudrate = float(line.baudrate) if line is not None and wire_time else None
+        baudrate = float(line.baudrate) if line is not None and scheme != "tcp" else None
         bits = float(line.bits) if line is not None else 10.0
-        self.wire = Wire(emulators, baudrate=baudrate, bits=bits, faults=faults)
+        self.wire = Wire(emulators, baudrate=baudrate, bits=bits, faults=faults, timed=wire_time)
         self.emulators = self.wire.emulators
         self._end: _Pty | _Tcp = _Tcp(host, port, scheme) if tcp else _Pty(link)
 

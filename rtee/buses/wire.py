@@ -19,6 +19,7 @@ class Wire:
 
     Attributes:
         emulators: The devices on the line; each hears everything.
+        timed: Whether bytes and the devices' turn-around take their time.
         baudrate: Bits per second; ``None`` takes no time (a network).
         bits: Bits on the line per byte.
         faults: What goes wrong.
@@ -33,9 +34,11 @@ class Wire:
         baudrate: float | None = None,
         bits: float = 10.0,
         faults: Faults | None = None,
+        timed: bool = True,
     ) -> None:
         self.emulators = list(emulators)
-        self.baudrate = baudrate
+        self.timed = timed
+        self.baudrate = baudrate if timed else None
         self.bits = bits
         self.faults = faults or Faults()
         self.bytes_in = 0
@@ -91,7 +94,8 @@ class Wire:
 
     def _answer(self, emulator: Emulator, answers: Sequence[bytes], when: float) -> None:
         for answer in answers:
-            start = max(when + emulator.turnaround, self._free)
+            turnaround = emulator.turnaround if self.timed else 0.0
+            start = max(when + turnaround, self._free)
             self._free = start + wire_time(len(answer), self.baudrate, self.bits)
             for late, piece in self.faults.apply(answer):
                 self._put(self._free + late, False, piece)

@@ -311,7 +311,7 @@ class Robotiq2FDriver(Driver):
         fault = FAULTS.get(status.fault)
         if fault is not None and fault.major:
             try:
-                async with asyncio.timeout(2.0):
+                async with asyncio.timeout(0.5):
                     await self._write(Command())
                     while self._status.fault or self._status.activated:
                         await asyncio.sleep(0.01)

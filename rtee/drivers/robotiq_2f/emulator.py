@@ -79,6 +79,7 @@ class Robotiq2FEmulator(ModbusEmulator):
         output: The registers that the host has written.
         activations: Activations completed since it was made.
         moves: Times a new target was taken.
+        begun: The command with which that happened last.
     """
 
     FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_FAULT_CODES)
@@ -102,6 +103,7 @@ class Robotiq2FEmulator(ModbusEmulator):
         self.output = [0] * _BLOCK
         self.activations = 0
         self.moves = 0
+        self.begun = Command()
         self._now: float | None = None
         self._heard: float | None = None
         self._silent = False
@@ -271,6 +273,7 @@ class Robotiq2FEmulator(ModbusEmulator):
         elif self.axis.target != command.position:
             self.axis.target = command.position
             self.moves += 1
+            self.begun = command
             self._started = True
 
     def _begin_release(self, command: Command) -> None:

@@ -101,7 +101,9 @@ def test_a_status_is_the_manuals_frame(frame: str, status: Status) -> None:
     assert rtu_frame(9, pdu) == bytes.fromhex(frame)
 
 
-@pytest.mark.parametrize(("word", "state"), [(0x1100, Activation.UNDER_WAY), (0x3100, Activation.DONE)])
+@pytest.mark.parametrize(
+    ("word", "state"), [(0x1100, Activation.UNDER_WAY), (0x3100, Activation.DONE)]
+)
 def test_the_activation_is_read_from_the_first_register(word: int, state: Activation) -> None:
     assert Status.from_registers([word, 0, 0]).activation is state
 

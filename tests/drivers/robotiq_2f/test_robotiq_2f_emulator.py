@@ -205,9 +205,7 @@ def test_a_power_cycle_costs_the_activation_but_not_the_position() -> None:
 
 
 @pytest.mark.parametrize(("socket", "model"), [(False, "2f_85"), (True, "2f_140")])
-def test_a_program_of_others_drives_it(
-    socket: bool, model: Literal["2f_85", "2f_140"]
-) -> None:
+def test_a_program_of_others_drives_it(socket: bool, model: Literal["2f_85", "2f_140"]) -> None:
     rq = pytest.importorskip("pyrobotiqgripper")
     gripper = Robotiq2FEmulator(Robotiq2FProperties(model=model, activation_time=0.4))
     with SimulatedLine([gripper], tcp=socket) as line:

@@ -1,0 +1,108 @@
+"""What the contract suite must know of a device."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rtee.buses.emulator import Emulator
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind
+
+CYCLES = "RTEE_CONTRACT_CYCLES"
+"""Environment variable: cycles for which every fault of the wire lasts."""
+
+
+def actuator(
+    name: str,
+    lower: float,
+    upper: float,
+    *,
+    kind: JointKind = JointKind.REVOLUTE,
+    velocity: float = 2.0,
+    effort: float = 10.0,
+    rest: float | None = None,
+) -> ActuatorSpec:
+    """Return an actuator for a test, with limits that need no thought."""
+    return ActuatorSpec(
+        name,
+        kind,
+        lower,
+        upper,
+        velocity,
+        20.0,
+        400.0,
+        effort,
+        lower if rest is None else rest,
+    )
+
+
+@dataclass(frozen=True)
+class DeviceCase:
+    """A device as the contract suite tries it: against its emulator, on a real transport.
+
+    What is left ``None`` skips the tests that need it, and the skip says so.
+
+    Attributes:
+        driver: Registry name, entry point or ``module:Class`` of the driver.
+        actuators: The actuators it drives.
+        options: The driver's options; they should allow homing on connect, quickly.
+        emulator: Name of its emulator where it differs from the driver's.
+        rate: Rate of the imagined loop [Hz].
+        postures: Two postures to move between [rad | m]; by default a quarter and three quarters
+            of the way.
+        tolerance: Error at which a posture counts as reached [rad | m].
+        within: Longest time to reach a posture [s].
+        hold: Makes the emulated device active and holding something, as found at start-up.
+        commands: Counts the motion commands that the emulator has heard.
+        efforts: Effort limits in force when the last motion began, in SI units.
+        max_efforts: Effort limits to try that with, within the device's range.
+        fault: A fault of the emulator that the driver must report as `DeviceFault`.
+        homes: A power cycle costs the device what only homing brings back.
+        checksums: Frames carry checksums, so corrupted ones are noticed.
+        cycles: Cycles for which every fault of the wire lasts.
+        share: Part of the cycles that must succeed at 5 % faults.
+    """
+
+    driver: str
+    actuators: tuple[ActuatorSpec, ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    emulator: str | None = None
+    rate: float = 100.0
+    postures: tuple[Sequence[float], Sequence[float]] | None = None
+    tolerance: float = 0.02
+    within: float = 5.0
+    hold: Callable[[Any], None] | None = None
+    commands: Callable[[Any], int] | None = None
+    efforts: Callable[[Any], Sequence[float]] | None = None
+    max_efforts: Sequence[float] | None = None
+    fault: str | None = None
+    homes: bool = True
+    checksums: bool = True
+    cycles: int = field(default_factory=lambda: int(os.environ.get(CYCLES, "10000")))
+    share: float = 0.5
+
+    def spec(self, name: str = "device") -> DeviceSpec:
+        """Return the device's specification, emulated."""
+        return DeviceSpec(
+            name=name,
+            hand="contract",
+            driver=self.driver,
+            actuators=self.actuators,
+            options=self.options,
+            rate=self.rate,
+            emulated=True,
+            source="contract",
+        )
+
+    def between(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return the two postures."""
+        if self.postures is not None:
+            return tuple(self.postures[0]), tuple(self.postures[1])
+        near = tuple(a.lower + 0.25 * (a.upper - a.lower) for a in self.actuators)
+        far = tuple(a.lower + 0.75 * (a.upper - a.lower) for a in self.actuators)
+        return near, far
+
+
+Prepare = Callable[[Emulator], None]

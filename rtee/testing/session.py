@@ -1,0 +1,111 @@
+"""One emulated device, its driver and its wire, for the length of a test."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any, Self
+
+from rtee.buses.emulator import Emulator
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import SimulatedCan, SimulatedLine
+from rtee.drivers.base import Driver
+from rtee.drivers.emulators import owner_of
+from rtee.drivers.registry import find_driver
+from rtee.errors import BusTimeout, FrameError
+from rtee.testing.case import DeviceCase
+from rtee.types import ActuatorState, Reference
+
+
+def open_files() -> int:
+    """Return how many file descriptors this process has open."""
+    return len(os.listdir("/proc/self/fd"))
+
+
+class Session:
+    """A driver on a pool of its own; an asynchronous context manager that closes both.
+
+    Attributes:
+        case: The device.
+        pool: The buses.
+        driver: The driver, not yet connected.
+    """
+
+    def __init__(
+        self, case: DeviceCase, *, pool: BusPool | None = None, name: str = "device"
+    ) -> None:
+        self.case = case
+        self.spec = case.spec(name)
+        self._own = pool is None
+        self.pool = pool or BusPool(wire_time=False)
+        self.driver: Driver = find_driver(case.driver)(self.spec, self.pool)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        await self.driver.close()
+        if self._own:
+            await self.pool.aclose()
+
+    @property
+    def emulator(self) -> Any:
+        """The emulator that is played."""
+        return self.pool.played(owner_of(self.spec))
+
+    @property
+    def wire(self) -> SimulatedLine | SimulatedCan:
+        """The simulated wire."""
+        return self.pool.simulation(owner_of(self.spec))
+
+    async def before(self, prepare: Callable[[Emulator], None]) -> None:
+        """Change the emulated device before the driver sees it for the first time."""
+        await self.driver.configure()
+        await self.driver.close()
+        self.wire.call(lambda: prepare(self.emulator))
+
+    async def start(self) -> ActuatorState:
+        """Connect and activate; return the first state."""
+        await self.driver.configure()
+        await self.driver.activate()
+        return await self.driver.sense()
+
+    async def cycle(self, reference: Reference) -> ActuatorState | None:
+        """Sense and move as the loop does; ``None`` where the wire lost something."""
+        try:
+            state = await self.driver.sense()
+            await self.driver.move(reference)
+        except (BusTimeout, FrameError):
+            return None
+        return state
+
+    async def reach(self, goal: Sequence[float], **limits: Any) -> ActuatorState:
+        """Move to a posture and return the state when it is reached, or when the time is up."""
+        reference = Reference.at(list(goal), **limits)
+        end = time.monotonic() + self.case.within
+        while True:
+            state = await self.cycle(reference)
+            if state is not None and (self.near(state, goal) or time.monotonic() > end):
+                return state
+            await asyncio.sleep(0.002)
+
+    def near(self, state: ActuatorState, goal: Sequence[float]) -> bool:
+        """Return whether a state is at a posture."""
+        pairs = zip(state.position, goal, strict=True)
+        return all(abs(float(q) - g) <= self.case.tolerance for q, g in pairs)
+
+
+def run(test: Callable[[], Awaitable[None]], within: float = 55.0) -> None:
+    """Run an asynchronous test in an event loop of its own, and see that it leaves no task."""
+
+    async def limited() -> None:
+        async with asyncio.timeout(within):
+            await test()
+        await asyncio.sleep(0)
+        left = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+        if left:
+            raise AssertionError(f"tasks left behind: {left}")
+
+    asyncio.run(limited())
