@@ -1,0 +1,1 @@
+"""Plays the states of a recording, as if the recorded hand were there again."""

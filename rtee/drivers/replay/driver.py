@@ -1,0 +1,152 @@
+"""The replay driver: what it measures is what a recording tells; references change nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import anyio.to_thread
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from rtee.drivers.base import Driver
+from rtee.drivers.options import read_options
+from rtee.drivers.replay.states import Block, RecordedStates
+from rtee.errors import NotConnected
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+
+if TYPE_CHECKING:
+    from rtee.buses.pool import BusPool
+
+_WORDS: dict[int, bool | None] = {-1: None, 0: False, 1: True}
+
+
+class ReplayOptions(BaseModel):
+    """Which recording is played, and how."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    file: Path = Field(description="The recording, an MCAP file.")
+    speed: float = Field(1.0, gt=0, le=1000, description="How fast time passes in it.")
+    repeat: bool = Field(False, description="Begin again at its end; else it stays at the end.")
+
+
+class ReplayDriver(Driver):
+    """Plays the states of a recording, from the moment it is activated.
+
+    Attributes:
+        now: The clock that it follows [s].
+        ended: Whether the recording has been played to its end.
+    """
+
+    Options = ReplayOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.now: Callable[[], float] = time.monotonic
+        self.ended = False
+        self._options = read_options(ReplayOptions, spec)
+        self._states: RecordedStates | None = None
+        self._blocks: Iterator[Block] = iter(())
+        self._block: Block | None = None
+        self._next: Block | None = None
+        self._first = 0.0
+        self._following: asyncio.Future[Block | None] | None = None
+        self._row = 0
+        self._shown = -1
+        self._begin: float | None = None
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "velocity", "effort", "current", "temperature"}),
+            identity={"model": "replay", "file": self._options.file.name},
+        )
+
+    async def configure(self) -> None:
+        """See `Driver.configure`."""
+        names = tuple(actuator.name for actuator in self.spec.actuators)
+        self._states = await anyio.to_thread.run_sync(
+            RecordedStates, self._options.file, self.spec.hand, names
+        )
+        await self._rewind()
+        self._begin = None
+        self.ended = False
+
+    async def activate(self) -> None:
+        """See `Driver.activate`."""
+        self._begin = self.now()
+
+    async def sense(self) -> ActuatorState:
+        """See `Driver.sense`."""
+        if self._block is None:
+            raise NotConnected(self.spec.name, "is not open")
+        passed = 0.0 if self._begin is None else self.now() - self._begin
+        await self._advance(passed * self._options.speed)
+        block, row = self._block, self._row
+        fresh, self._shown = row != self._shown, row
+        position, velocity, effort, current, temperature = block.values[row]
+        words = block.grasped[row].tolist()
+        return ActuatorState(
+            position=position,
+            velocity=velocity,
+            effort=effort,
+            current=current,
+            temperature=temperature,
+            stamp=self.now(),
+            fresh=fresh,
+            grasped=None if max(words) < 0 else tuple(_WORDS[word] for word in words),
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """See `Driver.move`: what was recorded cannot be moved any more."""
+
+    async def close(self) -> None:
+        """See `Driver.close`."""
+        following, self._following = self._following, None
+        if following is not None:
+            following.cancel()
+            # The thread may still be reading; the file is closed when it is done.
+            await asyncio.wait([following])
+        states, self._states = self._states, None
+        self._block = self._next = None
+        if states is not None:
+            await anyio.to_thread.run_sync(states.close)
+
+    async def _rewind(self) -> None:
+        if self._states is None:
+            raise NotConnected(self.spec.name, "is not open")
+        self._blocks = self._states.blocks()
+        self._block = await anyio.to_thread.run_sync(next, self._blocks, None)
+        self._next = None
+        self._row, self._shown = 0, -1
+        self._first = 0.0 if self._block is None else float(self._block.stamp[0])
+        self._fetch()
+
+    def _fetch(self) -> None:
+        """Have the block after this one read."""
+        self._following = asyncio.ensure_future(anyio.to_thread.run_sync(next, self._blocks, None))
+
+    async def _advance(self, played: float) -> None:
+        """Go to the last state that is not later than a time since the first one [s]."""
+        wanted = self._first + played
+        while self._block is not None:
+            stamps = self._block.stamp
+            self._row = max(0, int(np.searchsorted(stamps, wanted, side="right")) - 1)
+            if self._row < len(stamps) - 1 or self.ended:
+                return
+            if self._next is None and self._following is not None:
+                self._next = await asyncio.shield(self._following)
+                self._following = None
+            if self._next is not None:
+                if wanted < self._next.stamp[0]:
+                    return
+                self._block, self._next = self._next, None
+                self._shown = -1
+                self._fetch()
+            elif self._options.repeat:
+                await self._rewind()
+                self._begin = self.now()
+                return
+            else:
+                self.ended = True

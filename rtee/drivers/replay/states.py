@@ -1,0 +1,117 @@
+"""The recorded states of a hand, read block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from rtee.errors import LogError, MessageError
+from rtee.messages.schema import message_type
+from rtee.messages.topics import ACTUATOR_STATES, TYPES, log_topic
+from rtee.types import FloatArray
+
+_CHANNELS = ("position", "velocity", "effort", "current", "temperature")
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Some states that follow each other.
+
+    Attributes:
+        stamp: When they were measured ``(k,)`` [s].
+        values: Position, velocity, effort, current and temperature ``(k, 5, n)``.
+        grasped: The device's own word ``(k, n)``: 1 holding, 0 not, -1 none.
+    """
+
+    stamp: FloatArray
+    values: FloatArray
+    grasped: np.ndarray[Any, np.dtype[np.int8]]
+
+
+class RecordedStates:
+    """Reads the states of some actuators from a recording; all methods may block.
+
+    Args:
+        path: The recording.
+        hand: The hand; a recording of one other hand will do, if it has the actuators.
+        actuators: The actuators, in the order wanted.
+
+    Raises:
+        LogError: if the file cannot be read, or has no states of these actuators.
+    """
+
+    def __init__(self, path: Path, hand: str, actuators: tuple[str, ...]) -> None:
+        self.path = path
+        self._decode = message_type(TYPES[ACTUATOR_STATES]).decode
+        try:
+            self._file = path.open("rb")
+        except OSError as error:
+            raise LogError(f"cannot be opened: {error.strerror}", path=path) from error
+        try:
+            self._reader = make_reader(self._file)
+            self._topic = self._choose(hand)
+            self._columns = self._find(actuators)
+        except (McapError, MessageError, ValueError) as error:
+            self._file.close()
+            raise LogError(f"is no recording: {error}", path=path) from error
+        except LogError:
+            self._file.close()
+            raise
+
+    def _choose(self, hand: str) -> str:
+        summary = self._reader.get_summary()
+        if summary is None:
+            raise LogError("was not closed; `rtee log recover` makes it whole", path=self.path)
+        topics = sorted(
+            channel.topic
+            for channel in summary.channels.values()
+            if channel.topic.endswith(f"/{ACTUATOR_STATES}")
+        )
+        wanted = log_topic(hand, ACTUATOR_STATES)
+        if wanted in topics:
+            return wanted
+        if len(topics) != 1:
+            raise LogError(f"holds no states of the hand '{hand}'", path=self.path)
+        return topics[0]
+
+    def _find(self, actuators: tuple[str, ...]) -> list[int]:
+        first = next(self._messages(), None)
+        if first is None:
+            raise LogError(f"holds no states in {self._topic}", path=self.path)
+        names = list(first["name"])
+        missing = [name for name in actuators if name not in names]
+        if missing:
+            raise LogError(f"has no states of the actuator '{missing[0]}'", path=self.path)
+        return [names.index(name) for name in actuators]
+
+    def _messages(self) -> Iterator[dict[str, Any]]:
+        for _, _, message in self._reader.iter_messages(topics=[self._topic]):
+            yield self._decode(message.data)
+
+    def blocks(self, size: int = 500) -> Iterator[Block]:
+        """Read the states from the beginning, in blocks of at most this many."""
+        messages = self._messages()
+        while rows := list(islice(messages, size)):
+            yield Block(
+                stamp=np.array([row["time"] for row in rows]),
+                values=np.array(
+                    [
+                        [np.asarray(row[channel])[self._columns] for channel in _CHANNELS]
+                        for row in rows
+                    ]
+                ),
+                grasped=np.array(
+                    [np.asarray(row["grasped"])[self._columns] for row in rows], dtype=np.int8
+                ),
+            )
+
+    def close(self) -> None:
+        """Close the file; idempotent."""
+        self._file.close()
