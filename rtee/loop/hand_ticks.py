@@ -243,7 +243,7 @@ class HandTicks:
         self.controller.apply(command)
 
     def _take_at_once(self, command: Command) -> None:
-        self._begin(command, -1 if self._record is None else self._record.tick, command.stamp)
+        self._begin(command, 0 if self._record is None else self._record.tick + 1, command.stamp)
         self._deliver()
 
     def _deliver(self) -> None:
