@@ -77,6 +77,7 @@ class Recorder:
         self._writer.dropped = lambda: self._dropped
         self._queue: queue.SimpleQueue[Work] = queue.SimpleQueue()
         self._limit = max(_LEAST_QUEUE, int(settings.queue_time * rate))
+        self._stamp: float | None = None
         self._dropped = 0
         self._failed = 0
         self._failure = ""
@@ -142,10 +143,15 @@ class Recorder:
 
     def on_tick(self, record: TickRecord) -> None:
         """Record a tick, or drop it when the writer is too far behind."""
+        self._stamp = record.stamp
         if self._queue.qsize() >= self._limit:
             self._dropped += 1
         else:
             self._queue.put(record)
+
+    def _now(self) -> float:
+        """Return the time of the last tick, CLOCK_MONOTONIC [s]."""
+        return time.monotonic() if self._stamp is None else self._stamp
 
     def _put(self, item: Item, stamp: float) -> None:
         # What is not a tick is rare and worth more: it may wait beyond the bound, to twice of it.
@@ -172,7 +178,7 @@ class Recorder:
 
     def on_result(self, result: Result) -> None:
         """Record how a goal ended."""
-        self._put(result, time.monotonic())
+        self._put(result, self._now())
 
     def on_event(self, event: Event) -> None:
         """Record an event; a fault makes the flight recorder write."""
@@ -180,7 +186,7 @@ class Recorder:
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
         """Record how devices and clock are doing."""
-        now = time.monotonic()
+        now = self._now()
         for status in statuses:
             self._put(status, now)
         self._put(statistics, now)
@@ -197,7 +203,8 @@ class Recorder:
 
     def mark(self, text: str) -> None:
         """Put a mark with a text into the recording."""
-        self._put(Event("mark", "user", text, time.monotonic()), time.monotonic())
+        now = self._now()
+        self._put(Event("mark", "user", text, now), now)
 
     def fault(self, cause: str) -> None:
         """Have the flight recorder write what it holds; returns at once."""

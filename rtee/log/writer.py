@@ -94,7 +94,8 @@ class LogWriter:
         )
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
         self._due: float | None = None
-        self._anchor: int | None = None
+        self._compared = False
+        self._anchor = 0
         self._sequence = 0
         self._channels_type = message_type("rtee_msgs/msg/Channels")
         self._extras: dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
@@ -121,18 +122,23 @@ class LogWriter:
     def wall_of(self, stamp: float) -> int:
         """Return the time since 1970 [ns] of a CLOCK_MONOTONIC time [s].
 
-        Both clocks are compared once per file: a step of the wall clock disturbs no recording.
+        Both clocks are compared once per file: a step of the wall clock disturbs no file.
         """
-        if self._anchor is None:
-            self._anchor = self._wall() - round(self._monotonic() * _SECOND)
+        if not self._compared:
+            self._compare(self._wall() - round(self._monotonic() * _SECOND))
         return self._anchor + round(stamp * _SECOND)
+
+    def _compare(self, difference: int) -> None:
+        """Take the difference of the clocks [ns]; recorded time never goes back."""
+        self._compared = True
+        self._anchor = max(self._anchor, difference)
 
     def tick(self, record: TickRecord) -> None:
         """Take what was known at a tick."""
         if self.idle or record.tick % self._settings.decimation:
             return
-        if self._anchor is None:
-            self._anchor = record.wall_ns - round(record.stamp * _SECOND)
+        if not self._compared:
+            self._compare(record.wall_ns - round(record.stamp * _SECOND))
         wall = self.wall_of(record.stamp)
         self._builder.add_block(wall, self._encoder.encode(record, wall))
         if record.extras:
@@ -201,7 +207,7 @@ class LogWriter:
         if self.sink.wanted:
             return
         self.flush()
-        self._anchor = None
+        self._compared = False
         try:
             self.sink.start(self._wall())
         except OSError:
@@ -257,7 +263,7 @@ class LogWriter:
             self._lost_told = self.sink.lost_ticks
             self._tell("log_resumed", f"recording goes on after {lost} ticks were lost: {before}")
         if self.sink.path != path:
-            self._anchor = None
+            self._compared = False
 
     def _tell(self, kind: str, text: str) -> None:
         event = Event(kind, "recorder", text, self._monotonic(), "warning")

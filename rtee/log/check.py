@@ -1,0 +1,232 @@
+"""Computing the references of a recording anew and comparing them bit for bit."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.errors import LogError
+from rtee.hand.load import load_model
+from rtee.hand.model import Hand
+from rtee.log.contents import REPLAY, Replayable
+from rtee.log.plain import from_json
+from rtee.log.recording import Entry, Recording
+from rtee.loop.contact import Measured
+from rtee.loop.controller import Controller
+from rtee.loop.plan import Plan
+from rtee.types import Command, FloatArray, Result, readonly
+
+_QUANTITIES = ("position", "velocity", "effort")
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Where a computed reference differs from the recorded one.
+
+    Attributes:
+        tick: The first tick at which it does.
+        t: Its time since the recording's start [s].
+        actuator: The actuator.
+        quantity: ``position``, ``velocity`` or ``effort``.
+        recorded: What was sent.
+        computed: What comes out now.
+    """
+
+    tick: int
+    t: float
+    actuator: str
+    quantity: str
+    recorded: float
+    computed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What comparing the references gave.
+
+    Attributes:
+        ticks: Ticks compared.
+        goals: Goals executed again.
+        values: Numbers compared.
+        different: Numbers that differ in at least one bit.
+        largest: Largest difference of a position [rad | m].
+        first: Where the first difference is.
+        results: Whether the goals ended as recorded.
+        missing: Ticks missing in the recording.
+    """
+
+    ticks: int
+    goals: int
+    values: int
+    different: int
+    largest: float
+    first: Difference | None
+    results: bool
+    missing: int
+
+    @property
+    def same(self) -> bool:
+        """Whether everything is as recorded, bit for bit."""
+        return not self.different and self.results
+
+
+def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
+    """Return the hand of a recording with the actuators' limits as they were used.
+
+    Raises:
+        LogError: if its model is missing.
+    """
+    with tempfile.TemporaryDirectory(prefix="rtee-replay-") as folder:
+        urdf = Path(folder, "hand.urdf")
+        text = recording.urdf or _attached(recording, ".urdf")
+        if not text:
+            raise LogError("holds no URDF", path=recording.paths[0])
+        urdf.write_text(text)
+        srdf: Path | None = None
+        attached = _attached(recording, ".srdf")
+        if attached:
+            srdf = Path(folder, "hand.srdf")
+            srdf.write_text(attached)
+        hand = load_model(urdf, srdf, name=recording.hand)
+    specs = actuators.actuators
+    return replace(hand, actuators=specs, rest=readonly([spec.rest for spec in specs]))
+
+
+def _attached(recording: Recording, suffix: str) -> str:
+    for name, data in recording.attachments.items():
+        if name.endswith(suffix):
+            return data.decode("utf-8", "replace")
+    return ""
+
+
+def check(recording: Recording) -> Check:
+    """Run the goals and commands of a recording through the same code again.
+
+    Args:
+        recording: A recording from the loop's start on, with every tick.
+
+    Raises:
+        LogError: if something is missing without which nothing can be computed.
+    """
+    replayable = _replayable(recording)
+    controller = Controller(recorded_hand(recording, replayable), replayable.settings)
+    states, reference = recording.actuator_states, recording.reference
+    names = tuple(spec.name for spec in replayable.actuators)
+    if states.names != names or reference.names != names:
+        raise LogError("has other actuators than its settings", path=recording.paths[0])
+    computed = {name: np.empty((len(states), len(names))) for name in _QUANTITIES}
+    results: list[Result] = []
+    due = _steering(recording)
+    for row, measured in enumerate(_measured(recording)):
+        stamp = float(states.time[row])
+        for what in due(int(states.tick[row]), stamp):
+            if isinstance(what, Plan):
+                controller.take(what, stamp)
+            else:
+                controller.apply(what)
+        controller.step(stamp, measured)
+        computed["position"][row] = controller.reference_position
+        computed["velocity"][row] = controller.reference_velocity
+        computed["effort"][row] = controller.reference_effort
+        results += [item for item in controller.outbox.items if isinstance(item, Result)]
+        controller.outbox.items.clear()
+    return _compared(recording, computed, results)
+
+
+def _replayable(recording: Recording) -> Replayable:
+    path = recording.paths[0]
+    attached = recording.attachments.get(REPLAY)
+    if attached is None:
+        raise LogError("holds no settings of the loop: it cannot be computed anew", path=path)
+    states = recording.actuator_states
+    if recording.metadata.get("decimation", "1") != "1":
+        raise LogError("holds not every tick: it cannot be computed anew", path=path)
+    if not len(states) or len(states) != len(recording.reference):
+        raise LogError("holds no states and references of the same ticks", path=path)
+    if states.tick[0] != 0:
+        raise LogError(
+            f"begins at tick {states.tick[0]} of the loop; only what was recorded from the loop's "
+            "start can be computed anew (with rotated files: give --series)",
+            path=path,
+        )
+    return from_json(attached, Replayable)
+
+
+def _measured(recording: Recording) -> Iterator[Measured]:
+    """Yield what the controller was given at every tick.
+
+    It is one object, as it is live: what steers the controller before its step finds the
+    measurements of the same tick in it.
+    """
+    states = recording.actuator_states
+    measured = Measured((), (), (), (), ())
+    for row in range(len(states)):
+        measured.position = states.position[row].tolist()
+        measured.effort = states.effort[row].tolist()
+        measured.temperature = states.temperature[row].tolist()
+        measured.fresh = states.fresh[row].tolist()
+        measured.grasped = states.grasped[row].tolist()
+        yield measured
+
+
+def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | Command]]:
+    """Return what gives the plans and commands that are due at a tick, in their order."""
+    entries: list[Entry[Plan] | Entry[Command]] = [*recording.plans, *recording.commands]
+    waiting = deque(sorted(entries, key=lambda entry: (entry.stamp, entry.sequence)))
+
+    def due(tick: int, stamp: float) -> Iterator[Plan | Command]:
+        while waiting and waiting[0].stamp <= stamp:
+            what = waiting[0].value
+            if isinstance(what, Command) and what.tick > tick:
+                break
+            yield what
+            waiting.popleft()
+
+    return due
+
+
+def _compared(
+    recording: Recording, computed: dict[str, FloatArray], results: list[Result]
+) -> Check:
+    states, reference = recording.actuator_states, recording.reference
+    unequal = {name: _unequal(getattr(reference, name), computed[name]) for name in _QUANTITIES}
+    rows = np.flatnonzero(np.any([each.any(axis=1) for each in unequal.values()], axis=0))
+    first: Difference | None = None
+    if rows.size:
+        row = int(rows[0])
+        name = next(name for name in _QUANTITIES if unequal[name][row].any())
+        column = int(np.flatnonzero(unequal[name][row])[0])
+        first = Difference(
+            tick=int(states.tick[row]),
+            t=float(states.t[row]),
+            actuator=states.names[column],
+            quantity=name,
+            recorded=float(getattr(reference, name)[row, column]),
+            computed=float(computed[name][row, column]),
+        )
+    largest = np.nanmax(np.abs(reference.position - computed["position"]), initial=0.0)
+    recorded = [entry.value for entry in recording.results]
+    return Check(
+        ticks=len(states),
+        goals=len(recording.plans),
+        values=sum(each.size for each in unequal.values()),
+        different=sum(int(each.sum()) for each in unequal.values()),
+        largest=float(largest),
+        first=first,
+        results=results == recorded[: len(results)] and len(recorded) - len(results) <= 1,
+        missing=int(states.tick[-1] - states.tick[0]) + 1 - len(states),
+    )
+
+
+def _unequal(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
+    """Return where two arrays differ in a bit; a ``NaN`` equals itself."""
+    different: NDArray[np.bool_] = np.ascontiguousarray(first).view(np.uint64) != second.view(
+        np.uint64
+    )
+    return different

@@ -1,0 +1,156 @@
+"""A recording of a real loop gives the same references again, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from loop.hands import Rig, Watcher, device, make_hand, make_library
+
+from log.samples import RATE, recorded, settings
+from rtee.buses.pool import BusPool
+from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.errors import LogError
+from rtee.hand.model import Hand
+from rtee.log import Recorder, Recording, read
+from rtee.log.check import check
+from rtee.loop.clock import ManualClock
+from rtee.loop.handloop import HandLoop
+from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
+from rtee.types import Goal
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    return make_hand(tmp_path_factory.mktemp("small"))
+
+
+@asynccontextmanager
+async def recording(
+    hand: Hand,
+    folder: Path,
+    loop_settings: LoopSettings,
+    recorder: Recorder | None = None,
+    **options: object,
+) -> AsyncIterator[Rig]:
+    """Run and record a hand on the kinematic driver."""
+    clock = ManualClock(loop_settings.rate)
+    one = device(hand, rate=loop_settings.rate, **options)  # type: ignore[arg-type]
+    driver = KinematicDriver(one.spec, BusPool())
+    driver.now = clock.now
+    loop = HandLoop(hand, make_library(hand), loop_settings, [(one, driver)], now=clock.now)
+    recorder = recorder or Recorder(
+        hand, settings(folder), rate=loop_settings.rate, loop=loop_settings
+    )
+    watcher = Watcher()
+    loop.add_observer(recorder)
+    loop.add_observer(watcher)
+    async with recorder, loop:
+        await loop.ready()
+        rig = Rig(loop, clock, watcher)
+        await rig.run(5 / loop_settings.rate)
+        yield rig
+
+
+async def story(rig: Rig) -> None:
+    """Goals that replace one another, a timed one, a cancelled one, jogging, a stop."""
+    await rig.do("Trig", "index")
+    rig.loop.submit(Goal("PinchTight", ("index", "thumb"), intensity=0.7, speed=0.6))
+    await rig.run(0.2)
+    rig.loop.submit(Goal("fist", effort={"thumb_base": 1.0}))
+    await rig.run(0.15)
+    rig.loop.cancel("")
+    await rig.run(0.3)
+    rig.loop.jog({"index_tip": 0.3, "thumb_slide": 0.01}, 0.4)
+    await rig.run(0.2)
+    rig.watcher.results.clear()
+    await rig.do("drill")
+    rig.loop.submit(Goal("open"))
+    await rig.run(0.1)
+    await rig.loop.stop()
+    await rig.run(0.1)
+
+
+@pytest.mark.parametrize("profile", list(ProfileKind))
+@pytest.mark.parametrize("rate", [100.0, 1000.0])
+async def test_references_come_out_again(
+    small: Hand, tmp_path: Path, profile: ProfileKind, rate: float
+) -> None:
+    chosen = LoopSettings(rate=rate, profile=ProfileSettings(profile))
+    async with recording(small, tmp_path, chosen, objects={"index": 0.6}) as rig:
+        await story(rig)
+    found = read(recorded(tmp_path)[0])
+    assert len(found.goals) == len(found.plans) == 5
+    report = check(found)
+    assert report.first is None
+    assert report.same
+    assert report.different == report.missing == 0
+    assert report.goals == 5
+    assert report.ticks == len(found.reference) > rate
+    assert report.values == report.ticks * 4 * 3
+
+
+async def test_rotated_files_are_checked_as_one(small: Hand, tmp_path: Path) -> None:
+    chosen = LoopSettings(rate=1000.0)
+    recorder = Recorder(small, settings(tmp_path, max_file_size=60_000), rate=1000.0, loop=chosen)
+    async with recording(small, tmp_path, chosen, recorder) as rig:
+        await rig.do("Trig", "index")
+        await rig.do("drill")
+    paths = recorded(tmp_path)
+    assert len(paths) > 1
+    assert check(read(paths)).same
+    with pytest.raises(LogError, match="only what was recorded from the loop's start"):
+        check(read(paths[1]))
+
+
+@pytest.fixture(scope="module")
+async def moved(small: Hand, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    folder = tmp_path_factory.mktemp("moved")
+    async with recording(small, folder, LoopSettings(rate=RATE)) as rig:
+        await rig.do("Trig", "thumb")
+    return read(recorded(folder)[0])
+
+
+async def test_a_reference_that_is_off_by_one_bit_is_found(moved: Recording) -> None:
+    position = moved.reference.position.copy()
+    position[17, 2] = np.nextafter(position[17, 2], np.inf)
+    report = check(replace(moved, reference=replace(moved.reference, position=position)))
+    assert not report.same
+    assert report.different == 1
+    assert report.first is not None
+    assert (report.first.tick, report.first.actuator) == (17, "thumb_base")
+    assert report.first.quantity == "position"
+    assert report.first.recorded != report.first.computed
+    assert 0 < report.largest < 1e-15
+
+
+async def test_a_state_that_was_another_gives_other_references(moved: Recording) -> None:
+    states = moved.actuator_states
+    position = states.position.copy()
+    position[:5] += 0.1
+    report = check(replace(moved, actuator_states=replace(states, position=position)))
+    assert report.different > 0
+
+
+async def test_a_goal_that_ended_otherwise_is_found(moved: Recording) -> None:
+    entry = moved.results[0]
+    other = replace(entry, value=replace(entry.value, stalled=True))
+    assert not check(replace(moved, results=[other])).same
+
+
+async def test_what_cannot_be_computed_anew_is_said(moved: Recording) -> None:
+    with pytest.raises(LogError, match="no settings of the loop"):
+        check(replace(moved, attachments={}))
+    with pytest.raises(LogError, match="not every tick"):
+        check(replace(moved, metadata={"decimation": "10"}))
+    with pytest.raises(LogError, match="no states and references"):
+        check(replace(moved, reference=replace(moved.reference, t=moved.reference.t[:3])))
+    broken = {"replay.json": b'{"settings": 3}'}
+    with pytest.raises(LogError, match="Replayable cannot be read"):
+        check(replace(moved, attachments=broken))
