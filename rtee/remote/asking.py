@@ -1,0 +1,130 @@
+"""The requests that only want to know, or that change the actions; answered in a thread of Zenoh.
+
+That thread is the only one that changes the library; the loop's thread only looks up in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from rtee.errors import RteeError
+from rtee.messages.convert import device_status_fields, loop_statistics_fields
+from rtee.remote.actions import action_fields, group_fields, made_of
+from rtee.remote.asked import Asked
+from rtee.remote.planner import info_fields
+from rtee.types import Event
+
+if TYPE_CHECKING:
+    from rtee.remote.server import Server
+
+Fields = Mapping[str, Any]
+
+
+class Asking:
+    """Answers the requests of the group ``ask``."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._hand = server.hand
+        self._library = server.loop.library
+        self._answers: dict[str, Callable[[Fields], Fields]] = {
+            "status": self._status,
+            "info": self._info,
+            "robot_description": lambda _: {"data": self._hand.urdf.text},
+            "actions": self._actions,
+            "primitives": self._primitives,
+            "partners": self._partners,
+            "add": self._add,
+            "store": self._store,
+            "remove": self._remove,
+            "rename": self._rename,
+        }
+
+    def take(self, asked: Asked) -> None:
+        """Answer a question.
+
+        Raises:
+            RteeError: if it cannot be answered.
+        """
+        if asked.request.name == "state":
+            asked.answer_bytes(self._state())
+        else:
+            asked.answer(self._answers[asked.request.name](asked.fields))
+
+    # --- what is known
+
+    def _state(self) -> bytes:
+        record = self._server.latest
+        if record is None:
+            raise RteeError(f"{self._hand.name}: the loop has not ticked yet")
+        return self._server.streams.messages.state(record)
+
+    def _status(self, _: Fields) -> Fields:
+        statuses, statistics, holder, goal = self._server.in_loop(self._server.status)
+        recording = self._server.recording()
+        return {
+            "hand": self._hand.name,
+            "holder": holder,
+            "goal_id": goal.goal_id if goal else "",
+            "action": goal.action if goal else "",
+            "recording": bool(recording),
+            "recording_path": recording,
+            "statistics": loop_statistics_fields(statistics),
+            "devices": [device_status_fields(status) for status in statuses],
+        }
+
+    def _info(self, fields: Fields) -> Fields:
+        names, positions = fields["name"], fields["position"].tolist()
+        if len(names) != len(positions):
+            raise RteeError("a posture needs as many positions as names")
+        return info_fields(self._hand, dict(zip(names, positions, strict=True)))
+
+    # --- actions
+
+    def _actions(self, fields: Fields) -> Fields:
+        self._reload()
+        found = self._library.all(
+            fields["kind"] or None, fields["name"] or None, fields["elements"]
+        )
+        stored = self._library.is_stored
+        custom = {action.name: stored(action.name) for action in found}
+        return {"actions": [action_fields(a, custom[a.name]) for a in found]}
+
+    def _primitives(self, _: Fields) -> Fields:
+        self._reload()
+        return {"groups": [group_fields(group) for group in self._library.primitives()]}
+
+    def _partners(self, fields: Fields) -> Fields:
+        return {"names": self._library.partners(fields["name"], fields["what"])}
+
+    def _reload(self) -> None:
+        if self._library.folder is not None and self._library.reload():
+            self._changed("rtee", "the files of actions were read again")
+
+    def _add(self, fields: Fields) -> Fields:
+        self._reload()
+        action = made_of(self._library, fields["action"])
+        self._library.add(action, store=fields["store"], replace_same=fields["replace"])
+        return self._done(fields, f"the action '{action.name}' was added")
+
+    def _store(self, fields: Fields) -> Fields:
+        self._library.store(fields["name"])
+        return self._done(fields, f"the action '{fields['name']}' was stored")
+
+    def _remove(self, fields: Fields) -> Fields:
+        self._library.remove(fields["name"])
+        return self._done(fields, f"the action '{fields['name']}' was removed")
+
+    def _rename(self, fields: Fields) -> Fields:
+        self._library.rename(fields["name"], fields["what"])
+        return self._done(fields, f"the action '{fields['name']}' is now called '{fields['what']}'")
+
+    def _done(self, fields: Fields, text: str) -> Fields:
+        self._changed(fields["client"], text)
+        return {"accepted": True, "error": "", "reason": "", "text": text}
+
+    def _changed(self, client: str, text: str) -> None:
+        server = self._server
+        event = Event("actions_changed", client, text, server.now())
+        server.call_soon(server.loop.announce, event)

@@ -1,0 +1,160 @@
+"""Which hands run on this computer, and where: one file per hand in the user's runtime folder.
+
+A server holds a lock on the file of its hand for as long as it lives, so that a file left behind by
+a process that was killed is told apart from one in use.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import stat
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtee.errors import ConfigError
+from rtee.hand.files import reason
+from rtee.hand.names import check_name
+
+VARIABLE = "RTEE_RUNTIME_DIR"
+"""Environment variable that names another folder."""
+
+_ATTEMPTS = 20
+_PAUSE = 0.01
+_LONGEST = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A hand that runs.
+
+    Attributes:
+        hand: Its name.
+        pid: The process.
+        endpoints: Zenoh endpoints to connect to, those of this computer only.
+    """
+
+    hand: str
+    pid: int
+    endpoints: tuple[str, ...]
+
+
+def runtime_folder() -> Path:
+    """Return the folder of running hands: of this user alone, and gone after a restart.
+
+    ``RTEE_RUNTIME_DIR``, else ``rtee`` in ``XDG_RUNTIME_DIR``, else ``rtee-<uid>`` in the temporary
+    folder.
+    """
+    if given := os.environ.get(VARIABLE):
+        return Path(given)
+    if runtime := os.environ.get("XDG_RUNTIME_DIR"):
+        return Path(runtime) / "rtee"
+    return Path(tempfile.gettempdir()) / f"rtee-{os.getuid()}"
+
+
+def _own_folder() -> Path:
+    """Return the folder, made if need be.
+
+    Raises:
+        ConfigError: if it cannot be made, or belongs to somebody else.
+    """
+    folder = runtime_folder()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        raise ConfigError(f"cannot be made: {reason(error)}", path=folder) from None
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise ConfigError(
+            f"must be a folder that only you can write to; remove it or set {VARIABLE}", path=folder
+        )
+    return folder
+
+
+@contextlib.contextmanager
+def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
+    """Announce a hand for as long as the context lasts.
+
+    Args:
+        hand: Its name.
+        endpoints: Zenoh endpoints at which it can be reached from this computer.
+
+    Raises:
+        ConfigError: if the hand runs already, or the folder cannot be used.
+    """
+    path = _own_folder() / f"{check_name(hand, 'hand')}.json"
+    descriptor = _locked(path, hand)
+    try:
+        entry = json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)})
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, entry.encode(), 0)
+        yield path
+    finally:
+        with contextlib.suppress(OSError):
+            path.unlink()
+        os.close(descriptor)
+
+
+def _locked(path: Path, hand: str) -> int:
+    for _ in range(_ATTEMPTS):
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        except OSError as error:
+            raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
+        if _lock(descriptor, fcntl.LOCK_EX) and _same_file(descriptor, path):
+            return descriptor
+        os.close(descriptor)
+        time.sleep(_PAUSE)  # somebody may only be looking whether the hand runs
+    pid = _read(path).get("pid", "unknown")
+    raise ConfigError(f"the hand '{hand}' runs already, in process {pid}")
+
+
+def _lock(descriptor: int, kind: int) -> bool:
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _same_file(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except OSError:
+        return False
+
+
+def _read(path: Path) -> dict[str, object]:
+    try:
+        with path.open("rb") as file:
+            entry = json.loads(file.read(_LONGEST))
+    except (OSError, ValueError):
+        return {}
+    return entry if isinstance(entry, dict) else {}
+
+
+def _in_use(path: Path) -> bool:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        return not _lock(descriptor, fcntl.LOCK_SH)
+    finally:
+        os.close(descriptor)
+
+
+def running() -> dict[str, Running]:
+    """Return the hands that run on this computer for this user, by name."""
+    found: dict[str, Running] = {}
+    for path in sorted(runtime_folder().glob("*.json")):
+        entry = _read(path)
+        pid, endpoints = entry.get("pid"), entry.get("endpoints")
+        if isinstance(pid, int) and isinstance(endpoints, list) and _in_use(path):
+            found[path.stem] = Running(path.stem, pid, tuple(map(str, endpoints)))
+    return found

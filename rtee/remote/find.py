@@ -1,0 +1,93 @@
+"""Finding a running hand: on this computer by its announcement, elsewhere by its endpoint."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Collection
+
+import anyio
+import anyio.to_thread
+import zenoh
+
+from rtee.errors import ConfigError, NoHand, suggestion
+from rtee.hand.names import check_name
+from rtee.messages import network_key
+from rtee.messages.requests import ALIVE
+from rtee.remote.directory import Running, running
+from rtee.remote.session import open_client
+
+VARIABLE = "RTEE_CONNECT"
+"""Environment variable that names the endpoint of a hand on another computer."""
+
+_LOOK_EVERY = 0.02
+_ANSWER_WITHIN = 1.0
+
+
+def hands_running() -> dict[str, Running]:
+    """Return the hands that run on this computer, by name."""
+    return running()
+
+
+async def open_hand(
+    hand: str | None, endpoint: str | None, wait: float
+) -> tuple[zenoh.Session, str]:
+    """Find a hand and open a session with it.
+
+    Args:
+        hand: Its name; ``None`` where only one runs.
+        endpoint: Where it is; ``None``: as ``RTEE_CONNECT`` says, else on this computer.
+        wait: Time to wait for a hand that is not there yet [s].
+
+    Returns:
+        The session, and the hand's name.
+
+    Raises:
+        NoHand: if there is none.
+        ConfigError: if several run and none is named.
+    """
+    if hand is not None:
+        check_name(hand, "hand")
+    endpoint = endpoint or os.environ.get(VARIABLE) or None
+    until = time.monotonic() + wait
+    while True:
+        try:
+            return await (_there(hand, endpoint) if endpoint else _here(hand))
+        except NoHand:
+            if time.monotonic() >= until:
+                raise
+        await anyio.sleep(_LOOK_EVERY)
+
+
+async def _here(hand: str | None) -> tuple[zenoh.Session, str]:
+    found = running()
+    name = _chosen(hand, found, "on this computer")
+    session = await anyio.to_thread.run_sync(open_client, found[name].endpoints)
+    return session, name
+
+
+async def _there(hand: str | None, endpoint: str) -> tuple[zenoh.Session, str]:
+    session = await anyio.to_thread.run_sync(open_client, [endpoint])
+    try:
+        names = await anyio.to_thread.run_sync(_alive, session)
+        return session, _chosen(hand, names, f"at {endpoint}")
+    except BaseException:
+        session.close()  # type: ignore[no-untyped-call]
+        raise
+
+
+def _alive(session: zenoh.Session) -> list[str]:
+    tokens = session.liveliness().get(network_key("*", ALIVE), timeout=_ANSWER_WITHIN)
+    return [str(reply.ok.key_expr).split("/")[1] for reply in tokens if reply.ok is not None]
+
+
+def _chosen(hand: str | None, there: Collection[str], where: str) -> str:
+    if hand is not None:
+        if hand in there:
+            return hand
+        raise NoHand(f"the hand '{hand}' does not run {where}; {suggestion(hand, there)}")
+    if not there:
+        raise NoHand(f"no hand runs {where}; start one with 'rtee run HAND'")
+    if len(there) > 1:
+        raise ConfigError(f"several hands run {where}, name one: {', '.join(sorted(there))}")
+    return next(iter(there))

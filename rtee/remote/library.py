@@ -1,0 +1,117 @@
+"""The actions of a running hand, as a client sees and changes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rtee.actions.build import StepPlan
+from rtee.actions.types import (
+    Action,
+    ActionReference,
+    Composed,
+    Generic,
+    Posture,
+    PrimitiveGroup,
+    Step,
+    Timed,
+)
+from rtee.remote.actions import action_fields, action_of, group_of
+from rtee.remote.views import View
+
+_NOWHERE = Posture({}, ())
+
+
+class Library(View):
+    """A running hand with its actions."""
+
+    async def actions(
+        self, kind: str = "", name: str = "", elements: Sequence[str] = ()
+    ) -> list[Action]:
+        """Return the actions that pass a filter; see `ActionLibrary.all`."""
+        fields = {"kind": kind, "name": name, "elements": tuple(elements)}
+        reply = await self._link.ask("actions", fields)
+        return [action_of(entry) for entry in reply["actions"]]
+
+    async def primitives(self) -> list[PrimitiveGroup]:
+        """Return the primitives as a user interface shows them, one group per name."""
+        return [group_of(entry) for entry in (await self._link.ask("primitives"))["groups"]]
+
+    async def partners(self, name: str, element: str) -> tuple[str, ...]:
+        """Return the elements that a primitive can be done with together with a given one."""
+        reply = await self._link.ask("partners", self._action(name, element))
+        return tuple(reply["names"])
+
+    async def add_generic(
+        self,
+        name: str,
+        set_points: Mapping[str, float],
+        *,
+        description: str = "",
+        store: bool = False,
+        replace: bool = False,
+    ) -> None:
+        """Add a generic action, at once for everybody.
+
+        Args:
+            name: Its name.
+            set_points: Position of the involved actuators [rad | m].
+            description: One sentence for people.
+            store: Also write it to the hand's folder.
+            replace: Replace an action of the same name.
+
+        Raises:
+            RequestRejected: if the hand refuses it, with the reason.
+        """
+        posture = Posture(set_points, tuple(set_points))
+        await self._add(Generic(name, posture, description), store, replace)
+
+    async def add_composed(
+        self,
+        name: str,
+        parts: Sequence[ActionReference],
+        *,
+        independent: bool = False,
+        description: str = "",
+        store: bool = False,
+        replace: bool = False,
+    ) -> None:
+        """Add a composed action, at once for everybody; see `ActionLibrary.compose`."""
+        action = Composed(name, tuple(parts), _NOWHERE, independent, description)
+        await self._add(action, store, replace)
+
+    async def add_timed(
+        self,
+        name: str,
+        steps: Sequence[StepPlan],
+        *,
+        description: str = "",
+        store: bool = False,
+        replace: bool = False,
+    ) -> None:
+        """Add a timed action, at once for everybody; see `ActionLibrary.sequence`."""
+        made = (Step(s.use, s.alias, s.before, s.after, _NOWHERE) for s in steps)
+        await self._add(Timed(name, tuple(made), description), store, replace)
+
+    async def _add(self, action: Action, store: bool, replace: bool) -> None:
+        fields = {
+            "client": self.client,
+            "action": action_fields(action),
+            "store": store,
+            "replace": replace,
+        }
+        await self._link.ask("add", fields)
+
+    async def store_action(self, name: str) -> None:
+        """Write an action that is only in memory to the hand's folder."""
+        await self._link.ask("store", self._action(name))
+
+    async def remove_action(self, name: str) -> None:
+        """Remove an action, and its file."""
+        await self._link.ask("remove", self._action(name))
+
+    async def rename_action(self, name: str, new_name: str) -> None:
+        """Give an action another name, everywhere it is used."""
+        await self._link.ask("rename", self._action(name, new_name))
+
+    def _action(self, name: str, what: str = "") -> dict[str, str]:
+        return {"client": self.client, "name": name, "what": what}

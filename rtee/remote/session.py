@@ -1,0 +1,97 @@
+"""Zenoh sessions as rtee opens them: loopback, no scouting, dead peers noticed within a second."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Sequence
+from typing import Any
+
+import zenoh
+
+from rtee.errors import ConfigError, NoHand
+
+LEASE = 1000
+"""After this long without a sign of life a peer counts as dead [ms]; four signs are sent in it."""
+
+LOOPBACK = "127.0.0.1"
+_ATTEMPTS = 5
+
+_COMMON: dict[str, Any] = {
+    "mode": "peer",
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/link/tx/lease": LEASE,
+    "transport/link/tx/keep_alive": 4,
+    # A congested client must not hold up the loop: what cannot be sent at once is dropped.
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE * 1000,
+    "transport/shared_memory/enabled": False,
+    "adminspace/enabled": False,
+    "connect/timeout_ms": 3000,
+}
+
+
+def _configured(settings: dict[str, Any]) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in (_COMMON | settings).items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def free_endpoint() -> str:
+    """Return a loopback endpoint with a port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return f"tcp/{LOOPBACK}:{probe.getsockname()[1]}"
+
+
+def open_server(listen: Sequence[str], connect: Sequence[str]) -> tuple[zenoh.Session, str]:
+    """Open a session that listens on a loopback port of its own and where else it is told.
+
+    Blocks for some milliseconds.
+
+    Args:
+        listen: Further endpoints to listen on.
+        connect: Endpoints to connect to, for example of a Zenoh router; they may come up later.
+
+    Returns:
+        The session and its loopback endpoint.
+
+    Raises:
+        ConfigError: if an endpoint cannot be used.
+    """
+    for attempt in range(_ATTEMPTS):
+        local = free_endpoint()
+        settings = {
+            "listen/endpoints": [local, *listen],
+            "listen/exit_on_failure": True,
+            "connect/endpoints": list(connect),
+            "connect/exit_on_failure": False,
+            "connect/timeout_ms": 0 if not connect else -1,
+        }
+        try:
+            return zenoh.open(_configured(settings)), local
+        except zenoh.ZError as error:
+            # Another process may have taken the free port in between.
+            if listen or connect or attempt == _ATTEMPTS - 1:
+                where = ", ".join([*listen, *connect]) or local
+                raise ConfigError(f"the network endpoint {where} cannot be used: {error}") from None
+    raise AssertionError
+
+
+def open_client(endpoints: Sequence[str]) -> zenoh.Session:
+    """Open a session that connects to a hand and listens nowhere; blocks for some milliseconds.
+
+    Raises:
+        NoHand: if nobody answers there.
+    """
+    settings = {
+        "listen/endpoints": [],
+        "connect/endpoints": list(endpoints),
+        "connect/exit_on_failure": True,
+    }
+    try:
+        return zenoh.open(_configured(settings))
+    except zenoh.ZError as error:
+        raise NoHand(f"nobody answers at {', '.join(endpoints)}: {error}") from None

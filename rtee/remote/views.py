@@ -1,0 +1,150 @@
+"""What a client sees of a hand: states, events, status, information."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+from rtee.errors import NoHand
+from rtee.messages import decode_event, topics
+from rtee.messages.convert import device_status_of, loop_statistics_of
+from rtee.messages.state import State, decode_state
+from rtee.remote.link import Link
+from rtee.remote.planner import HandInfo, info_of
+from rtee.types import DeviceStatus, Event, LoopStatistics
+
+T = TypeVar("T")
+
+_MOST_WAITING = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class HandStatus:
+    """How a hand's loop and devices are doing.
+
+    Attributes:
+        hand: The hand.
+        holder: The client that holds it, or an empty string.
+        goal_id: The goal that runs, or an empty string.
+        action: Its action.
+        recording: Path of the recording under way, or an empty string.
+        statistics: The loop's clock.
+        devices: The devices.
+    """
+
+    hand: str
+    holder: str
+    goal_id: str
+    action: str
+    recording: str
+    statistics: LoopStatistics
+    devices: tuple[DeviceStatus, ...]
+
+
+class View:
+    """A running hand as it can be watched.
+
+    Attributes:
+        name: The hand's name.
+        client: This client's name on the network.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self.name = link.hand
+        self.client = link.client
+        self._link = link
+        self._watchers: set[asyncio.Queue[Event | None]] = set()
+        self._streams: set[asyncio.Queue[State | None]] = set()
+        self._gone = False
+        link.subscribe(topics.EVENTS, self._on_event)
+        link.watch(self._on_gone)
+
+    def _on_event(self, data: bytes) -> None:
+        event = decode_event(data)
+        for watcher in self._watchers:
+            _put(watcher, event)
+
+    def _on_gone(self) -> None:
+        self._gone = True
+        for watcher in self._watchers:
+            _put(watcher, None)
+        for stream in self._streams:
+            _put(stream, None)
+
+    async def state(self) -> State:
+        """Return the newest state."""
+        return decode_state(await self._link.ask_bytes("state"))
+
+    async def states(self, rate: float = 100.0) -> AsyncIterator[State]:
+        """Iterate over states until the hand goes; a slow reader misses some.
+
+        Args:
+            rate: How many it wants [Hz]; the nearest that divides the loop's rate.
+
+        Raises:
+            NoHand: if the hand goes.
+        """
+        reply = await self._link.ask("stream", {"client": self.client, "rate": rate})
+        queue: asyncio.Queue[State | None] = asyncio.Queue(_MOST_WAITING)
+
+        def take(data: bytes) -> None:
+            _put(queue, decode_state(data))
+
+        self._streams.add(queue)
+        try:
+            with self._link.subscribed(reply["text"], take):
+                while not self._gone and (state := await queue.get()) is not None:
+                    yield state
+        finally:
+            self._streams.discard(queue)
+        raise NoHand(f"the hand '{self.name}' has gone")
+
+    async def events(self) -> AsyncIterator[Event]:
+        """Iterate over what happens from now on.
+
+        Raises:
+            NoHand: if the hand goes.
+        """
+        queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_WAITING)
+        self._watchers.add(queue)
+        try:
+            while not self._gone and (event := await queue.get()) is not None:
+                yield event
+        finally:
+            self._watchers.discard(queue)
+        raise NoHand(f"the hand '{self.name}' has gone")
+
+    async def status(self) -> HandStatus:
+        """Return how the loop and the devices are doing."""
+        reply = await self._link.ask("status")
+        return HandStatus(
+            hand=reply["hand"],
+            holder=reply["holder"],
+            goal_id=reply["goal_id"],
+            action=reply["action"],
+            recording=reply["recording_path"],
+            statistics=loop_statistics_of(reply["statistics"]),
+            devices=tuple(device_status_of(device) for device in reply["devices"]),
+        )
+
+    async def info(self, posture: Mapping[str, float] | None = None) -> HandInfo:
+        """Return the hand as a grasp planner needs it.
+
+        Args:
+            posture: Actuator positions for poses and Jacobians [rad | m]; the others are at rest.
+        """
+        values = posture or {}
+        fields = {"name": list(values), "position": list(values.values())}
+        return info_of(await self._link.ask("info", fields))
+
+    async def robot_description(self) -> str:
+        """Return the URDF."""
+        return str((await self._link.ask("robot_description"))["data"])
+
+
+def _put(queue: asyncio.Queue[T], item: T) -> None:
+    if queue.full():
+        queue.get_nowait()
+    queue.put_nowait(item)
