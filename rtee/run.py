@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import signal
 import threading
@@ -237,11 +238,19 @@ async def _open(
         for device in prepared.devices
     ]
     loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
+    announce = asyncio.get_running_loop().call_soon_threadsafe
+
+    def notify(event: Event) -> None:
+        announce(loop.announce, event)
+
     recorder = Recorder(
         prepared.hand,
         prepared.recorder_settings(options),
         rate=prepared.settings.rate,
+        loop=prepared.settings,
         attachments=prepared.attachments(),
+        metadata={"drivers": " ".join(device.spec.driver for device in prepared.devices)},
+        notify=notify,
     )
     tally = Tally()
     await stack.enter_async_context(recorder)

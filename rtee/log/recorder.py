@@ -17,7 +17,7 @@ from rtee.log.contents import REPLAY, Contents, Replayable
 from rtee.log.plain import to_json
 from rtee.log.settings import RecorderSettings, RecorderStatus
 from rtee.log.sink import reason
-from rtee.log.writer import Item, LogWriter
+from rtee.log.writer import ITSELF, Item, LogWriter
 from rtee.loop.observer import TickRecord
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
@@ -182,7 +182,8 @@ class Recorder:
 
     def on_event(self, event: Event) -> None:
         """Record an event; a fault makes the flight recorder write."""
-        self._put(event, event.stamp)
+        if event.source != ITSELF:  # its own events come back from the loop; it has them already
+            self._put(event, event.stamp)
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
         """Record how devices and clock are doing."""

@@ -45,6 +45,9 @@ from rtee.types import (
 Item = Goal | Plan | Command | Feedback | Result | Event | DeviceStatus | LoopStatistics
 """What is recorded besides ticks."""
 
+ITSELF = "recorder"
+"""Source of the events that the recorder itself tells."""
+
 FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
 """Kinds of events that make the flight recorder write; so does every event of severity error."""
 
@@ -266,7 +269,7 @@ class LogWriter:
             self._compared = False
 
     def _tell(self, kind: str, text: str) -> None:
-        event = Event(kind, "recorder", text, self._monotonic(), "warning")
+        event = Event(kind, ITSELF, text, self._monotonic(), "warning")
         wall = self.wall_of(event.stamp)
         self._add(EVENTS, wall, convert.encode_event(event, wall=wall))
         if self._notify is not None:
