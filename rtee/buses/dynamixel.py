@@ -13,7 +13,7 @@ import serial
 from rtee.buses.bus import Bus
 from rtee.buses.link import Line, explained
 from rtee.buses.worker import Worker
-from rtee.errors import BusBroken, BusTimeout
+from rtee.errors import BusBroken, BusTimeout, RteeError
 
 T = TypeVar("T")
 
@@ -107,6 +107,8 @@ class DynamixelBus(Bus):
         self.counters.transactions += 1
         try:
             return await self._worker.run(function, deadline)
+        except RteeError:
+            raise  # the function's own word; several of these are OSErrors, too
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"not done within {deadline:.3f} s") from None

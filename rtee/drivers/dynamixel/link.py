@@ -1,0 +1,211 @@
+"""dynamixel-sdk's group reads and writes in the worker thread, with deadlines and retries."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
+
+import dynamixel_sdk as sdk
+
+from rtee.buses.dynamixel import DynamixelBus
+from rtee.drivers.dynamixel.codec import Error
+from rtee.drivers.dynamixel.table import Register
+from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError
+
+T = TypeVar("T")
+_NO_ERROR = 0x7F
+
+
+class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
+    """A group read that keeps the error bytes of the answers, which carry the hardware alert.
+
+    Attributes:
+        errors: Error byte of each servo's last answer, by id.
+    """
+
+    def __init__(
+        self, port: Any, packets: Any, address: int, size: int, ids: Sequence[int]
+    ) -> None:
+        super().__init__(port, packets, address, size)
+        self.errors: dict[int, int] = {}
+        for number in ids:
+            self.addParam(number)
+
+    def rxPacket(self) -> int:  # noqa: N802 - the SDK's name
+        """Receive one answer per servo."""
+        self.last_result = False
+        for number in self.data_dict:
+            data, result, error = self.ph.readRx(self.port, number, self.data_length)
+            if result != sdk.COMM_SUCCESS:
+                return int(result)
+            if len(data) < self.data_length:
+                return int(sdk.COMM_RX_CORRUPT)
+            self.data_dict[number], self.errors[number] = data, error
+        self.last_result = True
+        return int(sdk.COMM_SUCCESS)
+
+    def fastSyncReadRxPacket(self) -> int:  # noqa: N802 - the SDK's name
+        """Receive the one answer of all servos."""
+        self.last_result = False
+        part = self.data_length + 4
+        raw, result, _ = self.ph.fastSyncReadRx(
+            self.port, sdk.BROADCAST_ID, part * len(self.data_dict)
+        )
+        if result != sdk.COMM_SUCCESS:
+            return int(result)
+        if len(raw) != part * len(self.data_dict):
+            return int(sdk.COMM_RX_CORRUPT)
+        for at in range(0, part * len(self.data_dict), part):
+            error, number = raw[at], raw[at + 1]
+            if number not in self.data_dict:
+                return int(sdk.COMM_RX_CORRUPT)
+            self.data_dict[number] = raw[at + 2 : at + 2 + self.data_length]
+            self.errors[number] = error
+        self.last_result = True
+        return int(sdk.COMM_SUCCESS)
+
+
+class DynamixelLink:
+    """Reads and writes servos on one line.
+
+    Attributes:
+        bus: The line.
+        ids: The device's servos, in the order of its actuators.
+        fast: Whether groups are read with the fast sync read.
+        delay: Sum of the servos' return delays [s], waited for on top of the wire's time.
+    """
+
+    def __init__(
+        self, bus: DynamixelBus, ids: Sequence[int], deadline: float, retries: int
+    ) -> None:
+        self.bus = bus
+        self.ids = tuple(ids)
+        self.fast = False
+        self.delay = 0.0
+        self._deadline = deadline
+        self._retries = retries
+        self._groups: dict[tuple[int, int], GroupRead] = {}
+
+    async def run(self, function: Callable[[], T], deadline: float | None = None) -> T:
+        """Call a function in the worker thread; raises `BusError`.
+
+        Args:
+            function: May exchange several times.
+            deadline: Longest time [s], by default that of two exchanges.
+        """
+        return await self.bus.run(function, deadline or 2.0 * (self._deadline + self.delay))
+
+    def repeated(self, attempt: Callable[[], int], *, deadline: float | None = None) -> None:
+        """Try until it succeeds, within deadline and retries; in the worker thread.
+
+        Args:
+            attempt: Returns the SDK's result.
+            deadline: Longest time [s], by default the link's.
+
+        Raises:
+            BusTimeout: if nothing came in time.
+            FrameError: if something came but no valid packet.
+            BusBroken: if nothing could be sent.
+        """
+        end = time.monotonic() + (deadline or self._deadline + self.delay)
+        counters, result = self.bus.counters, int(sdk.COMM_SUCCESS)
+        self.bus.port.latency = 4.0 + self.delay * 1000.0
+        for number in range(self._retries + 1):
+            if number:
+                if time.monotonic() >= end:
+                    break
+                counters.retries += 1
+            self.bus.port.is_using = False
+            result = attempt()
+            if result == sdk.COMM_SUCCESS:
+                return
+            if result == sdk.COMM_RX_CORRUPT:
+                counters.checksum_errors += 1
+            else:
+                counters.timeouts += 1
+        raise self._error(result)
+
+    def _error(self, result: int) -> BusError:
+        if result == sdk.COMM_RX_CORRUPT:
+            return FrameError(self.bus.name, "an answer came, but damaged")
+        if result in (sdk.COMM_TX_FAIL, sdk.COMM_PORT_BUSY):
+            return BusBroken(self.bus.name, "the request could not be sent")
+        return BusTimeout(self.bus.name, "no answer")
+
+    # --- in the worker thread ----------------------------------------------------------------
+
+    def ping(self, number: int) -> int | None:
+        """Return a servo's model number, or ``None`` if it does not answer."""
+        found: list[int] = []
+
+        def attempt() -> int:
+            model, result, _ = self.bus.packets.ping(self.bus.port, number)
+            found.append(model)
+            return int(result)
+
+        try:
+            self.repeated(attempt)
+        except (BusTimeout, FrameError):
+            return None
+        return found[-1]
+
+    def read_group(
+        self, address: int, size: int, ids: Sequence[int] | None = None
+    ) -> tuple[Mapping[int, bytes], Mapping[int, int]]:
+        """Return bytes of the control tables and the error bytes, by id, in one exchange."""
+        if ids is None:
+            group = self._groups.get((address, size))
+            if group is None or group.port is not self.bus.port:
+                group = GroupRead(self.bus.port, self.bus.packets, address, size, self.ids)
+                self._groups[address, size] = group
+        else:
+            group = GroupRead(self.bus.port, self.bus.packets, address, size, ids)
+        self.repeated(group.fastSyncRead if self.fast else group.txRxPacket)
+        return {n: bytes(data) for n, data in group.data_dict.items()}, group.errors
+
+    def write_group(self, register: Register, values: Mapping[int, int]) -> None:
+        """Write a register of several servos at once; nothing answers."""
+        params: list[int] = []
+        for number, value in values.items():
+            params.append(number)
+            params += register.pack(value)
+        packets, port = self.bus.packets, self.bus.port
+        if values:
+            self.repeated(
+                lambda: int(
+                    packets.syncWriteTxOnly(
+                        port, register.address, register.size, params, len(params)
+                    )
+                )
+            )
+
+    def write(self, number: int, register: Register, value: int) -> None:
+        """Write a register of one servo and see that it takes it.
+
+        Raises:
+            DriverError: if the servo refuses.
+            BusError: if the exchange fails.
+        """
+        data, errors = list(register.pack(value)), [0]
+
+        def attempt() -> int:
+            result, error = self.bus.packets.writeTxRx(
+                self.bus.port, number, register.address, register.size, data
+            )
+            errors[0] = error
+            return int(result)
+
+        self.repeated(attempt)
+        error = errors[0] & _NO_ERROR
+        if error:
+            raise DriverError(
+                self.bus.name,
+                f"servo {number} refuses {value} at address {register.address}: "
+                f"{Error(error).name.lower().replace('_', ' ')}",
+            )
+
+    def reboot(self, number: int) -> None:
+        """Reboot a servo; it may answer or not."""
+        self.bus.port.is_using = False
+        self.bus.packets.reboot(self.bus.port, number)

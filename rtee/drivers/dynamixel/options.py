@@ -1,0 +1,101 @@
+"""Options of a line of Dynamixel servos in hand.yaml."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rtee.drivers.dynamixel.table import BAUD_RATES, CENTER, PULSES
+from rtee.drivers.options import DeviceOptions
+
+Positive = Annotated[float, Field(gt=0.0)]
+Gain = Annotated[int, Field(ge=0, le=16383)]
+
+
+class ServoOptions(BaseModel):
+    """Options of one servo.
+
+    Attributes:
+        id: Its id on the line.
+        zero: Its position where the joint is at 0 rad [pulse], within one turn.
+        direction: +1 or -1: sense of its pulses with the joint's angle.
+        gear: Its turns per turn of the joint.
+        model: Model number expected; else any.
+        drive_mode: Drive mode expected; a servo set up otherwise is refused.
+        p: Proportional gain; else that of the line.
+        i: Integral gain.
+        d: Derivative gain.
+        current: Largest current [A]; else that of the line.
+        torque_per_ampere: Torque per current [N·m/A]; else that of the model.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    id: Annotated[int, Field(ge=0, le=252)]
+    zero: Annotated[float, Field(ge=0, lt=PULSES)] = CENTER
+    direction: Literal[1, -1] = 1
+    gear: Positive = 1.0
+    model: int | None = None
+    drive_mode: int = 0
+    p: Gain | None = None
+    i: Gain | None = None
+    d: Gain | None = None
+    current: Positive | None = None
+    torque_per_ampere: Positive | None = None
+
+
+class DynamixelOptions(DeviceOptions):
+    """Options of a line of Dynamixel servos.
+
+    Attributes:
+        port: The adapter's tty.
+        baudrate: Rate of the line [baud].
+        servos: The servo of each actuator, by the actuator's name.
+        mode: Operating mode.
+        p: Proportional gain; else as the servos have it.
+        i: Integral gain.
+        d: Derivative gain.
+        current: Largest current [A]; else the servos' own limit.
+        calibration: File of a calibration (`rtee calibrate`); its zeros replace those above.
+        fast: Whether to read with the fast sync read: ``auto`` tries it.
+        return_delay: Return delay written to servos that have another one [2 µs]; ``null``: leave.
+        watchdog: Servos stop after so long a silence on the line [s]; 0: they hold.
+        health_every: Temperature, voltage and torque are read every so many exchanges.
+        outside: How far a joint may stand outside its limits before its zero is doubted [rad].
+        reboot_time: Longest time a reboot may take [s].
+        deadline: Longest time for one exchange, retries included [s].
+        retries: How often a request is sent again within that time.
+        turnaround: Time per read that the wire does not explain, the adapter's latency [s].
+    """
+
+    port: str = "/dev/ttyUSB0"
+    baudrate: int = 4_000_000
+    servos: dict[str, ServoOptions]
+    mode: Literal["current_based_position", "extended_position", "position"] = (
+        "current_based_position"
+    )
+    p: Gain | None = None
+    i: Gain | None = None
+    d: Gain | None = None
+    current: Positive | None = None
+    calibration: Path | None = None
+    fast: Literal["auto", "always", "never"] = "auto"
+    return_delay: Annotated[int, Field(ge=0, le=254)] | None = 0
+    watchdog: Annotated[float, Field(ge=0.0, le=2.54)] = 0.0
+    health_every: Annotated[int, Field(ge=1)] = 50
+    outside: Positive = 0.35
+    reboot_time: Positive = 3.0
+    deadline: Positive = 0.03
+    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    turnaround: Annotated[float, Field(ge=0.0)] = 0.001
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.baudrate not in BAUD_RATES:
+            raise ValueError(f"baudrate is one of {', '.join(str(b) for b in BAUD_RATES)}")
+        ids = [servo.id for servo in self.servos.values()]
+        if len(set(ids)) != len(ids):
+            raise ValueError("two servos have the same id")
+        return self

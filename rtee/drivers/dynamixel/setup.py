@@ -1,0 +1,215 @@
+"""What servos must be like before they may be driven: present, as expected, set up, powered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rtee.drivers.dynamixel import table
+from rtee.drivers.dynamixel.codec import ALERT, Hardware
+from rtee.drivers.dynamixel.link import DynamixelLink
+from rtee.drivers.dynamixel.options import DynamixelOptions, ServoOptions
+from rtee.drivers.dynamixel.table import Mode, Register, model_of
+from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
+
+MODES: Mapping[str, Mode] = {
+    "current_based_position": Mode.CURRENT_BASED_POSITION,
+    "extended_position": Mode.EXTENDED_POSITION,
+    "position": Mode.POSITION,
+}
+TORQUE_LOST = 0x100
+WATCHDOG_TRIPPED = 0x101
+_EEPROM = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A servo as it was found.
+
+    Attributes:
+        id: Its id.
+        model: Its model number.
+        firmware: Its firmware's version.
+        drive_mode: Its drive mode.
+        mode: Its operating mode.
+        homing_offset: Its homing offset [pulse].
+        return_delay: Its return delay [2 µs].
+        current_limit: Its current limit [counts].
+        torque: Whether it is powered.
+    """
+
+    id: int
+    model: int
+    firmware: int
+    drive_mode: int
+    mode: int
+    homing_offset: int
+    return_delay: int
+    current_limit: int
+    torque: bool
+
+    @classmethod
+    def from_table(cls, number: int, eeprom: bytes, torque: int) -> Found:
+        """Read it from the first bytes of a control table."""
+
+        def get(register: Register) -> int:
+            return register.unpack(eeprom[register.address :])
+
+        return cls(
+            number,
+            get(table.MODEL),
+            get(table.FIRMWARE),
+            get(table.DRIVE_MODE),
+            get(table.OPERATING_MODE),
+            get(table.HOMING_OFFSET),
+            get(table.RETURN_DELAY),
+            get(table.CURRENT_LIMIT),
+            bool(torque),
+        )
+
+
+def find(
+    link: DynamixelLink, device: str, servos: Mapping[str, ServoOptions], port: str
+) -> dict[int, Found]:
+    """Return all servos as they are found, by id; in the worker thread; writes nothing.
+
+    Raises:
+        NotConnected: if none answers.
+        HandshakeError: if some are missing or of another model than expected.
+        BusError: if the line fails.
+    """
+    models = {servo.id: link.ping(servo.id) for servo in servos.values()}
+    missing = [n for n, model in models.items() if model is None]
+    if len(missing) == len(models):
+        raise NotConnected(
+            device,
+            f"none of {len(models)} servos answers at {port}",
+            hint="is their supply on, and is it the right port and baud rate? `rtee scan` searches",
+        )
+    wrong = [
+        f"{s.id} ({name}) is {_named(models[s.id])}, not {_named(s.model)}"
+        for name, s in servos.items()
+        if s.model is not None and models[s.id] is not None and models[s.id] != s.model
+    ]
+    if missing or wrong:
+        told = [f"no {', '.join(str(n) for n in missing)}"] if missing else []
+        raise HandshakeError(
+            device,
+            f"servos {_ranges([s.id for s in servos.values()])}",
+            "; ".join(told + wrong),
+            hint="check ids and cables; `rtee scan` lists the servos there are",
+        )
+    found: dict[int, Found] = {}
+    for number in models:
+        eeprom, _ = link.read_group(0, _EEPROM, [number])
+        torque, _ = link.read_group(table.TORQUE.address, 1, [number])
+        found[number] = Found.from_table(number, eeprom[number], torque[number][0])
+    for name, servo in servos.items():
+        if found[servo.id].drive_mode & table.REVERSE != servo.drive_mode & table.REVERSE:
+            raise HandshakeError(
+                device,
+                f"servo {servo.id} ({name}) with drive mode {servo.drive_mode}",
+                f"drive mode {found[servo.id].drive_mode}",
+                hint="its sense of rotation is reversed; set it back, or say so by 'drive_mode'",
+            )
+    return found
+
+
+def _named(model: int | None) -> str:
+    return "unknown" if model is None else model_of(model).name
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    ordered = sorted(numbers)
+    if ordered == list(range(ordered[0], ordered[-1] + 1)) and len(ordered) > 2:
+        return f"{ordered[0]} to {ordered[-1]}"
+    return ", ".join(str(n) for n in ordered)
+
+
+def prepare(
+    link: DynamixelLink,
+    options: DynamixelOptions,
+    found: Mapping[int, Found],
+    positions: Mapping[int, int],
+    currents: Mapping[int, int],
+) -> None:
+    """Set up servos that are without torque, and power them where they stand; in the worker thread.
+
+    Args:
+        link: The line.
+        options: How they shall be.
+        found: The servos without torque, by id.
+        positions: Where they stand [pulse].
+        currents: Their current limits [counts].
+    """
+    mode = MODES[options.mode]
+    for number, servo in found.items():
+        if servo.mode != mode:
+            link.write(number, table.OPERATING_MODE, mode)
+        delay = options.return_delay
+        if delay is not None and servo.return_delay != delay:
+            link.write(number, table.RETURN_DELAY, delay)
+    by_id = {servo.id: servo for servo in options.servos.values()}
+    gains: tuple[tuple[Register, Callable[[Any], int | None]], ...] = (
+        (table.POSITION_P, lambda o: o.p),
+        (table.POSITION_I, lambda o: o.i),
+        (table.POSITION_D, lambda o: o.d),
+    )
+    for register, pick in gains:
+        values = {n: pick(by_id[n]) if pick(by_id[n]) is not None else pick(options) for n in found}
+        link.write_group(register, {n: v for n, v in values.items() if v is not None})
+    if mode is Mode.CURRENT_BASED_POSITION:
+        link.write_group(table.GOAL_CURRENT, {n: currents[n] for n in found})
+    link.write_group(table.GOAL_POSITION, {n: positions[n] for n in found})
+    for number in found:
+        link.write(number, table.TORQUE, 1)
+
+
+def arm(link: DynamixelLink, seconds: float) -> None:
+    """Set the bus watchdog of all servos, clearing one that has tripped; in the worker thread."""
+    link.write_group(table.BUS_WATCHDOG, dict.fromkeys(link.ids, 0))
+    if seconds > 0.0:
+        count = min(max(round(seconds / table.WATCHDOG_UNIT), 1), 127)
+        link.write_group(table.BUS_WATCHDOG, dict.fromkeys(link.ids, count))
+
+
+def refuse(
+    link: DynamixelLink, device: str, names: Mapping[int, str], errors: Mapping[int, int]
+) -> None:
+    """Raise the fault that the alert bit of an answer tells of; in the worker thread.
+
+    Raises:
+        DeviceFault: if a servo has a hardware error.
+        BusError: if asking for it fails.
+    """
+    alerted = [number for number, error in errors.items() if error & ALERT]
+    if not alerted:
+        return
+    told, code = [], 0
+    for number in alerted:
+        data, _ = link.read_group(table.HARDWARE_ERROR.address, 1, [number])
+        hardware = Hardware(data[number][0])
+        code |= hardware
+        words = ", ".join(bit.name.lower().replace("_", " ") for bit in hardware if bit.name)
+        told.append(f"{words or 'alert'} in servo {number} ({names[number]})")
+    raise DeviceFault(
+        device,
+        code,
+        "; ".join(told),
+        hint="free the hand and check its supply, then `rtee recover` reboots the servo",
+    )
+
+
+def hurt(link: DynamixelLink) -> list[int]:
+    """Return the servos that have a hardware error, or do not say; in the worker thread."""
+    found = []
+    for number in link.ids:
+        try:
+            data, _ = link.read_group(table.HARDWARE_ERROR.address, 1, [number])
+        except (BusTimeout, FrameError):
+            found.append(number)
+            continue
+        if data[number][0]:
+            found.append(number)
+    return found

@@ -1,0 +1,82 @@
+"""From a joint's angle to a servo's pulses and back: zero, direction, gear, turns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rtee.drivers.dynamixel.table import PULSES, RAD_PER_PULSE, VELOCITY_UNIT
+
+
+@dataclass(slots=True)
+class Scale:
+    """The units of one joint.
+
+    Attributes:
+        zero: Pulses at 0 rad, within one turn.
+        direction: +1 or -1: sense of the pulses with the joint's angle.
+        gear: Servo's turns per turn of the joint.
+        current_unit: Current per count [A].
+        torque_per_ampere: Joint's torque per current [N·m/A].
+        turn: Turns the servo counts beyond the angle it stands for; set by `unwrap`.
+    """
+
+    zero: float
+    direction: int = 1
+    gear: float = 1.0
+    current_unit: float = math.nan
+    torque_per_ampere: float = math.nan
+    turn: int = 0
+
+    def to_rad(self, pulses: float) -> float:
+        """Return the joint's angle [rad]."""
+        servo = (pulses - self.zero - self.turn * PULSES) * RAD_PER_PULSE
+        return self.direction * servo / self.gear
+
+    def to_pulses(self, angle: float) -> int:
+        """Return the servo's position [pulse] for a joint's angle [rad]."""
+        servo = self.direction * angle * self.gear
+        return round(servo / RAD_PER_PULSE + self.zero) + self.turn * PULSES
+
+    def to_speed(self, counts: float) -> float:
+        """Return the joint's velocity [rad/s]."""
+        return self.direction * counts * VELOCITY_UNIT / self.gear
+
+    def to_speed_counts(self, velocity: float) -> int:
+        """Return a speed limit in counts, at least 1, for a joint's velocity [rad/s]."""
+        return max(1, round(abs(velocity) * self.gear / VELOCITY_UNIT))
+
+    def to_current(self, counts: float) -> float:
+        """Return the current [A], positive where it drives the joint's angle up."""
+        return self.direction * counts * self.current_unit
+
+    def to_effort(self, counts: float) -> float:
+        """Return the joint's torque [N·m]."""
+        return self.to_current(counts) * self.torque_per_ampere * self.gear
+
+    def to_current_counts(self, effort: float) -> int:
+        """Return a current limit in counts for a joint's torque [N·m]."""
+        current = abs(effort) / (self.torque_per_ampere * self.gear)
+        return round(current / self.current_unit)
+
+    def unwrap(self, pulses: float, lower: float, upper: float) -> float:
+        """Choose the turn in which a position lies in a joint's range, or nearest to it.
+
+        A servo that lost its supply counts anew within one turn: a joint whose range crosses the
+        wrap then reads a turn off.
+
+        Args:
+            pulses: What the servo reads.
+            lower: Lower limit of the joint [rad].
+            upper: Upper limit of the joint [rad].
+
+        Returns:
+            How far the angle is outside the range [rad]; 0 inside.
+        """
+        self.turn = 0
+        step = 2.0 * math.pi / self.gear
+        middle = (lower + upper) / 2.0 if math.isfinite(upper - lower) else 0.0
+        away = self.direction * (self.to_rad(pulses) - middle) / step
+        self.turn = round(away)
+        angle = self.to_rad(pulses)
+        return max(lower - angle, angle - upper, 0.0)

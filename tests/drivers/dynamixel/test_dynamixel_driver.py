@@ -1,0 +1,372 @@
+"""The Dynamixel driver (dynamixel-sdk) against the emulated servos (our own bytes)."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+
+from rtee.buses.faults import Faults
+from rtee.buses.pool import BusPool
+from rtee.drivers.dynamixel import table
+from rtee.drivers.dynamixel.codec import Hardware, Instruction
+from rtee.drivers.dynamixel.driver import DynamixelDriver
+from rtee.drivers.dynamixel.emulator import DynamixelEmulator
+from rtee.drivers.dynamixel.table import Mode
+from rtee.drivers.dynamixel.units import Scale
+from rtee.errors import (
+    BusError,
+    CalibrationError,
+    ConfigError,
+    DeviceFault,
+    HandshakeError,
+    NotConnected,
+)
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+
+pytestmark = pytest.mark.anyio
+WRITES = {Instruction.WRITE, Instruction.SYNC_WRITE, Instruction.REBOOT}
+
+
+def device(n: int = 2, *, limits: tuple[float, float] = (-1.0, 2.0), **options: Any) -> DeviceSpec:
+    return DeviceSpec(
+        name="line",
+        hand="leap_hand",
+        driver="dynamixel",
+        actuators=tuple(
+            ActuatorSpec(f"j{i}", JointKind.REVOLUTE, *limits, 8.0, 20.0, 400.0, 0.5, 0.0)
+            for i in range(n)
+        ),
+        options={
+            "port": "/dev/dxl",
+            "servos": {f"j{i}": {"id": i} for i in range(n)},
+            **options,
+        },
+        emulated=True,
+    )
+
+
+@contextlib.asynccontextmanager
+async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[DynamixelDriver]:
+    made = DynamixelDriver(spec, pool)
+    try:
+        await made.configure()
+        yield made
+    finally:
+        await made.close()
+        await made.close()
+
+
+def line(pool: BusPool) -> DynamixelEmulator:
+    found = pool.played("leap_hand/line")
+    assert isinstance(found, DynamixelEmulator)
+    return found
+
+
+def written(pool: BusPool) -> int:
+    return sum(line(pool).counts.get(kind, 0) for kind in WRITES)
+
+
+async def settle(made: DynamixelDriver, goal: list[float], **limits: Any) -> np.ndarray:
+    for _ in range(200):
+        state = await made.sense()
+        await made.move(Reference.at(goal, **limits))
+        if np.abs(state.position - goal).max() < 2e-3:
+            break
+        await anyio.sleep(0.002)
+    return state.position
+
+
+@pytest.mark.parametrize("fast", ["auto", "never"])
+async def test_moves_and_senses_in_one_read_and_one_write(fast: str) -> None:
+    spec = device(fast=fast, servos={"j0": {"id": 0}, "j1": {"id": 1, "direction": -1}})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        assert written(pool) == 0
+        assert made.capabilities.identity["model"] == "2 x XL330-M288"
+        await made.activate()
+        assert await settle(made, [0.5, 0.7]) == pytest.approx([0.5, 0.7], abs=2e-3)
+        servos = line(pool).servos
+        assert servos[0].axis.position == pytest.approx(2048 + 0.5 / table.RAD_PER_PULSE, abs=2)
+        assert servos[1].axis.position == pytest.approx(2048 - 0.7 / table.RAD_PER_PULSE, abs=2)
+        await made.sense()
+        before = dict(line(pool).counts)
+        await made.move(Reference.at([0.5, 0.7]))
+        state = await made.sense()
+        spent = {c: k - before.get(c, 0) for c, k in line(pool).counts.items()}
+        read = Instruction.FAST_SYNC_READ if fast == "auto" else Instruction.SYNC_READ
+        assert {c: k for c, k in spent.items() if k} == {read: 1, Instruction.SYNC_WRITE: 1}
+        assert state.temperature == pytest.approx([25.0, 25.0], abs=1.0)
+
+
+async def test_servos_without_fast_read_are_read_the_plain_way() -> None:
+    spec = device(emulator={"fast": False})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        assert made.capabilities.identity["read"] == "sync read"
+        assert np.isfinite((await made.sense()).position).all()
+
+
+async def test_activation_sets_up_and_powers_where_they_stand() -> None:
+    spec = device(
+        p=600, d=200, current=0.35,
+        servos={"j0": {"id": 0, "p": 450}, "j1": {"id": 1, "current": 0.2}},
+        emulator={"servo": {"start": 2300.0}},
+    )  # fmt: skip
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        await made.activate()
+        for number, (p, current) in enumerate(((450, 350), (600, 200))):
+            servo = line(pool).servos[number]
+            assert servo.get(table.OPERATING_MODE) == Mode.CURRENT_BASED_POSITION
+            assert servo.get(table.RETURN_DELAY) == 0
+            assert servo.get(table.POSITION_P) == p
+            assert servo.get(table.POSITION_D) == 200
+            assert servo.get(table.GOAL_CURRENT) == current
+            assert servo.get(table.GOAL_POSITION) == 2300
+            assert servo.get(table.TORQUE) == 1
+        await anyio.sleep(0.05)
+        assert (await made.sense()).position == pytest.approx(
+            [252 * table.RAD_PER_PULSE] * 2, abs=2e-3
+        )
+
+
+async def test_attaches_to_powered_servos_without_a_write_of_motion() -> None:
+    async with BusPool(wire_time=False) as pool:
+        async with connected(pool, device()) as first:
+            await first.activate()
+            await settle(first, [0.4, 0.6])
+        goals = [s.get(table.GOAL_POSITION) for s in line(pool).servos.values()]
+        async with connected(pool, device()) as second:
+            before = line(pool).counts.get(Instruction.WRITE, 0)
+            await second.activate()
+            assert (await second.sense()).position == pytest.approx([0.4, 0.6], abs=2e-3)
+            assert line(pool).counts.get(Instruction.WRITE, 0) == before
+        assert goals == [s.get(table.GOAL_POSITION) for s in line(pool).servos.values()]
+
+
+async def test_limits_are_written_before_the_position_and_only_when_they_change() -> None:
+    async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
+        await made.activate()
+        sent: list[bytes] = []
+        pool.buses[0].trace = lambda _, way, data, __: sent.append(data) if way == "tx" else None
+        limits = {"max_effort": np.array([0.1, 0.2]), "max_velocity": np.array([1.0, 2.0])}
+        await made.move(Reference.at([0.1, 0.1], **limits))
+        addresses = [int.from_bytes(packet[8:10], "little") for packet in sent]
+        assert addresses == [102, 112, 116]
+        first = int.from_bytes(sent[0][13:15], "little")
+        assert first == round(0.1 / (0.52 / 1.47) * 1000)
+        sent.clear()
+        await made.move(Reference.at([0.2, 0.2], **limits))
+        assert [packet[8] for packet in sent] == [116]
+
+
+async def test_an_object_is_held_with_the_effort_limit() -> None:
+    async with BusPool(wire_time=False) as pool, connected(pool, device(1)) as made:
+        await made.activate()
+        line(pool).hold(0, 2048 + 300, stiffness=5.0)
+        limit = np.array([0.15])
+        await settle(made, [1.2], max_effort=limit)
+        state = await made.sense()
+        assert state.effort == pytest.approx(limit, rel=0.02)
+        assert state.current == pytest.approx(limit / (0.52 / 1.47), rel=0.02)
+        assert state.position[0] == pytest.approx((300 + 424 / 5) * table.RAD_PER_PULSE, abs=0.01)
+
+
+async def test_a_joint_across_the_wrap_is_read_in_its_turn() -> None:
+    spec = device(1, servos={"j0": {"id": 0, "zero": 4000}}, emulator={"servo": {"start": 4200.0}})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        # After power-up the servo reads 104, a turn less than where it stands.
+        assert line(pool).servos[0].position == 104
+        assert (await made.sense()).position[0] == pytest.approx(200 * table.RAD_PER_PULSE)
+        await made.activate()
+        await settle(made, [-0.5])
+        assert line(pool).servos[0].axis.position == pytest.approx(
+            4000 - 0.5 / table.RAD_PER_PULSE, abs=3
+        )
+
+
+async def test_a_range_across_the_wrap_is_refused_in_position_mode() -> None:
+    spec = device(1, mode="position", servos={"j0": {"id": 0, "zero": 4000}})
+    async with BusPool(wire_time=False) as pool:
+        with pytest.raises(ConfigError, match="crosses the turn"):
+            async with connected(pool, spec):
+                pass
+
+
+async def test_a_joint_far_outside_its_limits_is_a_wrong_calibration() -> None:
+    spec = device(1, limits=(-0.2, 0.2), emulator={"servo": {"start": 3000.0}})
+    async with BusPool(wire_time=False) as pool:
+        with pytest.raises(CalibrationError, match="two ids are swapped"):
+            async with connected(pool, spec):
+                pass
+
+
+async def test_missing_and_wrong_servos_are_named() -> None:
+    servos = {f"j{i}": {"id": i, "model": 1200} for i in range(4)}
+    spec = device(
+        4, servos=servos,
+        emulator={"ids": [0, 1, 3], "special": {1: {"model": 1240}}},
+    )  # fmt: skip
+    async with BusPool(wire_time=False) as pool:
+        with pytest.raises(HandshakeError) as told:
+            async with connected(pool, spec):
+                pass
+        assert "expected servos 0 to 3, found no 2; 1 (j1) is XC330-M288, not XL330-M288" in str(
+            told.value
+        )
+
+
+async def test_a_reversed_drive_mode_is_named() -> None:
+    spec = device(1, emulator={"servo": {"drive_mode": 1}})
+    async with BusPool(wire_time=False) as pool:
+        with pytest.raises(HandshakeError, match="drive mode 1; its sense of rotation"):
+            async with connected(pool, spec):
+                pass
+
+
+async def test_a_silent_line_is_named() -> None:
+    async with BusPool(wire_time=False) as pool:
+        with pytest.raises(NotConnected, match="none of 2 servos answers"):
+            async with connected(pool, device(emulator={"ids": []}, retries=0, deadline=0.01)):
+                pass
+
+
+async def test_an_overload_is_named_and_a_reboot_recovers_without_motion() -> None:
+    spec = device(2, emulator={"servo": {"reboot_time": 0.1}})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        await made.activate()
+        where = await settle(made, [0.3, 0.3])
+        line(pool).servos[1].fail(Hardware.OVERLOAD)
+        with pytest.raises(DeviceFault, match=r"overload in servo 1 \(j1\).*rtee recover") as told:
+            await made.sense()
+        assert told.value.code == Hardware.OVERLOAD
+        await made.recover()
+        await made.activate()
+        assert (await made.sense()).position == pytest.approx(where, abs=2e-3)
+        assert await settle(made, [0.1, 0.1]) == pytest.approx([0.1, 0.1], abs=2e-3)
+
+
+async def test_lost_torque_and_a_tripped_watchdog_are_noticed() -> None:
+    spec = device(1, health_every=1, watchdog=0.3)
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        await made.activate()
+        assert made.capabilities.watchdog
+        servo = line(pool).servos[0]
+        assert servo.get(table.BUS_WATCHDOG) == 15
+        await made.sense()
+        await anyio.sleep(0.5)
+        with pytest.raises(DeviceFault, match="watchdog tripped: servo 0"):
+            await made.sense()
+        await made.recover()
+        await made.activate()
+        await made.sense()
+        servo.set(table.TORQUE, 0)
+        with pytest.raises(DeviceFault, match="torque lost: servo 0"):
+            await made.sense()
+
+
+async def test_stop_holds_and_release_lets_go() -> None:
+    async with BusPool(wire_time=False) as pool, connected(pool, device(1)) as made:
+        await made.activate()
+        slow = {"max_velocity": np.array([0.5])}
+        await made.move(Reference.at([1.5], **slow))
+        await anyio.sleep(0.1)
+        await made.stop()
+        where = (await made.sense()).position[0]
+        await anyio.sleep(0.1)
+        assert 0.0 < where < 0.5
+        assert (await made.sense()).position[0] == pytest.approx(where, abs=0.03)
+        await made.release()
+        await made.sense()
+        assert line(pool).servos[0].get(table.TORQUE) == 0
+
+
+async def test_gains_reach_the_servos() -> None:
+    async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
+        await made.set_gains({"p": 321.4})
+        await made.sense()
+        assert line(pool).servos[1].get(table.POSITION_P) == 321
+
+
+async def test_lost_and_damaged_packets_are_retried() -> None:
+    async with BusPool(wire_time=False) as pool, connected(pool, device(retries=5)) as made:
+        await made.activate()
+        simulation = pool.simulation("leap_hand/line")
+        simulation.faults = Faults(drop=0.1, corrupt=0.1, noise=0.1, split=0.1, seed=3)
+        failed = 0
+        for _ in range(60):
+            try:
+                await made.sense()
+                await made.move(Reference.at([0.2, 0.2]))
+            except BusError:
+                failed += 1
+        assert failed < 20
+        assert made.counters()["retries"] > 0
+        simulation.faults = Faults()
+        assert np.isfinite((await made.sense()).position).all()
+
+
+async def test_calibration_is_taken_stored_and_compared(tmp_path: Path) -> None:
+    path = tmp_path / "calibration" / "leap.json"
+    plain = device(emulator={"servo": {"start": 1111.0}}, outside=10.0)
+    async with BusPool(wire_time=False) as pool:
+        async with connected(pool, plain) as made:
+            prompts: list[str] = []
+
+            async def ready(text: str) -> None:
+                prompts.append(text)
+
+            found = await made.calibrate(path, np.array([0.0, 0.5]), ready)
+            assert len(prompts) == 1
+            assert found[0].zero == pytest.approx(1111)
+        stored = device(emulator={"servo": {"start": 1111.0}}, calibration=str(path))
+        async with connected(pool, stored) as made:
+            assert (await made.sense()).position == pytest.approx([0.0, 0.5], abs=1e-3)
+        line(pool).servos[1].set(table.HOMING_OFFSET, 7)
+        with pytest.raises(CalibrationError, match=r"'j1' is not as it was.*homing offset is 7"):
+            async with connected(pool, stored):
+                pass
+
+
+def test_a_missing_calibration_is_told(tmp_path: Path) -> None:
+    from rtee.drivers.dynamixel.calibration import read_calibration
+
+    with pytest.raises(CalibrationError, match="rtee calibrate"):
+        read_calibration(tmp_path / "none.json", "line")
+    (tmp_path / "bad.json").write_text('{"servos": [{"id": 1}]}')
+    with pytest.raises(CalibrationError, match="no calibration"):
+        read_calibration(tmp_path / "bad.json", "line")
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"servos": {"j0": {"id": 1}}}, "these do not match: j1"),
+        ({"servos": {"j0": {"id": 1}, "j1": {"id": 1}}}, "same id"),
+        ({"baudrate": 1234}, "baudrate is one of"),
+        ({"mode": "velocity"}, "mode"),
+    ],
+)
+def test_mistakes_in_options_are_told(options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        DynamixelDriver(device(**options), BusPool())
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("gear", [1.0, 2.5])
+def test_units_have_inverses(direction: int, gear: float) -> None:
+    scale = Scale(1000.0, direction, gear, 0.001, 0.35)
+    for angle in np.linspace(-0.6, 0.6, 25):
+        pulses = scale.to_pulses(float(angle))
+        assert scale.to_rad(pulses) == pytest.approx(angle, abs=table.RAD_PER_PULSE / gear * 0.51)
+        for lost in (-2, -1, 0, 1, 3):
+            other = Scale(1000.0, direction, gear)
+            assert other.unwrap(pulses + lost * table.PULSES, -0.6, 0.6) < 0.01
+            assert other.to_rad(pulses + lost * table.PULSES) == pytest.approx(scale.to_rad(pulses))
+    assert scale.to_speed(scale.to_speed_counts(1.0)) * direction == pytest.approx(1.0, rel=0.02)
+    assert scale.to_effort(scale.to_current_counts(0.2)) * direction == pytest.approx(0.2, rel=0.01)
+    assert math.isnan(Scale(0.0).to_effort(1.0))
