@@ -14,8 +14,8 @@ Describe the device by a `DeviceCase` and derive from `DriverContract`::
         )
 """
 
-from rtee.testing.case import DeviceCase, actuator
+from rtee.testing.case import DeviceCase, actuator, cycles
 from rtee.testing.contract import DriverContract
 from rtee.testing.session import Session, open_files
 
-__all__ = ["DeviceCase", "DriverContract", "Session", "actuator", "open_files"]
+__all__ = ["DeviceCase", "DriverContract", "Session", "actuator", "cycles", "open_files"]

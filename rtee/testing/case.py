@@ -14,6 +14,11 @@ CYCLES = "RTEE_CONTRACT_CYCLES"
 """Environment variable: cycles for which every fault of the wire lasts."""
 
 
+def cycles(default: int = 10_000) -> int:
+    """Return for how many cycles faults of the wire last: as the environment says, else these."""
+    return int(os.environ.get(CYCLES, default))
+
+
 def actuator(
     name: str,
     lower: float,
@@ -80,7 +85,7 @@ class DeviceCase:
     fault: str | None = None
     homes: bool = True
     checksums: bool = True
-    cycles: int = field(default_factory=lambda: int(os.environ.get(CYCLES, "10000")))
+    cycles: int = field(default_factory=cycles)
     share: float = 0.5
 
     def spec(self, name: str = "device") -> DeviceSpec:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
+from rtee.drivers.robotiq_faults import Fault
 from rtee.errors import FrameError
 
 OUTPUT = 0x03E8
@@ -44,23 +45,6 @@ class Grasp(IntEnum):
     CONTACT_OPENING = 1
     CONTACT_CLOSING = 2
     AT_REQUEST = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A code of gFLT.
-
-    Attributes:
-        name: What it is called.
-        hint: What to do.
-        warning: It is no fault that stops the gripper.
-        major: Only a reset with a new activation clears it.
-    """
-
-    name: str
-    hint: str = ""
-    warning: bool = False
-    major: bool = False
 
 
 FAULTS: dict[int, Fault] = {

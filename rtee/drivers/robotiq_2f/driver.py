@@ -139,7 +139,8 @@ class Robotiq2FDriver(Driver):
             source=INPUT if base is None else base,
             count=COUNT,
             deadline=1.0,
-            kind=options.exchange,
+            # Where both blocks begin at 0, function 23 cannot tell them apart.
+            kind="separate" if base == 0 and options.exchange == "auto" else options.exchange,
             function=options.function,
         )
         self.capabilities = self._abilities(self._blocks.best_rate(COUNT))

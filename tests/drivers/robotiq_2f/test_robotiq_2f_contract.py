@@ -1,12 +1,21 @@
-"""The 2F passes the suite of all drivers: RTU on a line, RTU through a socket, and TCP."""
+"""The 2F passes the suite of all drivers: and what is special about it."""
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from typing import Any
 
+import pytest
+
+from rtee.buses.faults import Faults
+from rtee.buses.pool import BusPool
+from rtee.drivers.axis import VirtualObject
 from rtee.drivers.robotiq_2f.codec import MODELS, Scale
-from rtee.testing import DeviceCase, DriverContract, actuator
+from rtee.drivers.robotiq_2f.driver import Robotiq2FDriver
+from rtee.errors import BusError, ConfigError, DeviceFault, NotConnected
+from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
+from rtee.types import Reference
 
 SCALE = Scale(MODELS["2f_85"], 0.0, 0.82)
 
@@ -21,14 +30,14 @@ RTU = DeviceCase(
     options={
         "port": "/dev/ttyUSB0",
         "home": "on_connect",
-        "emulator": {"activation_time": 0.05},
+        "emulator": {"haste": 4.0, "activation_time": 0.1},
     },
     hold=lambda emulator: emulator.hold(),
     commands=lambda emulator: emulator.moves,
     efforts=begun_with,
     max_efforts=[12.0],
     fault="overcurrent",
-    cycles=300,
+    cycles=cycles(200),
 )
 
 
@@ -36,19 +45,134 @@ class TestRtu(DriverContract):
     case = RTU
 
 
-class TestRtuThroughASocket(DriverContract):
-    case = replace(RTU, options={**RTU.options, "port": "socket://192.0.2.1:54321"}, cycles=100)
+pytestmark = pytest.mark.anyio
 
 
-class TestTcp(DriverContract):
-    case = replace(
-        RTU,
-        options={
-            **RTU.options,
-            "port": "tcp://192.0.2.1",
-            "register_base": 0,
-            "function": 4,
-        },
-        checksums=False,
-        cycles=100,
-    )
+async def drive(session: Session, times: int) -> None:
+    for _ in range(times):
+        await session.driver.sense()
+        await session.driver.move(Reference.at([0.5]))
+
+
+OTHERS = [
+    {"port": "socket://192.0.2.1:54321"},
+    {"port": "tcp://192.0.2.1", "register_base": 0, "function": 4},
+    {"exchange": "separate", "unit": 12},
+]
+
+
+@pytest.mark.parametrize("options", OTHERS, ids=["socket", "tcp", "separate"])
+async def test_other_ways_to_the_gripper_work_too(options: dict[str, Any]) -> None:
+    case = replace(RTU, options={**RTU.options, **options})
+    async with Session(case) as session:
+        await session.start()
+        for goal in ([0.6], [0.2]):
+            assert session.near(await session.reach(goal), goal)
+        session.wire.faults = Faults(drop=0.05, delay=0.05, split=0.05, delay_time=0.003)
+        for _ in range(50):
+            await session.cycle(Reference.at([0.5]))
+        session.wire.faults = Faults()
+        session.wire.unplug()
+        with pytest.raises((BusError, NotConnected)):
+            await drive(session, 20)
+        await session.driver.close()
+        session.wire.replug()
+        await session.start()
+        assert session.near(await session.reach([0.3]), [0.3])
+
+
+async def test_a_gripper_without_function_23_is_driven_by_16_and_3() -> None:
+    emulator = {**RTU.options["emulator"], "functions": (3, 6, 16)}
+    async with Session(replace(RTU, options={**RTU.options, "emulator": emulator})) as session:
+        await session.start()
+        assert session.near(await session.reach([0.4]), [0.4])
+        assert 23 not in {pdu[0] for pdu in session.emulator.requests[-20:]}
+
+
+async def test_one_exchange_does_a_whole_cycle() -> None:
+    async with Session(RTU) as session:
+        await session.start()
+        await session.reach([0.4])
+        heard = len(session.emulator.requests)
+        before = session.driver.counters()["transactions"]
+        for n in range(20):
+            await session.driver.sense()
+            await session.driver.move(Reference.at([0.4 + 0.01 * n]))
+        assert heard > 0
+        assert session.driver.counters()["transactions"] - before <= 21
+
+
+async def test_closing_on_an_object_is_a_grasp_and_on_nothing_is_none() -> None:
+    async with Session(RTU) as session:
+        await session.start()
+        state = await session.reach([0.82])
+        assert state.grasped == (False,)
+        await session.reach([0.1])
+        session.emulator.axis.obstacle = VirtualObject(120, 40.0)
+        for _ in range(100):
+            held = await session.cycle(Reference.at([0.82]))
+            assert held is not None
+            if held.grasped == (True,):
+                break
+            await asyncio.sleep(0.01)
+        assert held.grasped == (True,)
+        assert held.current[0] > 0.1
+
+
+async def test_a_held_object_stays_held_when_asked_to_stay() -> None:
+    async with Session(RTU) as session:
+        await session.before(lambda emulator: emulator.hold())  # type: ignore[attr-defined]
+        state = await session.start()
+        assert state.grasped == (True,)
+        effort = session.emulator.axis.effort
+        for _ in range(20):
+            await session.cycle(Reference.at(state.position))
+        assert session.emulator.axis.effort == effort > 0
+        await session.reach([0.1])
+        assert session.emulator.axis.effort <= 0
+
+
+async def test_an_inactive_gripper_is_activated_only_when_allowed() -> None:
+    options = {**RTU.options, "home": "on_demand"}
+    async with Session(replace(RTU, options=options)) as session:
+        await session.driver.configure()
+        with pytest.raises(DeviceFault, match="not activated") as caught:
+            await session.driver.activate()
+        assert "rtee recover" in caught.value.hint
+        assert session.emulator.activations == 0
+        await session.driver.recover()
+        assert session.emulator.activations == 0
+        await session.driver.activate()
+        assert session.emulator.activations == 1
+
+
+async def test_an_activation_can_be_cancelled() -> None:
+    emulator = {"activation_time": 60.0}
+    async with Session(replace(RTU, options={**RTU.options, "emulator": emulator})) as session:
+        await session.driver.configure()
+        task = asyncio.create_task(session.driver.activate())
+        await asyncio.sleep(0.1)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert not session.emulator.status().activated
+
+
+async def test_the_best_rate_is_that_of_the_wire() -> None:
+    async with BusPool() as pool:
+        driver = Robotiq2FDriver(RTU.spec(), pool)
+        await driver.configure()
+        exchange = 30 * 10 / 115200 + 2 * 0.00175
+        assert driver.capabilities.best_rate == pytest.approx(1 / exchange)
+        await driver.close()
+
+
+def test_options_are_checked() -> None:
+    for options, message in [
+        ({"prot": "/dev/x"}, "unknown option 'prot'; did you mean 'port'"),
+        ({"unit": 0}, "option 'unit'"),
+        ({"home": "always"}, "option 'home'"),
+        ({"emulator": 3}, "option 'emulator'"),
+    ]:
+        with pytest.raises(ConfigError, match=message):
+            Robotiq2FDriver(replace(RTU, options=options).spec(), BusPool())

@@ -1,0 +1,1 @@
+"""Robotiq 3-Finger."""

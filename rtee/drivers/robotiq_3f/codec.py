@@ -1,0 +1,310 @@
+"""Registers and units of Robotiq's three-finger gripper; no I/O.
+
+Sources: the gripper's instruction manuals (register map, bits, fault codes, example frames) and,
+    for
+the conversion to joints, published drivers. Every two bytes make a register, the first in its high
+half. The order of the status bits differs from that of the two-finger grippers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Self
+
+from rtee.drivers.robotiq_faults import Fault
+from rtee.errors import FrameError
+
+OUTPUT = 0x03E8
+"""First register of the output block on a serial line."""
+
+INPUT = 0x07D0
+"""First register of the input block on a serial line."""
+
+COUNT = 8
+"""Registers of either block."""
+
+AXES = ("a", "b", "c", "scissor")
+"""The four motors, in the order of their bytes."""
+
+
+class Mode(IntEnum):
+    """rMOD and gMOD: how the fingers stand to each other."""
+
+    BASIC = 0
+    PINCH = 1
+    WIDE = 2
+    SCISSOR = 3
+
+
+class Progress(IntEnum):
+    """gIMC: how far the activation or a change of mode is."""
+
+    RESET = 0
+    ACTIVATING = 1
+    CHANGING = 2
+    DONE = 3
+
+
+class Motion(IntEnum):
+    """gSTA: what the fingers do together."""
+
+    MOVING = 0
+    SOME_SHORT = 1
+    ALL_SHORT = 2
+    ALL_REACHED = 3
+
+
+class Contact(IntEnum):
+    """gDTA to gDTS: what one motor met."""
+
+    MOVING = 0
+    OPENING = 1
+    CLOSING = 2
+    AT_REQUEST = 3
+
+
+FAULTS: dict[int, Fault] = {
+    0x05: Fault("the action waits for the activation", "wait", warning=True),
+    0x06: Fault("the action waits for the change of mode", "wait", warning=True),
+    0x07: Fault("not activated", "activate it: all fingers then move"),
+    0x09: Fault("the communication chip is not ready", "wait", warning=True),
+    0x0A: Fault("the scissor is obstructed", "open the fingers and free the scissor", warning=True),
+    0x0B: Fault("automatic release under way", "wait until it ends, then recover", major=True),
+    0x0D: Fault("activation failed", "free the fingers, then recover and activate", major=True),
+    0x0E: Fault("change of mode failed", "free the scissor, then recover", major=True),
+    0x0F: Fault("automatic release completed", "recover and activate", major=True),
+}
+"""The fault codes of gFLT."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What one motor is asked for.
+
+    Attributes:
+        position: 0 open to 255 closed.
+        speed: 0 slowest (not stopped) to 255.
+        force: 0 weakest (not none) to 255.
+    """
+
+    position: int = 0
+    speed: int = 0
+    force: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the host asks for: the output block.
+
+    Attributes:
+        activate: rACT; clearing it resets the gripper and its faults.
+        mode: rMOD.
+        go: rGTO; clearing it stops.
+        release: rATR, the automatic release.
+        individual: rICF: the three fingers follow their own requests, else all that of ``a``.
+        scissor: rICS: the scissor follows its own request, whatever the mode.
+        axes: Requests of the four motors, in the order of `AXES`.
+    """
+
+    activate: bool = False
+    mode: Mode = Mode.BASIC
+    go: bool = False
+    release: bool = False
+    individual: bool = False
+    scissor: bool = False
+    axes: tuple[Request, Request, Request, Request] = (Request(),) * 4
+
+    def to_registers(self) -> tuple[int, ...]:
+        """Return the eight registers."""
+        action = self.activate | self.mode << 1 | self.go << 3 | self.release << 4
+        options = self.individual << 2 | self.scissor << 3
+        data = [action, options, 0]
+        for axis in self.axes:
+            data += [axis.position, axis.speed, axis.force]
+        return _packed([*data, 0])
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int]) -> Self:
+        """Read it from eight registers."""
+        data = _unpacked(registers)
+        axes = tuple(Request(*data[at : at + 3]) for at in (3, 6, 9, 12))
+        return cls(
+            activate=bool(data[0] & 0x01),
+            mode=Mode(data[0] >> 1 & 3),
+            go=bool(data[0] & 0x08),
+            release=bool(data[0] & 0x10),
+            individual=bool(data[1] & 0x04),
+            scissor=bool(data[1] & 0x08),
+            axes=(axes[0], axes[1], axes[2], axes[3]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class AxisStatus:
+    """What one motor says.
+
+    Attributes:
+        contact: gDTx.
+        requested: gPRx, echo of the accepted position; 0 where the motor has no own request.
+        position: gPOx, measured.
+        raw_current: gCUx.
+    """
+
+    contact: Contact = Contact.MOVING
+    requested: int = 0
+    position: int = 0
+    raw_current: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What the gripper says: the input block.
+
+    Attributes:
+        activated: gACT.
+        mode: gMOD.
+        going: gGTO.
+        progress: gIMC.
+        motion: gSTA.
+        fault: gFLT; see `FAULTS`.
+        axes: The four motors, in the order of `AXES`.
+    """
+
+    activated: bool = False
+    mode: Mode = Mode.BASIC
+    going: bool = False
+    progress: Progress = Progress.RESET
+    motion: Motion = Motion.MOVING
+    fault: int = 0
+    axes: tuple[AxisStatus, ...] = (AxisStatus(),) * 4
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is activated and takes commands."""
+        return self.activated and self.progress is Progress.DONE
+
+    def to_registers(self) -> tuple[int, ...]:
+        """Return the eight registers."""
+        state = (
+            self.activated
+            | self.mode << 1
+            | self.going << 3
+            | self.progress << 4
+            | self.motion << 6
+        )
+        contacts = sum(axis.contact << 2 * i for i, axis in enumerate(self.axes))
+        data = [state, contacts, self.fault]
+        for axis in self.axes:
+            data += [axis.requested, axis.position, axis.raw_current]
+        return _packed([*data, 0])
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
+        """Read it from eight registers.
+
+        Raises:
+            FrameError: if bytes are set that this gripper always leaves clear.
+        """
+        data = _unpacked(registers)
+        if data[2] & 0xF0 or data[15]:
+            raw = bytes(data)
+            raise FrameError(bus, f"no status of a 3-finger gripper: {raw.hex(' ')}", raw)
+        axes = tuple(
+            AxisStatus(Contact(data[1] >> 2 * i & 3), *data[3 + 3 * i : 6 + 3 * i])
+            for i in range(4)
+        )
+        return cls(
+            activated=bool(data[0] & 0x01),
+            mode=Mode(data[0] >> 1 & 3),
+            going=bool(data[0] & 0x08),
+            progress=Progress(data[0] >> 4 & 3),
+            motion=Motion(data[0] >> 6),
+            fault=data[2],
+            axes=axes,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Converts between counts and radians.
+
+    A finger's first joint turns by the same angle per count all the way (the published driver's 200
+    counts per radian); the scissor is linear between its end counts. Speed and force are those of
+    the fingertips; at the joint they follow by virtual work from the stroke.
+
+    Attributes:
+        counts_per_radian: Of a finger's first joint.
+        scissor_counts: Counts of the scissor at its two ends.
+        scissor_angles: Angles of the first palm joint there [rad].
+        stroke: Change of the fingertips' opening over all counts [m].
+        speed: Slowest and fastest fingertip [m/s].
+        force: Weakest and strongest fingertip [N].
+    """
+
+    counts_per_radian: float = 200.0
+    scissor_counts: tuple[float, float] = (15.0, 240.0)
+    scissor_angles: tuple[float, float] = (0.192, -0.192)
+    stroke: float = 0.155
+    speed: tuple[float, float] = (0.022, 0.110)
+    force: tuple[float, float] = (15.0, 60.0)
+
+    def angle(self, axis: str, count: float) -> float:
+        """Return a joint's angle for a count [rad]."""
+        if axis != "scissor":
+            return count / self.counts_per_radian
+        (first, last), (start, end) = self.scissor_counts, self.scissor_angles
+        part = min(max((count - first) / (last - first), 0.0), 1.0)
+        return start + part * (end - start)
+
+    def count(self, axis: str, angle: float) -> int:
+        """Return the count for a joint's angle, the nearest one that can be sent."""
+        if axis != "scissor":
+            return _byte(angle * self.counts_per_radian)
+        (first, last), (start, end) = self.scissor_counts, self.scissor_angles
+        part = min(max((angle - start) / (end - start), 0.0), 1.0)
+        return _byte(first + part * (last - first))
+
+    def per_radian(self, axis: str) -> float:
+        """Return the fingertip's way per angle of the joint [m/rad]."""
+        if axis != "scissor":
+            return self.stroke / 255 * self.counts_per_radian
+        counts = abs(self.scissor_counts[1] - self.scissor_counts[0])
+        return self.stroke / 255 * counts / abs(self.scissor_angles[1] - self.scissor_angles[0])
+
+    def speed_count(self, axis: str, velocity: float) -> int:
+        """Return rSPx for a joint's velocity [rad/s]; infinite is the fastest."""
+        return _share(velocity * self.per_radian(axis), self.speed)
+
+    def velocity(self, axis: str, count: int) -> float:
+        """Return the joint's velocity that rSPx means [rad/s]."""
+        return _between(count, self.speed) / self.per_radian(axis)
+
+    def force_count(self, axis: str, effort: float) -> int:
+        """Return rFRx for a joint's effort [N·m]; infinite is the strongest."""
+        return _share(effort / self.per_radian(axis), self.force)
+
+    def effort(self, axis: str, count: int) -> float:
+        """Return the joint's effort that rFRx means [N·m]."""
+        return _between(count, self.force) * self.per_radian(axis)
+
+
+def _packed(data: Sequence[int]) -> tuple[int, ...]:
+    return tuple(data[i] << 8 | data[i + 1] for i in range(0, 2 * COUNT, 2))
+
+
+def _unpacked(registers: Sequence[int]) -> list[int]:
+    return [byte for register in registers[:COUNT] for byte in (register >> 8, register & 0xFF)]
+
+
+def _between(count: int, ends: tuple[float, float]) -> float:
+    return ends[0] + (ends[1] - ends[0]) * count / 255
+
+
+def _share(value: float, ends: tuple[float, float]) -> int:
+    return _byte(min((value - ends[0]) / (ends[1] - ends[0]), 1.0) * 255)
+
+
+def _byte(value: float) -> int:
+    return min(max(round(value), 0), 255)
