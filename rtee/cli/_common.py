@@ -55,8 +55,21 @@ def complete_element(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def _hand_asked(ctx: typer.Context) -> str | None:
-    asked = ctx.params.get("hand") or ctx.params.get("hand_name")
-    return str(asked) if asked else None
+    asked = ctx.params.get("hand") or os.environ.get(HAND_VARIABLE)
+    if asked:
+        return str(asked)
+    there = complete_running("")
+    return there[0] if len(there) == 1 else None
+
+
+def complete_running(incomplete: str) -> list[str]:
+    """Return the hands that run on this computer and begin like this."""
+    from rtee.remote.directory import running
+
+    try:
+        return [name for name in running() if name.startswith(incomplete)]
+    except (RteeError, OSError):
+        return []
 
 
 Hand = Annotated[
@@ -72,6 +85,24 @@ HandOption = Annotated[
         envvar=HAND_VARIABLE,
         help="Name of a hand, or its folder; not needed where there is only one.",
         autocompletion=complete_hand,
+    ),
+]
+RunningOption = Annotated[
+    str | None,
+    typer.Option(
+        "--hand",
+        envvar=HAND_VARIABLE,
+        help="Name of a running hand; not needed where only one runs.",
+        autocompletion=complete_running,
+    ),
+]
+ConnectOption = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        envvar="RTEE_CONNECT",
+        metavar="ENDPOINT",
+        help="Where the hand runs, if elsewhere, such as tcp/robot:7447.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]

@@ -1,0 +1,70 @@
+"""What the commands share that talk to a running hand."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Coroutine
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.types import Result
+
+T = TypeVar("T")
+
+
+def with_hand(
+    hand: str | None,
+    endpoint: str | None,
+    what: str,
+    function: Callable[[RemoteHand], Coroutine[Any, Any, T]],
+) -> T:
+    """Connect to a running hand, call a function with it and return what that returns."""
+    import anyio
+
+    from rtee.remote.client import connect
+
+    async def main() -> T:
+        async with connect(hand, endpoint=endpoint, client=f"rtee-{what}") as remote:
+            return await function(remote)
+
+    return anyio.run(main)
+
+
+def to_json(values: Any) -> str:
+    """Return plain data as JSON; what is not a finite number becomes ``null``."""
+    return json.dumps(_plain(values))
+
+
+def _plain(values: Any) -> Any:
+    if isinstance(values, float):
+        return values if math.isfinite(values) else None
+    if isinstance(values, dict):
+        return {str(key): _plain(value) for key, value in values.items()}
+    if isinstance(values, (list, tuple)):
+        return [_plain(value) for value in values]
+    return values
+
+
+def sentence(result: Result) -> str:
+    """Return how a goal ended, for people."""
+    said = [
+        words
+        for true, words in (
+            (result.reached, "reached"),
+            (result.grasped, "grasped" + _by(result.grasped_fingers)),
+            (result.stalled and not result.grasped, "stalled"),
+            (result.preempted, "pre-empted by another goal"),
+            (result.cancelled, "cancelled"),
+            (result.timed_out, "timed out"),
+            (result.aborted, f"aborted: {result.reason}"),
+        )
+        if true
+    ]
+    how = ", ".join(said) or "ended"
+    return f"{result.action}: {how} (error {result.error:.3g}, {result.duration:.2f} s)"
+
+
+def _by(fingers: tuple[str, ...]) -> str:
+    return f" by {', '.join(fingers)}" if fingers else ""

@@ -1,0 +1,96 @@
+"""`rtee do`: execute a grasping action."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import (
+    ConnectOption,
+    JsonOption,
+    RunningOption,
+    complete_action,
+    complete_element,
+)
+from rtee.types import Stage
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.types import Result
+
+app = typer.Typer()
+
+
+@app.command()
+def do(
+    action: Annotated[
+        str,
+        typer.Argument(
+            metavar="ACTION",
+            help="Name of an action, in any spelling.",
+            autocompletion=complete_action,
+        ),
+    ],
+    elements: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="ELEMENT…",
+            help="Fingers, or the actuator, of a primitive, in any order.",
+            autocompletion=complete_element,
+        ),
+    ] = None,
+    intensity: Annotated[
+        float, typer.Option(help="0 (rest posture) to 1 (the action's posture).")
+    ] = 1.0,
+    effort: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ACTUATOR=VALUE", help="Effort limit of an actuator [N·m | N]."),
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Scale of the velocity limits, up to 1.")] = 1.0,
+    tolerance: Annotated[float, typer.Option(help="Error norm that counts as reached.")] = 0.01,
+    timeout: Annotated[
+        float | None, typer.Option(metavar="S", help="Longest time it may take.")
+    ] = None,
+    stage: Annotated[Stage, typer.Option(help="How far a pinch goes.")] = Stage.BOTH,
+    kind: Annotated[
+        str | None, typer.Option(help="Kind of the action, where its name is not enough.")
+    ] = None,
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Execute a grasping action; Ctrl-C cancels it.
+
+    Example: rtee do pinch_tight index thumb --intensity 0.6
+    """
+    from dataclasses import asdict
+
+    from rtee.actions.naming import label
+    from rtee.actions.words import read_set_points
+    from rtee.cli._online import sentence, to_json, with_hand
+    from rtee.cli._progress import follow
+
+    limits = read_set_points(effort or [])
+    chosen = tuple(elements or ())
+
+    async def execute(remote: RemoteHand) -> Result:
+        running = await remote.start(
+            action,
+            *chosen,
+            intensity=intensity,
+            effort=limits,
+            speed=speed,
+            tolerance=tolerance,
+            timeout=timeout,
+            stage=stage,
+            kind=kind,
+        )
+        return await follow(running, label(action, chosen))
+
+    result = with_hand(hand, connect, "do", execute)
+    if as_json:
+        print(to_json(asdict(result) | {"succeeded": result.succeeded}))
+    else:
+        print(sentence(result))
+    raise typer.Exit(0 if result.succeeded else 1)

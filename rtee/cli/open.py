@@ -1,0 +1,29 @@
+"""`rtee open`: open the hand."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from rtee.cli._common import ConnectOption, RunningOption
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.types import Result
+
+app = typer.Typer()
+
+
+@app.command(name="open")
+def open_(hand: RunningOption = None, connect: ConnectOption = None) -> None:
+    """Bring the hand to its rest posture, or do its action "open" if it has one."""
+    from rtee.cli._online import sentence, with_hand
+    from rtee.cli._progress import follow
+
+    async def execute(remote: RemoteHand) -> Result:
+        return await follow(await remote.start("open"), "open")
+
+    result = with_hand(hand, connect, "open", execute)
+    print(sentence(result))
+    raise typer.Exit(0 if result.succeeded else 1)

@@ -1,0 +1,36 @@
+"""`rtee recover`: bring devices out of a fault."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import ConnectOption, RunningOption
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.remote.views import HandStatus
+
+app = typer.Typer()
+
+
+@app.command()
+def recover(
+    device: Annotated[
+        str | None, typer.Argument(metavar="[DEVICE]", help="One device; else all.")
+    ] = None,
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+) -> None:
+    """Bring devices out of a fault, or connect and activate them; nothing moves by it."""
+    from rtee.cli._online import with_hand
+
+    async def execute(remote: RemoteHand) -> HandStatus:
+        await remote.recover(device)
+        return await remote.status()
+
+    status = with_hand(hand, connect, "recover", execute)
+    for one in status.devices:
+        if device in (None, one.name):
+            print(f"{status.hand}: {one.name} is {one.lifecycle}")

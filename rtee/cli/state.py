@@ -1,0 +1,99 @@
+"""`rtee state`: the hand's state, live."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rtee.cli._common import ConnectOption, RunningOption
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from rtee.messages.state import State
+    from rtee.remote.client import RemoteHand
+
+app = typer.Typer()
+
+_COLUMNS = ("position", "velocity", "effort", "current", "temperature", "reference_position")
+
+
+@app.command()
+def state(
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    once: Annotated[bool, typer.Option("--once", help="Show it once.")] = False,
+    rate: Annotated[
+        float, typer.Option(min=0.1, help="States per second that are shown or printed.")
+    ] = 10.0,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print JSON, one object per line and state.")
+    ] = False,
+) -> None:
+    """Show the hand's state: live until Ctrl-C, or once."""
+    from rtee.cli._online import with_hand
+
+    async def execute(remote: RemoteHand) -> None:
+        if once:
+            _print(remote.name, await remote.state(), as_json)
+        elif as_json:
+            async for found in remote.states(rate):
+                _print(remote.name, found, as_json)
+        else:
+            await _live(remote, rate)
+
+    with_hand(hand, connect, "state", execute)
+
+
+async def _live(remote: RemoteHand, rate: float) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    with Live(console=Console(), auto_refresh=False) as live:
+        async for found in remote.states(rate):
+            live.update(_table(remote.name, found), refresh=True)
+
+
+def _print(name: str, found: State, as_json: bool) -> None:
+    from rich.console import Console
+
+    from rtee.cli._online import to_json
+
+    if as_json:
+        print(to_json(_plain(name, found)), flush=True)
+    else:
+        Console().print(_table(name, found))
+
+
+def _plain(name: str, found: State) -> dict[str, Any]:
+    columns = (*_COLUMNS, "reference_velocity", "reference_effort", "fresh")
+    return {
+        "hand": name,
+        "tick": found.tick,
+        "time": found.stamp,
+        "actuators": {
+            actuator: {column: getattr(found, column)[i].item() for column in columns}
+            for i, actuator in enumerate(found.names)
+        },
+        "joints": found.joints,
+        "channels": {channel: values.tolist() for channel, values in found.channels.items()},
+    }
+
+
+def _table(name: str, found: State) -> Table:
+    from rich.table import Table
+
+    table = Table(title=f"{name}, tick {found.tick}", title_justify="left")
+    table.add_column("actuator")
+    for column in _COLUMNS:
+        table.add_column(column.replace("_position", ""), justify="right")
+    for i, actuator in enumerate(found.names):
+        values = (float(getattr(found, column)[i]) for column in _COLUMNS)
+        table.add_row(actuator, *(_number(value) for value in values))
+    return table
+
+
+def _number(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.4f}"

@@ -1,0 +1,71 @@
+"""`rtee status`: the loop and the devices."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from rtee.cli._common import ConnectOption, JsonOption, RunningOption
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.remote.views import HandStatus
+
+app = typer.Typer()
+
+
+@app.command()
+def status(
+    hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
+) -> None:
+    """Show how a hand's loop and its devices are doing."""
+    from dataclasses import asdict
+
+    from rtee.cli._online import to_json, with_hand
+
+    async def execute(remote: RemoteHand) -> HandStatus:
+        return await remote.status()
+
+    found = with_hand(hand, connect, "status", execute)
+    if as_json:
+        print(to_json(asdict(found)))
+    else:
+        _show(found)
+
+
+def _show(found: HandStatus) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    clock = found.statistics
+    print(f"{found.hand}: {clock.measured_rate:.1f} Hz of {clock.rate:g} Hz, ", end="")
+    print(f"{clock.ticks} ticks, {clock.missed} missed, {clock.dropped} log records dropped")
+    print(f"lateness: {_times(clock.lateness_p50, clock.lateness_p99, clock.lateness_max)}")
+    print(f"busy:     {_times(clock.busy_p50, clock.busy_p99, clock.busy_max)}")
+    print(f"goal:     {found.action or 'none'}")
+    print(f"held by:  {found.holder or 'nobody'}")
+    print(f"log:      {found.recording or 'off'}")
+    table = Table()
+    for column in ("device", "driver", "state", "rate", "age", "errors", "overruns", "remarks"):
+        table.add_column(column, overflow="fold")
+    for one in found.devices:
+        fault = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else ""
+        remarks = "; ".join(text for text in (fault, one.message, one.hint) if text)
+        cells = (
+            one.name,
+            one.driver,
+            str(one.lifecycle),
+            f"{one.rate:.0f} Hz",
+            f"{one.age * 1e3:.1f} ms",
+            str(one.errors),
+            str(one.overruns),
+            remarks,
+        )
+        table.add_row(*map(Text, cells))
+    Console().print(table)
+
+
+def _times(median: float, high: float, worst: float) -> str:
+    return f"{median * 1e6:.0f} µs median, {high * 1e6:.0f} µs p99, {worst * 1e6:.0f} µs worst"

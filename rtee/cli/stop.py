@@ -1,0 +1,47 @@
+"""`rtee stop`: stop the hand, whoever holds it."""
+
+from __future__ import annotations
+
+import typer
+
+from rtee.cli._common import ConnectOption, RunningOption
+from rtee.errors import RteeError
+
+app = typer.Typer()
+
+
+@app.command()
+def stop(hand: RunningOption = None, connect: ConnectOption = None) -> None:
+    """Stop a hand now, whoever holds it; without --hand all that run on this computer."""
+    import anyio
+
+    from rtee.remote.client import RemoteHand
+    from rtee.remote.client import connect as connected
+    from rtee.remote.find import hands_running
+
+    names: list[str | None] = [hand]
+    if hand is None and connect is None:
+        names = list(hands_running()) or [None]
+    confirmed: dict[str, dict[str, bool]] = {}
+    errors: list[RteeError] = []
+
+    async def one(name: str | None) -> None:
+        try:
+            async with connected(name, endpoint=connect, client="rtee-stop") as remote:
+                remote_hand: RemoteHand = remote
+                confirmed[remote_hand.name] = await remote_hand.stop()
+        except RteeError as error:
+            errors.append(error)
+
+    async def everyone() -> None:
+        async with anyio.create_task_group() as group:
+            for name in names:
+                group.start_soon(one, name)
+
+    anyio.run(everyone)
+    for name, devices in confirmed.items():
+        for device, done in devices.items():
+            print(f"{name}: {device} {'has stopped' if done else 'did NOT confirm the stop'}")
+    if errors:
+        raise errors[0]
+    raise typer.Exit(0 if all(all(devices.values()) for devices in confirmed.values()) else 1)
