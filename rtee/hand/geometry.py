@@ -16,7 +16,7 @@ from rtee.hand.kinematics import Kinematics, pose
 from rtee.hand.meshes import check_mesh
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
-from rtee.hand.urdf import UrdfGeometry
+from rtee.hand.urdf import UrdfGeometry, UrdfLink
 from rtee.types import FloatArray
 
 _FLAT: Final = 1e-4
@@ -51,6 +51,7 @@ class Shape:
         self.in_link = pose(source.xyz, source.rpy)
         self.placement = of_link * self.in_link
         self.exact = exact
+        self.exact.computeLocalAABB()
         self.source = source
 
     @property
@@ -77,6 +78,17 @@ class Shape:
         faces = [(c[0], c[1], c[2]) for c in corners]
         return np.array(self.exact.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
 
+    @property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Corners of the bounding box in the shape's own frame [m]."""
+        bounds = self.exact.aabb_local
+        return bounds.min_, bounds.max_
+
+    @cached_property
+    def surface(self) -> FloatArray:
+        """Points ``(k, 3)`` [m] in the shape's own frame, spread over its surface."""
+        return np.array(self.exact.vertices()) if self.is_mesh else self.triangles[0]
+
     @cached_property
     def points(self) -> FloatArray:
         """Points ``(k, 3)`` [m] in the shape's own frame whose hull contains the shape."""
@@ -101,8 +113,16 @@ class HandGeometry:
         shapes: All collision shapes, link by link in the order of the URDF's tree.
     """
 
-    def __init__(self, hand: Hand, kinematics: Kinematics | None = None) -> None:
+    def __init__(
+        self, hand: Hand, kinematics: Kinematics | None = None, *, visual: bool = False
+    ) -> None:
         """Read the shapes.
+
+        Args:
+            hand: The hand.
+            kinematics: Its kinematics, where there is one already.
+            visual: Read the visual shapes instead, for pictures; the collision shapes of links
+                that have none or whose visual meshes cannot be read.
 
         Raises:
             ModelError: A mesh is missing or cannot be read.
@@ -111,9 +131,9 @@ class HandGeometry:
         self.kinematics = kinematics or Kinematics(hand)
         loader = _Meshes(hand)
         self.shapes = tuple(
-            Shape(link, body, placement, _exact(source, loader), source)
+            Shape(link, body, placement, exact, source)
             for link, (body, placement) in self.kinematics.bodies.items()
-            for source in hand.urdf.links[link].collisions
+            for source, exact in _of_link(hand.urdf.links[link], loader, visual=visual)
         )
 
     def of_link(self, link: str) -> tuple[int, ...]:
@@ -151,7 +171,7 @@ class _Meshes:
 
     def __init__(self, hand: Hand) -> None:
         self._hand = hand
-        self._loader = coal.MeshLoader(coal.NODE_TYPE.BV_OBBRSS)
+        self._loader = coal.MeshLoader(coal.NODE_TYPE.BV_kIOS)
         self._known: dict[tuple[object, ...], coal.BVHModelBase] = {}
 
     def load(self, source: UrdfGeometry) -> coal.BVHModelBase:
@@ -188,6 +208,17 @@ def _identity(path: Path) -> object:
     if path.suffix.lower() == ".stl":
         return hashlib.blake2b(path.read_bytes(), digest_size=16).digest()
     return path
+
+
+def _of_link(
+    link: UrdfLink, meshes: _Meshes, *, visual: bool
+) -> list[tuple[UrdfGeometry, coal.CollisionGeometry]]:
+    if visual and link.visuals:
+        try:
+            return [(source, _exact(source, meshes)) for source in link.visuals]
+        except ModelError:
+            pass
+    return [(source, _exact(source, meshes)) for source in link.collisions]
 
 
 def _exact(source: UrdfGeometry, meshes: _Meshes) -> coal.CollisionGeometry:

@@ -1,0 +1,207 @@
+"""The report: a page with everything that was found, and a picture of every action."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rtee.actions.types import (
+    Action,
+    Composed,
+    Evidence,
+    Generic,
+    Posture,
+    Primitive,
+    PrimitiveKind,
+    Timed,
+)
+from rtee.extract.report_page import Card, Section, Shot, page
+from rtee.extract.report_pictures import Contact, Studio
+from rtee.hand.files import write_atomically
+from rtee.hand.model import Hand
+from rtee.types import FloatArray
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+    from rtee.extract.extraction import Extraction
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A card to be made, with the pictures to be taken."""
+
+    title: str
+    fingers: tuple[str, ...]
+    views: tuple[_View, ...]
+    posture: Posture | None = None
+    evidence: Evidence | None = None
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class _View:
+    """A picture to be taken."""
+
+    u: FloatArray
+    fingers: tuple[str, ...]
+    caption: str = ""
+    contact: Contact | None = None
+    tips: tuple[str, ...] = ()
+
+
+def write_report(
+    path: Path | str,
+    hand: Hand,
+    extraction: Extraction,
+    library: ActionLibrary | None = None,
+    *,
+    jobs: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write the report of a hand.
+
+    Args:
+        path: The HTML file to write.
+        hand: The hand.
+        extraction: What was extracted from it.
+        library: Its actions, for the composed, timed and generic ones among them.
+        jobs: Threads that take pictures; 0 for one per processor.
+        progress: Called with the pictures taken and those there are.
+
+    Raises:
+        ConfigError: The file cannot be written, or the extra ``plot`` is not installed.
+        ModelError: A mesh cannot be read.
+    """
+    sections = {**_primitives(hand, extraction.primitives), **_custom(hand, library or ())}
+    every = [view for plans in sections.values() for plan in plans for view in plan.views]
+    studio = Studio(hand, postures=[view.u for view in every])
+    done = 0
+
+    def count(_: Future[bytes] | Future[Shot]) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, len(every) + 1)
+
+    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
+        rest = pool.submit(studio.picture, hand.rest, file_format="WEBP")
+        shots = {id(view): pool.submit(_shot, studio, view) for view in every}
+        rest.add_done_callback(count)
+        for shot in shots.values():
+            shot.add_done_callback(count)
+        cards = [
+            Section(
+                title,
+                [
+                    Card(
+                        plan.title,
+                        plan.fingers,
+                        tuple(shots[id(view)].result() for view in plan.views),
+                        plan.posture,
+                        plan.evidence,
+                        plan.description,
+                    )
+                    for plan in plans
+                ],
+            )
+            for title, plans in sections.items()
+        ]
+        notes = (*hand.notes, *extraction.notes)
+        text = page(hand, rest.result(), cards, notes, extraction.seconds)
+    write_atomically(path, text)
+
+
+def _shot(studio: Studio, view: _View) -> Shot:
+    image = studio.picture(
+        view.u,
+        highlight=view.fingers,
+        contacts=[view.contact] if view.contact else [],
+        ghost=True,
+        file_format="WEBP",
+    )
+    close = None
+    if view.contact and view.tips:
+        close = studio.close_up(view.u, view.contact, view.tips, file_format="WEBP")
+    return Shot(image, close, view.caption)
+
+
+def _primitives(hand: Hand, primitives: Iterable[Primitive]) -> dict[str, list[_Plan]]:
+    """Return the primitives by kind."""
+    order = list(PrimitiveKind)
+    groups: dict[str, list[_Plan]] = {}
+    for primitive in sorted(primitives, key=lambda p: (order.index(p.kind), p.tips)):
+        groups.setdefault(primitive.name, []).append(_primitive(hand, primitive))
+    return groups
+
+
+def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
+    fingers = primitive.fingers or primitive.elements
+    evidence = primitive.evidence[0] if primitive.evidence else None
+    contact: Contact | None = None
+    tips: tuple[str, ...] = ()
+    if evidence is not None and evidence.point is not None and evidence.normal is not None:
+        contact = (evidence.point, evidence.normal)
+        tips = tuple(tip for f in fingers if (tip := hand.finger(f).tip) is not None)
+    view = _View(_position(hand, primitive.posture), fingers, contact=contact, tips=tips)
+    title = " + ".join(primitive.elements)
+    return _Plan(title, fingers, (view,), primitive.posture, evidence)
+
+
+def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
+    """Return the composed, timed and generic actions by kind."""
+    groups: dict[str, list[_Plan]] = {}
+    for action in actions:
+        match action:
+            case Composed() | Generic():
+                fingers = _moved(hand, action.posture)
+                view = _View(_position(hand, action.posture), fingers)
+                plan = _Plan(
+                    action.name, fingers, (view,), action.posture, description=_said(action)
+                )
+            case Timed():
+                plan = _timed(hand, action)
+            case _:
+                continue
+        groups.setdefault(type(action).__name__, []).append(plan)
+    return dict(sorted(groups.items(), key=lambda g: ("Composed", "Timed", "Generic").index(g[0])))
+
+
+def _said(action: Composed | Generic) -> str:
+    if action.description or isinstance(action, Generic):
+        return action.description
+    parts = (
+        " ".join([use.action, *use.elements]) + (f" × {use.scale:g}" if use.scale != 1 else "")
+        for use in action.parts
+    )
+    return " + ".join(parts)
+
+
+def _timed(hand: Hand, action: Timed) -> _Plan:
+    """Plan a picture after every step; actuators that a step leaves alone stay where they are."""
+    u = np.array(hand.rest)
+    views = []
+    for i, step in enumerate(action.steps, 1):
+        u = u.copy()
+        for name in step.posture.involved:
+            u[hand.actuator_index(name)] = step.posture.position[name]
+        caption = f"{i}. {step.alias}: {step.before:g} s before, {step.after:g} s after"
+        views.append(_View(u, _moved(hand, step.posture), caption))
+    involved = {finger for view in views for finger in view.fingers}
+    fingers = tuple(name for name in hand.finger_names if name in involved)
+    return _Plan(action.name, fingers, tuple(views), description=action.description)
+
+
+def _position(hand: Hand, posture: Posture) -> FloatArray:
+    return np.array([posture.position[name] for name in hand.actuator_names])
+
+
+def _moved(hand: Hand, posture: Posture) -> tuple[str, ...]:
+    return tuple(
+        finger.name for finger in hand.fingers if set(finger.actuators) & set(posture.involved)
+    )

@@ -1,0 +1,120 @@
+"""Triangles of a hand with normals that are smooth where the surface is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.hand.geometry import HandGeometry
+from rtee.types import FloatArray
+
+IntArray = NDArray[np.int64]
+
+CREASE: Final = math.radians(35.0)
+"""Faces that meet at a larger angle have an edge between them [rad]."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles with a normal at every corner.
+
+    Attributes:
+        corners: Corners ``(t, 3, 3)`` [m].
+        normals: Unit normals at the corners ``(t, 3, 3)``.
+        links: Index of the link of each triangle ``(t,)``.
+    """
+
+    corners: FloatArray
+    normals: FloatArray
+    links: IntArray
+
+
+class HandSurface:
+    """The collision geometry of a hand, posed as one surface.
+
+    Attributes:
+        geometry: The hand's collision geometry.
+        links: The links that have some, in the order of the URDF's tree.
+    """
+
+    def __init__(self, geometry: HandGeometry) -> None:
+        self.geometry = geometry
+        self.links = tuple(dict.fromkeys(shape.link for shape in geometry.shapes))
+        self._parts = []
+        for link in self.links:
+            vertices, faces = geometry.triangles(link)
+            self._parts.append((vertices[faces], smooth_normals(vertices, faces)))
+
+    def at(self, u: FloatArray) -> Surface:
+        """Return the surface at a posture, in the hand's base frame.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m].
+        """
+        poses = self.geometry.kinematics.placements(u)
+        corners, normals, links = [], [], []
+        for index, (link, (points, directions)) in enumerate(
+            zip(self.links, self._parts, strict=True)
+        ):
+            pose = poses[link]
+            corners.append(points @ pose[:3, :3].T + pose[:3, 3])
+            normals.append(directions @ pose[:3, :3].T)
+            links.append(np.full(len(points), index))
+        return Surface(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
+
+
+def smooth_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return a unit normal per corner of each face.
+
+    The normal of a corner is the mean of the normals of the faces around the vertex, weighted by
+    their angles there, as far as they meet the corner's own face at less than `CREASE`.
+
+    Args:
+        vertices: Vertices ``(v, 3)`` [m]; equal ones count as one.
+        faces: Indices of vertices ``(f, 3)``.
+
+    Returns:
+        ``(f, 3, 3)``.
+    """
+    if not len(faces):
+        return np.zeros((0, 3, 3))
+    corners = vertices[faces]
+    flat, angles = _face_normals(corners)
+    place = _same_vertices(corners.reshape(-1, 3))
+    order = np.argsort(place, kind="stable")
+    counts = np.bincount(place[order])
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    mine = np.repeat(np.arange(len(order)), counts[place[order]])
+    first_pair = np.concatenate([[0], np.cumsum(counts[place[order]])[:-1]])
+    other = np.arange(len(mine)) - first_pair[mine] + starts[place[order]][mine]
+    own_face, other_face = order[mine] // 3, order[other] // 3
+    smooth = np.einsum("ij,ij->i", flat[own_face], flat[other_face]) > math.cos(CREASE)
+    weight = np.where(smooth, angles.ravel()[order[other]], 0.0)
+    total = np.add.reduceat(flat[other_face] * weight[:, None], first_pair)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    result = np.empty((len(order), 3))
+    result[order] = np.where(length > 1e-12, total / np.maximum(length, 1e-12), flat[order // 3])
+    return result.reshape(-1, 3, 3)
+
+
+def _face_normals(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return unit normals ``(f, 3)`` and the angles at the corners ``(f, 3)`` [rad]."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    normals = np.cross(edges[:, 0], -edges[:, 2])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    edges /= np.maximum(np.linalg.norm(edges, axis=2, keepdims=True), 1e-30)
+    cosines = -np.einsum("fij,fij->fi", edges, np.roll(edges, 1, axis=1))
+    return normals, np.arccos(np.clip(cosines, -1.0, 1.0))
+
+
+def _same_vertices(points: FloatArray) -> IntArray:
+    """Return a number per point that equal points share."""
+    extent = float(np.ptp(points, axis=0).max()) or 1.0
+    grid = np.round((points - points.min(axis=0)) * (2**20 / extent)).astype(np.int64)
+    keys = (grid[:, 0] << 42) | (grid[:, 1] << 21) | grid[:, 2]
+    _, inverse = np.unique(keys, return_inverse=True)
+    return inverse.ravel()
