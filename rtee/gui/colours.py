@@ -1,4 +1,4 @@
-"""Colours that people with any colour vision tell apart (Okabe and Ito's palette, viridis-like ramps)."""
+"""Colours that people with any colour vision tell apart: Okabe and Ito's palette, and a ramp."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The 3D view: the measured hand, its reference and a preview as ghosts, contacts, effort, pressure."""
+"""The 3D view: the measured hand, reference and preview as ghosts, contacts, effort, pressure."""
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
+
+Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""A point [m] and a unit normal in the base frame."""
 
 _GHOST = 0.35
 _BRIGHT: Colour = (240, 60, 40)
@@ -146,9 +149,7 @@ class HandScene:
                 if own != PALM:
                     self._body.set_colour(link, blend(own, _BRIGHT, round(strength, 1)))
 
-    def show_contacts(
-        self, contacts: Sequence[tuple[tuple[float, float, float], tuple[float, float, float]]]
-    ) -> None:
+    def show_contacts(self, contacts: Sequence[Contact]) -> None:
         """Mark contact points with their normals [m], in the hand's base frame."""
         for handle in self._contacts:
             handle.remove()

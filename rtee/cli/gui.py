@@ -1,0 +1,32 @@
+"""``rtee gui``: the hand in the browser."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def gui(
+    hand: Annotated[str | None, typer.Argument(help="The running hand; any if left out.")] = None,
+    port: Annotated[int, typer.Option(help="Port to listen on.", min=0, max=65535)] = 8080,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; anything but loopback opens it to a network.")
+    ] = "127.0.0.1",
+    endpoint: Annotated[
+        str | None, typer.Option(help="Where the hand is, such as tcp/robot:7447.")
+    ] = None,
+) -> None:
+    """Open the hand in the browser: prints the address."""
+    import anyio
+
+    from rtee.errors import ConfigError
+
+    try:
+        from rtee.gui.app import serve
+    except ImportError as error:
+        raise ConfigError(f"the GUI needs the extra 'gui' ({error}); install rtee[gui]") from error
+    anyio.run(lambda: serve(hand, host=host, port=port, endpoint=endpoint))

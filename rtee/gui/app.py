@@ -1,0 +1,141 @@
+"""The GUI: finds a running hand, shows it, says it plainly when it goes, and goes on."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+import anyio
+import viser
+
+from rtee.errors import NoHand, RteeError
+from rtee.gui.bridge import Bridge
+from rtee.gui.model import model_of
+from rtee.gui.session import Session
+from rtee.remote.client import connect
+from rtee.remote.find import hands_running
+
+_LOOK_AGAIN = 0.5
+
+
+class App:
+    """Serves one browser page; any number of windows may look at it.
+
+    Attributes:
+        server: The browser's server.
+    """
+
+    def __init__(self, server: viser.ViserServer, hand: str | None, endpoint: str | None) -> None:
+        """Prepare the page; call it from the event loop.
+
+        Args:
+            server: The browser's server.
+            hand: The hand to show; ``None``: the one chosen in the page, at first any.
+            endpoint: Where it is, if not on this computer.
+        """
+        self.server = server
+        self._endpoint = endpoint
+        self._wanted = hand
+        self._fixed = hand is not None
+        self._bridge = Bridge(server)
+        server.gui.configure_theme(
+            control_layout="fixed",
+            control_width="medium",
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(0, 90, 140),
+        )
+        server.gui.set_panel_label("rtee")
+        self._banner = server.gui.add_html("", order=-2)
+        self._hands = server.gui.add_dropdown(
+            "Hand", (hand or "–",), hint="The running hands on this computer", order=-1
+        )
+        self._hands.on_update(lambda _: self._bridge.call(self._choose))
+        self._leave: anyio.CancelScope | None = None
+
+    async def _choose(self) -> None:
+        name = str(self._hands.value)
+        if name not in ("–", self._wanted):
+            self._wanted = name
+            if self._leave is not None:
+                self._leave.cancel()
+
+    def _say(self, text: str, colour: str) -> None:
+        self._banner.content = (
+            f'<div role="alert" style="padding:0.5em 0.75em;font-weight:600;color:{colour}">'
+            f"{text}</div>"
+        )
+
+    async def run(self) -> None:
+        """Show hands until cancelled."""
+        while True:
+            self._offer()
+            with self._scope() as leave:
+                try:
+                    await self._show()
+                except NoHand as error:
+                    self._say(f"Not connected: {error}", "#c92a2a")
+                except BaseExceptionGroup as errors:
+                    gone, others = errors.split(NoHand)
+                    if others is not None:
+                        raise
+                    text = gone.exceptions[0] if gone is not None else ""
+                    self._say(f"Not connected: {text}", "#c92a2a")
+                except RteeError as error:
+                    self._say(f"Cannot show the hand: {error}", "#c92a2a")
+            if not leave.cancelled_caught:
+                await anyio.sleep(_LOOK_AGAIN)
+
+    @contextlib.contextmanager
+    def _scope(self) -> Iterator[anyio.CancelScope]:
+        with anyio.CancelScope() as scope:
+            self._leave = scope
+            try:
+                yield scope
+            finally:
+                self._leave = None
+
+    def _offer(self) -> None:
+        if self._endpoint is not None:
+            return
+        names = tuple(sorted({*hands_running(), *([self._wanted] if self._wanted else [])}))
+        if self._wanted is None and names:
+            self._wanted = names[0]
+        if names and tuple(self._hands.options) != names:
+            self._hands.options = names
+            self._hands.value = self._wanted or names[0]
+
+    async def _show(self) -> None:
+        if self._wanted is None and self._endpoint is None:
+            raise NoHand("no hand is running here; start one with `rtee run HAND`")
+        async with connect(self._wanted, endpoint=self._endpoint, client="gui") as remote:
+            hand = await model_of(remote)
+            session = Session(self._bridge, remote, hand)
+            self._say(f"{remote.name}: connected", "#00795c")
+            try:
+                await session.run()
+            finally:
+                session.remove()
+
+
+async def serve(
+    hand: str | None,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    endpoint: str | None = None,
+) -> None:
+    """Serve the GUI until cancelled.
+
+    Args:
+        hand: The hand to show; ``None``: any that runs.
+        host: Address to listen on.
+        port: Port to listen on; the next free one if it is taken.
+        endpoint: Where the hand is, if not on this computer.
+    """
+    server = viser.ViserServer(host=host, port=port, verbose=False)
+    print(f"rtee: GUI at http://{host}:{server.get_port()}", flush=True)  # noqa: T201
+    try:
+        await App(server, hand, endpoint).run()
+    finally:
+        server.stop()

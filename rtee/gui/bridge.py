@@ -1,0 +1,58 @@
+"""Clicks come from the browser's threads; the hand's client lives in an event loop of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any, Final
+
+import viser
+
+from rtee.errors import RteeError
+
+Work = Callable[[], Awaitable[object]]
+
+_SECONDS: Final = 6.0
+
+
+class Bridge:
+    """Carries clicks into the event loop, and refusals back as notifications.
+
+    Attributes:
+        server: The browser's server.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        """Remember the running event loop; call it from there."""
+        self.server = server
+        self._loop = asyncio.get_running_loop()
+        self._working: set[asyncio.Task[None]] = set()
+
+    def call(self, work: Work) -> None:
+        """Do something in the event loop; may be called from any thread."""
+        self._loop.call_soon_threadsafe(self._start, work)
+
+    def _start(self, work: Work) -> None:
+        task = asyncio.ensure_future(self._guarded(work))
+        self._working.add(task)
+        task.add_done_callback(self._working.discard)
+
+    async def _guarded(self, work: Work) -> None:
+        try:
+            await work()
+        except RteeError as error:
+            self.tell("Refused", str(error), "orange")
+        except OSError as error:
+            self.tell("Failed", str(error), "red")
+
+    def tell(self, title: str, text: str, colour: Any = "blue") -> None:
+        """Show a notification in every window."""
+        for client in self.server.get_clients().values():
+            client.add_notification(title, text, color=colour, auto_close_seconds=_SECONDS)
+
+    async def close(self) -> None:
+        """Cancel what is under way."""
+        working = list(self._working)
+        for task in working:
+            task.cancel()
+        await asyncio.gather(*working, return_exceptions=True)

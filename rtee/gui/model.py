@@ -1,0 +1,56 @@
+"""The model of a running hand: from its folder here, or as the hand describes itself."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from rtee.errors import RteeError
+from rtee.hand.load import load_hand, load_model
+from rtee.hand.model import Finger, Hand
+from rtee.remote.client import RemoteHand
+from rtee.remote.planner import HandInfo
+
+
+def _fingers(info: HandInfo) -> tuple[Finger, ...]:
+    return tuple(
+        Finger(
+            name=f.name,
+            base=f.base,
+            tip=f.tip or None,
+            links=f.links,
+            actuators=f.actuators,
+            own=tuple(
+                name
+                for name in f.actuators
+                if sum(name in other.actuators for other in info.fingers) == 1
+            ),
+            reason="as the running hand says",
+        )
+        for f in info.fingers
+    )
+
+
+def from_info(info: HandInfo) -> Hand:
+    """Return the model of a hand on another computer, from its own description.
+
+    Raises:
+        ModelError: if the description cannot be used, for example when its meshes are not here.
+    """
+    with tempfile.TemporaryDirectory(prefix="rtee-") as folder:
+        path = Path(folder) / "hand.urdf"
+        path.write_text(info.urdf, encoding="utf-8")
+        rest = {a.name: a.rest for a in info.actuators}
+        hand = load_model(path, name=info.name, rest=rest)
+        return replace(hand, fingers=_fingers(info))
+
+
+async def model_of(remote: RemoteHand) -> Hand:
+    """Return the model of a running hand: the one configured here if it fits, else its own."""
+    info = await remote.info()
+    try:
+        hand = load_hand(remote.name)
+    except RteeError:
+        return from_info(info)
+    return hand if hand.actuator_names == info.actuator_names else from_info(info)

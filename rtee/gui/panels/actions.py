@@ -1,0 +1,88 @@
+"""All actions of a hand as cards, grouped by kind, kept in step while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rtee.actions.types import Action, ActionKind, Primitive, kind_of
+from rtee.gui.bridge import Bridge
+from rtee.gui.panels.cards import Card, Show
+from rtee.remote.client import RemoteHand
+
+_FEW = 3
+_TITLES = {
+    ActionKind.PRIMITIVE: "Primitives",
+    ActionKind.COMPOSED: "Composed",
+    ActionKind.TIMED: "Timed",
+    ActionKind.GENERIC: "Generic",
+}
+
+
+def grouped(actions: Sequence[Action]) -> dict[tuple[ActionKind, str], list[Action]]:
+    """Return the actions by kind and name: the primitives of one name share a card."""
+    groups: dict[tuple[ActionKind, str], list[Action]] = {}
+    for kind in ActionKind:
+        for action in actions:
+            if kind_of(action) is kind:
+                groups.setdefault((kind, action.name), []).append(action)
+    return groups
+
+
+class ActionsPanel:
+    """The cards, with a search above them."""
+
+    def __init__(self, bridge: Bridge, hand: RemoteHand, show: Show) -> None:
+        """Put the panel where the GUI builds now; `refresh` fills it."""
+        gui = bridge.server.gui
+        self._bridge = bridge
+        self._hand = hand
+        self._show = show
+        self._search = gui.add_text(
+            "Search", "", hint="Show only actions whose name or elements contain this"
+        )
+        self._search.on_update(lambda _: self._filter())
+        self._folders = {kind: gui.add_folder(title) for kind, title in _TITLES.items()}
+        self._cards: dict[tuple[ActionKind, str], Card] = {}
+        self._known: dict[tuple[ActionKind, str], tuple[object, ...]] = {}
+
+    @property
+    def cards(self) -> dict[tuple[ActionKind, str], Card]:
+        """The cards by kind and name."""
+        return dict(self._cards)
+
+    async def refresh(self) -> list[Action]:
+        """Ask the hand for its actions; changes only the cards whose actions have changed."""
+        actions = await self._hand.actions()
+        groups = grouped(actions)
+        for key in [key for key in self._cards if key not in groups]:
+            self._cards.pop(key).remove()
+            del self._known[key]
+        for key, group in groups.items():
+            signature = tuple(_signature(action) for action in group)
+            if self._known.get(key) == signature:
+                continue
+            if key in self._cards:
+                self._cards.pop(key).remove()
+            with self._folders[key[0]]:
+                self._cards[key] = Card(
+                    self._bridge,
+                    self._hand,
+                    group,
+                    self._show,
+                    expanded=len(self._cards) < _FEW,
+                )
+            self._known[key] = signature
+        for kind, folder in self._folders.items():
+            folder.visible = any(key[0] is kind for key in self._cards)
+        self._filter()
+        return actions
+
+    def _filter(self) -> None:
+        wanted = str(self._search.value).lower().split()
+        for card in self._cards.values():
+            card.visible = all(word in card.words for word in wanted)
+
+
+def _signature(action: Action) -> object:
+    elements = action.elements if isinstance(action, Primitive) else ()
+    return (action.name, elements, repr(action))

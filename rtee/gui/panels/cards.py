@@ -1,0 +1,293 @@
+"""A card per grasping action: elements, intensity, Do, Preview, Cancel, and how far it has come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+
+import viser
+
+from rtee.actions.types import (
+    Action,
+    ActionReference,
+    Composed,
+    Evidence,
+    Generic,
+    Posture,
+    Primitive,
+    PrimitiveKind,
+    Timed,
+)
+from rtee.errors import RteeError
+from rtee.gui.bridge import Bridge
+from rtee.gui.panels.choice import ElementChoice
+from rtee.remote.client import GoalOptions, RemoteHand
+from rtee.types import Feedback, Result, Stage
+
+Show = Callable[[Posture | None, float, Evidence | None], None]
+"""Shows a posture at an intensity as a ghost, with its contact; ``None`` hides it."""
+
+_STAGES = {
+    "to the grasp": Stage.BOTH,
+    "to just before contact": Stage.PRE_GRASP,
+    "on to the grasp": Stage.GRASP,
+}
+
+
+def said(result: Result) -> tuple[str, str]:
+    """Return how a goal ended, in words, and the colour that goes with it."""
+    if result.grasped:
+        return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}", "green"
+    if result.reached:
+        return "reached", "green"
+    for ended, words in (
+        (result.preempted, "replaced by another goal"),
+        (result.cancelled, "cancelled"),
+        (result.timed_out, "timed out"),
+        (result.stalled, "stalled"),
+    ):
+        if ended:
+            return words, "orange"
+    return f"aborted: {result.reason}", "red"
+
+
+def described(use: ActionReference) -> str:
+    """Return a use of an action as people write it: ``Trig thumb × 0.3``."""
+    name = " ".join((use.action, *use.elements))
+    return name if use.scale == 1.0 else f"{name} × {use.scale:g}"
+
+
+class Card:
+    """One action, or all primitives of one name.
+
+    Attributes:
+        name: What it is called.
+        words: What a search looks in.
+    """
+
+    def __init__(
+        self,
+        bridge: Bridge,
+        hand: RemoteHand,
+        actions: Sequence[Action],
+        show: Show,
+        *,
+        expanded: bool,
+    ) -> None:
+        """Put the card where the GUI builds now.
+
+        Args:
+            bridge: Carries clicks.
+            hand: The hand.
+            actions: The primitives of one name, or one other action.
+            show: Shows a posture.
+            expanded: Whether it is unfolded at once.
+        """
+        self.name = actions[0].name
+        self._bridge = bridge
+        self._hand = hand
+        self._actions = tuple(actions)
+        self._show = show
+        self._goal_id = ""
+        self._inner: dict[str, viser.GuiProgressBarHandle] = {}
+        self._choice: ElementChoice | None = None
+        self._stage: viser.GuiDropdownHandle[str] | None = None
+        self._contact: float | None = None
+        gui = bridge.server.gui
+        self._folder = gui.add_folder(self.name, expand_by_default=expanded)
+        with self._folder:
+            self._describe(gui)
+            self._slider = self._make_slider(gui)
+            self._add_more(gui)
+            self._buttons = gui.add_button_group(
+                "",
+                ("Do", "Preview", "Cancel"),
+                hint="Do: execute it. Preview: show where it leads. Cancel: hold the hand as it is",
+                order=4,
+            )
+            self._bar = gui.add_progress_bar(0.0, animated=False, color=(0, 114, 178), order=5)
+            self._word = gui.add_html("", order=6)
+        self._buttons.on_click(self._clicked)
+        self.words = " ".join((self.name, *self._elements_of_all())).lower()
+
+    def _elements_of_all(self) -> list[str]:
+        return [e for a in self._actions if isinstance(a, Primitive) for e in a.elements]
+
+    def _describe(self, gui: viser.GuiApi) -> None:
+        action = self._actions[0]
+        match action:
+            case Primitive():
+                whole = [a.elements for a in self._actions if isinstance(a, Primitive)]
+                single = action.kind is PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS
+                noun = "Actuator" if single else "Finger"
+                self._choice = ElementChoice(gui, whole, self._chosen_anew, noun)
+            case Composed(parts=parts):
+                gui.add_html(_small(" + ".join(escape(described(p)) for p in parts)), order=0)
+            case Generic(posture=posture):
+                moved = ", ".join(escape(name) for name in posture.involved)
+                gui.add_html(_small(f"moves {moved}"), order=0)
+            case Timed(steps=steps):
+                for step in steps:
+                    text = (
+                        f"<b>{escape(step.alias)}</b> {escape(described(step.use))} · "
+                        f"{step.before:g} s before, {step.after:g} s after"
+                    )
+                    gui.add_html(_small(text), order=0)
+                    self._inner[step.alias] = gui.add_progress_bar(
+                        0.0, color=(86, 180, 233), order=0
+                    )
+
+    def _make_slider(self, gui: viser.GuiApi, value: int = 100) -> viser.GuiSliderHandle[int]:
+        self._contact = None if self.evidence is None else self.evidence.contact_at
+        marks = None if self._contact is None else ((round(100 * self._contact), "contact"),)
+        slider = gui.add_slider(
+            "Intensity [%]",
+            0,
+            100,
+            1,
+            value,
+            marks=marks,
+            hint="0 % is the rest posture, 100 % the action's; the mark is where the tips touch",
+            visible=not isinstance(self._actions[0], Timed),
+            order=1,
+        )
+        slider.on_update(lambda _: self._preview_if_shown())
+        return slider
+
+    def _add_more(self, gui: viser.GuiApi) -> None:
+        with gui.add_folder("More", expand_by_default=False, order=3):
+            self._speed = gui.add_slider(
+                "Speed [%]", 5, 100, 5, 100, hint="Share of the hand's velocity limits"
+            )
+            self._effort = gui.add_slider(
+                "Effort [%]", 5, 100, 5, 100, hint="Share of the actuators' effort limits"
+            )
+            if self._contact is not None:
+                self._stage = gui.add_dropdown(
+                    "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
+                )
+
+    # --- what is chosen
+
+    @property
+    def action(self) -> Action:
+        """The action that the card stands for now."""
+        if self._choice is None:
+            return self._actions[0]
+        chosen = self._choice.chosen
+        for action in self._actions:
+            if isinstance(action, Primitive) and action.elements == chosen:
+                return action
+        return self._actions[0]
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """The evidence of the action, where it has any."""
+        action = self.action
+        return action.evidence[0] if isinstance(action, Primitive) and action.evidence else None
+
+    @property
+    def _posture(self) -> Posture | None:
+        action = self.action
+        return None if isinstance(action, Timed) else action.posture
+
+    def _chosen_anew(self) -> None:
+        evidence = self.evidence
+        contact = None if evidence is None else evidence.contact_at
+        if contact != self._contact:
+            value = int(self._slider.value)
+            self._slider.remove()
+            with self._folder:
+                self._slider = self._make_slider(self._bridge.server.gui, value)
+        self._preview_if_shown()
+
+    # --- what is clicked
+
+    def _clicked(self, event: viser.GuiEvent) -> None:
+        match str(event.target.value):
+            case "Do":
+                self._previewing = False
+                self._show(None, 0.0, self.evidence)
+                self._bridge.call(self._do)
+            case "Cancel":
+                self._bridge.call(self._hand.cancel)
+            case _:
+                self._previewing = not self._previewing
+                self._preview_if_shown(hide=True)
+
+    _previewing = False
+
+    def _preview_if_shown(self, *, hide: bool = False) -> None:
+        if self._previewing:
+            self._show(self._posture, self._slider.value / 100.0, self.evidence)
+        elif hide:
+            self._show(None, 0.0, None)
+
+    def _options(self) -> GoalOptions:
+        options = GoalOptions(intensity=self._slider.value / 100.0, speed=self._speed.value / 100.0)
+        if self._stage is not None:
+            options["stage"] = _STAGES[str(self._stage.value)]
+        return options
+
+    async def _do(self) -> None:
+        action = self.action
+        elements = action.elements if isinstance(action, Primitive) else ()
+        options = self._options()
+        share = self._effort.value / 100.0
+        posture = self._posture
+        if share < 1.0 and posture is not None:
+            info = await self._hand.info()
+            limits = {a.name: a.effort for a in info.actuators}
+            options["effort"] = {name: share * limits[name] for name in posture.involved}
+        self._reset()
+        try:
+            running = await self._hand.start(self.name, *elements, **options)
+        except RteeError as error:
+            self._say(str(error), "red")
+            raise
+        self._goal_id = running.goal.goal_id
+        result = await running.result(self._progress)
+        if result.goal_id == self._goal_id:
+            self._end(result)
+
+    def _reset(self) -> None:
+        self._bar.value = 0.0
+        for bar in self._inner.values():
+            bar.value = 0.0
+        self._say("", "")
+
+    def _progress(self, feedback: Feedback) -> None:
+        if feedback.goal_id != self._goal_id:
+            return
+        self._bar.value = round(100.0 * feedback.progress, 1)
+        for name, progress in feedback.inner_progress.items():
+            if name in self._inner:
+                self._inner[name].value = round(100.0 * progress, 1)
+
+    def _end(self, result: Result) -> None:
+        if result.reached or result.grasped:
+            self._bar.value = 100.0
+            for bar in self._inner.values():
+                bar.value = 100.0
+        self._say(*said(result))
+
+    def _say(self, text: str, colour: str) -> None:
+        self._word.content = _small(f'<span style="color:{colour}">{escape(text)}</span>')
+
+    @property
+    def visible(self) -> bool:
+        """Whether the card is shown."""
+        return bool(self._folder.visible)
+
+    @visible.setter
+    def visible(self, shown: bool) -> None:
+        if self._folder.visible != shown:
+            self._folder.visible = shown
+
+    def remove(self) -> None:
+        """Take the card away."""
+        self._folder.remove()
+
+
+def _small(html: str) -> str:
+    return f'<div style="font-size:0.8em;padding:0 0.75em">{html}</div>'

@@ -1,0 +1,84 @@
+"""Choosing the elements of a primitive: only combinations that exist can be chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import viser
+
+Combination = tuple[str, ...]
+
+
+def options_at(combinations: Sequence[Combination], chosen: Sequence[str]) -> tuple[str, ...]:
+    """Return the elements that can follow those chosen so far, in the order they occur."""
+    taken = set(chosen)
+    found: dict[str, None] = {}
+    for combination in combinations:
+        if taken.issubset(combination):
+            for element in combination:
+                if element not in taken:
+                    found[element] = None
+    return tuple(found)
+
+
+class ElementChoice:
+    """One dropdown per element; each offers only partners of those before it.
+
+    Attributes:
+        combinations: The combinations there are.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        combinations: Sequence[Combination],
+        changed: Callable[[], None],
+        noun: str,
+    ) -> None:
+        """Put the dropdowns where the GUI builds now.
+
+        Args:
+            gui: The browser's controls.
+            combinations: The combinations there are, at least one, all of one length.
+            changed: Called when the choice has changed.
+            noun: What an element is: ``Finger`` or ``Actuator``.
+        """
+        self.combinations = tuple(combinations)
+        self._changed = changed
+        self._boxes: list[viser.GuiDropdownHandle[str]] = []
+        count = len(self.combinations[0])
+        chosen: list[str] = []
+        for index in range(count):
+            offered = options_at(self.combinations, chosen)
+            label = noun if count == 1 else f"{noun} {index + 1}"
+            box = gui.add_dropdown(
+                label,
+                offered,
+                initial_value=offered[0],
+                hint=f"{noun} the action is done with; only what exists together is offered",
+                disabled=len(offered) == 1 and count == 1,
+            )
+            box.on_update(lambda _, at=index: self._restrict(at))
+            self._boxes.append(box)
+            chosen.append(offered[0])
+
+    @property
+    def chosen(self) -> Combination:
+        """The combination chosen, as it is written in the action's file."""
+        values = {str(box.value) for box in self._boxes}
+        for combination in self.combinations:
+            if set(combination) == values:
+                return combination
+        return self.combinations[0]
+
+    def _restrict(self, index: int) -> None:
+        chosen = [str(box.value) for box in self._boxes[: index + 1]]
+        for box in self._boxes[index + 1 :]:
+            offered = options_at(self.combinations, chosen)
+            wanted = str(box.value) if box.value in offered else offered[0]
+            if tuple(box.options) != offered:
+                box.options = offered
+            if box.value != wanted:
+                box.value = wanted
+            chosen.append(wanted)
+        self._changed()

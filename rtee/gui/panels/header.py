@@ -1,0 +1,112 @@
+"""What is always visible and always works: stop, open, the devices, who holds the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+
+import viser
+
+from rtee.gui.bridge import Bridge
+from rtee.gui.colours import STOP
+from rtee.remote.client import RemoteHand
+from rtee.remote.views import HandStatus
+from rtee.types import DeviceStatus, Lifecycle
+
+_SIGNS = {
+    Lifecycle.ACTIVE: ("●", "#009e73"),
+    Lifecycle.INACTIVE: ("○", "#7a7f87"),
+    Lifecycle.UNCONFIGURED: ("◌", "#e69f00"),
+    Lifecycle.FAULT: ("▲", "#d55e00"),
+    Lifecycle.CLOSED: ("✕", "#7a7f87"),
+}
+
+
+def device_line(device: DeviceStatus) -> str:
+    """Return a device's state as HTML: sign, name, state, fault and hint."""
+    sign, colour = _SIGNS[device.lifecycle]
+    words = [f"<b>{escape(device.name)}</b> {escape(str(device.lifecycle))}"]
+    if device.fault_name:
+        words.append(f"fault {device.fault_code}: {escape(device.fault_name)}")
+    elif device.message and device.lifecycle is not Lifecycle.ACTIVE:
+        words.append(escape(device.message))
+    if device.hint:
+        words.append(f"<i>{escape(device.hint)}</i>")
+    return f'<span style="color:{colour}">{sign}</span> ' + " · ".join(words)
+
+
+class Header:
+    """Stop, Open, Recover, the devices and the holder of a hand."""
+
+    def __init__(self, bridge: Bridge, hand: RemoteHand, stopped: Callable[[], None]) -> None:
+        """Put them at the top of the main panel.
+
+        Args:
+            bridge: Carries clicks.
+            hand: The hand.
+            stopped: Called when Stop was pressed.
+        """
+        gui = bridge.server.gui
+        self._bridge = bridge
+        self._hand = hand
+        self._stopped = stopped
+        self._stop = gui.add_button(
+            "STOP",
+            color=STOP,
+            icon=viser.Icon.HAND_STOP,
+            hint="Stop all devices now, whoever holds the hand (key: Space). "
+            "Not a safety-rated emergency stop.",
+        )
+        self._open = gui.add_button(
+            "Open", icon=viser.Icon.HAND_FINGER, hint="Go to the rest posture (key: O)"
+        )
+        self._state = gui.add_html("")
+        self._recover = gui.add_button(
+            "Recover",
+            color=(230, 159, 0),
+            icon=viser.Icon.FIRST_AID_KIT,
+            hint="Bring the devices out of their fault; nothing moves by it",
+            visible=False,
+        )
+        self._stop.on_click(lambda _: bridge.call(self._do_stop))
+        self._open.on_click(lambda _: bridge.call(hand.open))
+        self._recover.on_click(lambda _: bridge.call(hand.recover))
+        self._commands = [
+            gui.add_command("Stop the hand", description="Stop all devices now", hotkey="space"),
+            gui.add_command("Open the hand", description="Go to the rest posture", hotkey="O"),
+        ]
+        self._commands[0].on_trigger(lambda _: bridge.call(self._do_stop))
+        self._commands[1].on_trigger(lambda _: bridge.call(hand.open))
+
+    async def _do_stop(self) -> None:
+        self._stopped()
+        confirmed = await self._hand.stop()
+        silent = [name for name, word in confirmed.items() if not word]
+        if silent:
+            self._bridge.tell("Stop NOT confirmed", f"by {', '.join(silent)}", "red")
+        else:
+            self._bridge.tell("Stopped", f"confirmed by {', '.join(confirmed)}", "green")
+
+    def show(self, status: HandStatus) -> None:
+        """Show how the hand is doing."""
+        lines = [device_line(device) for device in status.devices]
+        holder = "nobody" if not status.holder else escape(status.holder)
+        if status.holder == self._hand.client:
+            holder = "this GUI"
+        doing = f" · running <b>{escape(status.action)}</b>" if status.action else ""
+        lines.append(f"held by {holder}{doing}")
+        self._put(lines)
+        faulty = any(device.lifecycle is Lifecycle.FAULT for device in status.devices)
+        if self._recover.visible != faulty:
+            self._recover.visible = faulty
+
+    def _put(self, lines: list[str]) -> None:
+        body = "<br>".join(lines)
+        html = f'<div role="status" style="font-size:0.85em;padding:0 0.75em">{body}</div>'
+        if self._state.content != html:
+            self._state.content = html
+
+    def remove(self) -> None:
+        """Take everything away."""
+        for handle in (self._stop, self._open, self._state, self._recover, *self._commands):
+            handle.remove()

@@ -1,0 +1,101 @@
+"""All joints with their limits, the loop's clock and the buses' counters, as tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+import viser
+
+from rtee.hand.model import Hand
+from rtee.messages.state import State
+from rtee.remote.views import HandStatus
+
+_STYLE = "font-size:0.75em;border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums"
+
+
+def _number(value: float, digits: int = 3) -> str:
+    if math.isnan(value):
+        return "–"
+    return "∞" if math.isinf(value) else f"{value:.{digits}f}"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return an HTML table; cells after the first are numbers."""
+    cells = "".join(f'<th style="text-align:right">{h}</th>' for h in head[1:])
+    lines = [f'<tr><th style="text-align:left">{head[0]}</th>{cells}</tr>']
+    for row in rows:
+        numbers = "".join(f'<td style="text-align:right">{cell}</td>' for cell in row[1:])
+        lines.append(f"<tr><td>{escape(row[0])}</td>{numbers}</tr>")
+    return (
+        f'<div style="padding:0 0.5em;overflow-x:auto"><table style="{_STYLE}">'
+        f"{''.join(lines)}</table></div>"
+    )
+
+
+class TablePanel:
+    """Joints, actuators, clock and buses."""
+
+    def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
+        """Put the panel where the GUI builds now."""
+        self._hand = hand
+        with gui.add_folder("Actuators"):
+            self._actuators = gui.add_html("")
+        with gui.add_folder("Joints", expand_by_default=len(hand.joints) <= 24):
+            self._joints = gui.add_html("")
+        with gui.add_folder("Loop"):
+            self._loop = gui.add_html("")
+        with gui.add_folder("Buses", expand_by_default=False):
+            self._buses = gui.add_html("")
+
+    def show_state(self, state: State) -> None:
+        """Show what is measured."""
+        rows = [
+            [
+                spec.name,
+                _number(state.position[i]),
+                _number(state.reference_position[i]),
+                _number(spec.lower),
+                _number(spec.upper),
+                _number(state.effort[i]),
+                _number(state.temperature[i], 0),
+            ]
+            for i, spec in enumerate(self._hand.actuators)
+        ]
+        head = ("actuator", "pos", "ref", "min", "max", "effort", "°C")
+        self._actuators.content = table(head, rows)
+        by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
+        rows = [
+            [
+                joint.name,
+                _number(float(by_name.get(joint.name, math.nan))),
+                _number(joint.lower),
+                _number(joint.upper),
+            ]
+            for joint in self._hand.joints
+        ]
+        self._joints.content = table(("joint [rad | m]", "pos", "min", "max"), rows)
+
+    def show_status(self, status: HandStatus) -> None:
+        """Show the loop's clock and the buses' counters."""
+        s = status.statistics
+        rows = [
+            ["rate [Hz]", f"{s.measured_rate:.1f}", f"{s.rate:g}", ""],
+            ["missed ticks", str(s.missed), f"of {s.ticks}", ""],
+            ["lateness [µs] p50, p99, max"]
+            + [f"{1e6 * v:.0f}" for v in (s.lateness_p50, s.lateness_p99, s.lateness_max)],
+            ["busy [µs] p50, p99, max"]
+            + [f"{1e6 * v:.0f}" for v in (s.busy_p50, s.busy_p99, s.busy_max)],
+            ["log records dropped", str(s.dropped), "", ""],
+        ]
+        self._loop.content = table(("", "", "", ""), rows)
+        counters = [
+            [f"{device.name}: {name}", str(count)]
+            for device in status.devices
+            for name, count in sorted(device.counters.items())
+        ]
+        rates = [
+            [f"{device.name}: exchanges [Hz]", f"{device.rate:.0f}"] for device in status.devices
+        ]
+        self._buses.content = table(("device", ""), rates + counters)

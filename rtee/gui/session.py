@@ -1,0 +1,183 @@
+"""One hand in the GUI: its panels, and the streams that keep them in step."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import anyio
+import numpy as np
+import viser
+
+from rtee.actions.types import Action, Evidence, Posture
+from rtee.gui.bridge import Bridge
+from rtee.gui.panels.actions import ActionsPanel
+from rtee.gui.panels.header import Header
+from rtee.gui.panels.making import MakingPanel
+from rtee.gui.panels.plots import PlotsPanel
+from rtee.gui.panels.table import TablePanel
+from rtee.gui.scene import Contact, HandScene
+from rtee.hand.model import Hand
+from rtee.messages.state import State
+from rtee.remote.client import RemoteHand
+from rtee.types import Event, FloatArray
+
+_STATE_RATE = 100.0
+_SCENE_PERIOD = 1 / 30
+_PLOT_PERIOD = 1 / 8
+_TABLE_PERIOD = 1 / 4
+_STATUS_PERIOD = 0.5
+_COLOURS = {"info": "blue", "warning": "orange", "error": "red"}
+
+
+class Session:
+    """Shows one running hand until it goes."""
+
+    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
+        """Build the panels.
+
+        Args:
+            bridge: Carries clicks.
+            remote: The running hand.
+            hand: Its model.
+        """
+        self._bridge = bridge
+        self._remote = remote
+        self._hand = hand
+        server = bridge.server
+        gui = server.gui
+        self._scene = HandScene(server, hand)
+        self._state: State | None = None
+        self._header = Header(bridge, remote, stopped=lambda: None)
+        self._tabs = gui.add_tab_group()
+        with self._tabs.add_tab("Actions", viser.Icon.HAND_GRAB):
+            self._ghost = gui.add_checkbox(
+                "Show reference", False, hint="Show the set-points sent as a grey ghost"
+            )
+            self._actions = ActionsPanel(bridge, remote, self._show)
+        with self._tabs.add_tab("Make", viser.Icon.PENCIL):
+            self._making = MakingPanel(bridge, remote, hand, self._refresh)
+        self._panel = gui.add_panel()
+        with self._panel.add_tab("Plots", viser.Icon.CHART_LINE):
+            self._plots = PlotsPanel(gui, hand.actuator_names)
+        with self._panel.add_tab("Joints", viser.Icon.TABLE):
+            self._table = TablePanel(gui, hand)
+        self._panel.dock_left()
+        self._panel.set_width(340)
+
+    def _show(self, posture: Posture | None, intensity: float, evidence: Evidence | None) -> None:
+        if posture is None:
+            self._scene.show_preview(None)
+        else:
+            self._scene.show_preview(self._target(posture, intensity))
+        contact: list[Contact] = []
+        if evidence is not None and evidence.point is not None and evidence.normal is not None:
+            contact.append((evidence.point, evidence.normal))
+        self._scene.show_contacts(contact)
+
+    def _target(self, posture: Posture, intensity: float) -> FloatArray:
+        start = self._hand.rest if self._state is None else self._state.reference_position
+        target = np.array(start)
+        for name in posture.involved:
+            index = self._hand.actuator_index(name)
+            rest = self._hand.rest[index]
+            target[index] = rest + intensity * (posture.position[name] - rest)
+        return target
+
+    async def _refresh(self) -> list[Action]:
+        actions = await self._actions.refresh()
+        self._making.show_actions(actions)
+        return actions
+
+    async def run(self) -> None:
+        """Keep everything in step.
+
+        Raises:
+            NoHand: when the hand goes.
+        """
+        await self._refresh()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._follow_states)
+            tasks.start_soon(self._follow_events)
+            tasks.start_soon(self._follow_status)
+            tasks.start_soon(self._draw)
+
+    async def _follow_states(self) -> None:
+        async for state in self._remote.states(_STATE_RATE):
+            self._state = state
+            self._plots.history.add(state)
+
+    async def _follow_events(self) -> None:
+        async for event in self._remote.events():
+            await self._on_event(event)
+
+    async def _on_event(self, event: Event) -> None:
+        if event.kind == "actions_changed":
+            await self._refresh()
+        elif event.kind not in ("limited", "at_rest"):
+            title = event.kind.replace("_", " ")
+            self._bridge.tell(title, event.text, _COLOURS.get(event.severity, "blue"))
+
+    async def _follow_status(self) -> None:
+        while True:
+            status = await self._remote.status()
+            self._header.show(status)
+            self._table.show_status(status)
+            self._making.show_status(status)
+            await anyio.sleep(_STATUS_PERIOD)
+
+    async def _draw(self) -> None:
+        plots_due = table_due = 0.0
+        while True:
+            state, now = self._state, time.monotonic()
+            if state is not None:
+                self._draw_hand(state)
+                if now >= plots_due:
+                    plots_due = now + _PLOT_PERIOD
+                    self._plots.draw()
+                if now >= table_due:
+                    table_due = now + _TABLE_PERIOD
+                    self._table.show_state(state)
+                    self._making.show_state(state)
+            await anyio.sleep(_SCENE_PERIOD)
+
+    def _draw_hand(self, state: State) -> None:
+        self._scene.show(self._in_order(state))
+        self._scene.show_reference(state.reference_position if self._ghost.value else None)
+        self._scene.show_effort(self._efforts(state))
+        pressure = self._pressures(state)
+        if pressure:
+            self._scene.show_pressure(pressure)
+            self._scene.place_pressures(state.position)
+
+    def _in_order(self, state: State) -> FloatArray:
+        if state.joint_names == self._hand.joint_names:
+            return state.joint_position
+        by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
+        return np.array([by_name.get(name, math.nan) for name in self._hand.joint_names])
+
+    def _efforts(self, state: State) -> dict[str, float]:
+        share: dict[str, float] = {}
+        for i, actuator in enumerate(self._hand.actuators):
+            if math.isfinite(actuator.effort) and actuator.effort > 0.0:
+                strength = abs(float(state.effort[i])) / actuator.effort
+                for finger in actuator.fingers:
+                    if math.isfinite(strength):
+                        share[finger] = max(share.get(finger, 0.0), strength)
+        return share
+
+    def _pressures(self, state: State) -> dict[str, float]:
+        fingers = self._hand.finger_names
+        for name, values in state.channels.items():
+            if name.endswith(("/pressure", "/contact_force")) and len(values) % len(fingers) == 0:
+                by_finger = values.reshape(len(fingers), -1).max(axis=1)
+                most = max(float(by_finger.max()), 1.0)
+                return {f: float(v) / most for f, v in zip(fingers, by_finger, strict=True)}
+        return {}
+
+    def remove(self) -> None:
+        """Take everything of the hand out of the browser."""
+        self._scene.remove()
+        self._header.remove()
+        self._tabs.remove()
+        self._panel.remove()
