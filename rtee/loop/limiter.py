@@ -66,26 +66,43 @@ class Limiter:
                 continue
             if target - target != 0.0:  # NaN or infinite
                 target = here
+            target, beyond = self._inside(i, here, target)
             step = (target - here) / dt
             acceleration = self._limits.acceleration[i]
-            change = step - speed
-            top = self._velocity[i]
-            # Rounding must not make a set-point at the limit count as beyond it.
-            if abs(step) <= top * (1 + _SLACK) and abs(change) <= acceleration * dt * (1 + _SLACK):
-                room = (
-                    (self._limits.upper[i] - target) if step > 0 else target - self._limits.lower[i]
-                )
-                if room >= 0.0 and room > step * step / acceleration + abs(step) * dt:
-                    self._take(i, target, step, limited=False)
-                    continue
-            allowed = self._allowed(i, step)
-            if abs(allowed - step) <= _SLACK * (acceleration * dt):
-                self._take(i, target, step, limited=False)
+            # What lags behind must come to its target slowly enough to stop there.
+            follows = not self.limited[i] or abs(step) <= acceleration * dt
+            if follows and (self._easy(i, target, step) or self._close(i, step)):
+                self._take(i, target, step, limited=beyond)
+                any_limited |= beyond
                 continue
             allowed = self._allowed(i, approach(here, target, acceleration, dt))
             self._take(i, here + allowed * dt, allowed, limited=True)
             any_limited = True
         return any_limited
+
+    def _inside(self, i: int, here: float, target: float) -> tuple[float, bool]:
+        """Return a set-point inside the position limits, and whether it was well beyond them."""
+        inside = min(
+            max(target, min(self._limits.lower[i], here)), max(self._limits.upper[i], here)
+        )
+        return inside, abs(inside - target) > _SLACK
+
+    def _easy(self, i: int, target: float, step: float) -> bool:
+        """Return whether a set-point is far from all limits; most are, and this is quick."""
+        dt, acceleration = self._period, self._limits.acceleration[i]
+        size = abs(step)
+        # Rounding must not make a set-point at the limit count as beyond it.
+        if size > self._velocity[i] * (1 + _SLACK):
+            return False
+        if abs(step - self.velocity[i]) > acceleration * dt * (1 + _SLACK):
+            return False
+        room = self._limits.upper[i] - target if step > 0 else target - self._limits.lower[i]
+        return room > size * size / acceleration + size * dt
+
+    def _close(self, i: int, step: float) -> bool:
+        """Return whether a set-point is within what the limits allow."""
+        slack = _SLACK * self._limits.acceleration[i] * self._period
+        return abs(self._allowed(i, step) - step) <= slack
 
     def _allowed(self, i: int, wanted: float) -> float:
         limits = self._limits
@@ -101,13 +118,6 @@ class Limiter:
         )
 
     def _take(self, i: int, position: float, velocity: float, *, limited: bool) -> None:
-        limits = self._limits
-        here = self.position[i]
-        # Rounding may leave the last digit beyond a position limit that `here` was inside of.
-        if position > limits.upper[i]:
-            position = max(limits.upper[i], min(here, position))
-        elif position < limits.lower[i]:
-            position = min(limits.lower[i], max(here, position))
-        self.position[i] = position
+        self.position[i] = self._inside(i, self.position[i], position)[0]
         self.velocity[i] = velocity
         self.limited[i] = limited

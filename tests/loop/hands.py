@@ -33,7 +33,9 @@ _JOINT = """
     <parent link="{parent}"/><child link="{child}"/><axis xyz="0 1 0"/>
     <limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="{effort}"/>
   </joint>
-  <link name="{child}"><collision><geometry><box size="0.01 0.01 0.03"/></geometry></collision></link>
+  <link name="{child}">
+    <collision><geometry><box size="0.01 0.01 0.03"/></geometry></collision>
+  </link>
 """
 JOINTS = (
     ("index_base", "revolute", "palm", "index_1", 0.0, 1.5, 3.0, 2.0),

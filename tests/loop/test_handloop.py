@@ -26,7 +26,7 @@ async def test_goal_is_reached(hand: Hand) -> None:
     async with running(hand) as rig:
         result = await rig.do("Trig", "index")
         assert result.reached
-        assert not (result.stalled or result.grasped or result.aborted or result.timed_out)
+        assert not any((result.stalled, result.grasped, result.aborted, result.timed_out))
         assert result.position["index_base"] == pytest.approx(1.5, abs=0.01)
         progress = [f.progress for f in rig.watcher.feedback]
         assert progress == sorted(progress)

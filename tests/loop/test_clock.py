@@ -1,0 +1,111 @@
+"""The clock. Real-time tests assert what must hold on any machine, never how long it took."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import time
+
+import pytest
+
+from rtee.errors import ConfigError
+from rtee.loop import timerfd
+from rtee.loop.clock import Clock, ManualClock, Tick, ticking
+
+pytestmark = pytest.mark.anyio
+
+
+async def take(clock: Clock | ManualClock, count: int) -> list[Tick]:
+    found: list[Tick] = []
+    async with ticking(clock) as ticks:
+        async for tick in ticks:
+            found.append(tick)
+            if len(found) == count:
+                break
+    return found
+
+
+@pytest.mark.parametrize("use_timerfd", [True, False])
+async def test_ticks_are_on_absolute_deadlines(use_timerfd: bool) -> None:
+    clock = Clock(200, use_timerfd=use_timerfd)
+    ticks = await take(clock, 20)
+    start = ticks[0].due_ns - ticks[0].number * clock.period_ns
+    for before, tick in itertools.pairwise(ticks):
+        assert tick.due_ns == start + tick.number * clock.period_ns
+        assert tick.number == before.number + 1 + tick.missed
+    assert all(tick.lateness_ns >= 0 for tick in ticks)
+
+
+@pytest.mark.parametrize("use_timerfd", [True, False])
+async def test_missed_ticks_are_counted_and_not_caught_up(use_timerfd: bool) -> None:
+    clock = Clock(1000, use_timerfd=use_timerfd)
+    numbers: list[int] = []
+    missed = 0
+    async with ticking(clock) as ticks:
+        async for tick in ticks:
+            numbers.append(tick.number)
+            missed += tick.missed
+            if len(numbers) == 3:
+                time.sleep(0.05)  # noqa: ASYNC251 - the loop is held up on purpose
+            if len(numbers) == 6:
+                break
+    assert missed >= 49
+    assert numbers[-1] - numbers[0] == len(numbers) - 1 + missed - (numbers[0] - 0)
+
+
+async def test_other_tasks_run_though_ticks_take_too_long() -> None:
+    turns = 0
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    task = asyncio.create_task(other())
+    async with ticking(Clock(2000)) as ticks:
+        count = 0
+        async for _ in ticks:
+            time.sleep(0.002)  # noqa: ASYNC251 - longer than the period
+            count += 1
+            if count == 10:
+                break
+    task.cancel()
+    assert turns >= 10
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.5, 2001.0, float("nan"), float("inf"), -1.0])
+def test_rates_out_of_range_are_refused(rate: float) -> None:
+    with pytest.raises(ConfigError, match="1 to 2000 Hz"):
+        Clock(rate)
+
+
+async def test_the_descriptor_is_given_back() -> None:
+    if not timerfd.available():
+        pytest.skip("no timerfd here")
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(5):
+        await take(Clock(2000), 3)
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_closed_timer_stays_closed() -> None:
+    if not timerfd.available():
+        pytest.skip("no timerfd here")
+    timer = timerfd.PeriodicTimer(time.monotonic_ns() + 10**9, 10**6)
+    assert timer.expiries() == 0
+    timer.close()
+    timer.close()
+    assert timer.fd == -1
+
+
+async def test_manual_clock_moves_only_by_hand() -> None:
+    clock = ManualClock(500, ticks=4, start=7.0)
+    assert clock.now() == 7.0
+    ticks = await take(clock, 4)
+    assert [tick.number for tick in ticks] == [0, 1, 2, 3]
+    assert clock.now() == pytest.approx(7.006)
+    assert clock.next(missed=2).number == 6
+    assert ticks[3].stamp == pytest.approx(7.006)
+    assert ticks[3].lateness_ns == 0

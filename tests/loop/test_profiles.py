@@ -1,0 +1,237 @@
+"""Whatever goals come, position, velocity and acceleration limits are kept and motion continues."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rtee.errors import ConfigError
+from rtee.hand.model import Hand
+from rtee.loop.limiter import Limiter
+from rtee.loop.motion import Limits, bounded, stopping_velocity
+from rtee.loop.profiles import Profile, make_profile
+from rtee.loop.profiles.jerk_limited import JerkLimited
+from rtee.loop.profiles.stepwise import Filter
+from rtee.loop.settings import ProfileKind, ProfileSettings
+
+INF = math.inf
+LIMITS = Limits(
+    lower=(0.0, -0.5, 0.0, -INF),
+    upper=(1.5, 1.0, 0.04, INF),
+    velocity=(3.0, 2.0, 0.1, 4.0),
+    acceleration=(30.0, 15.0, 1.0, 40.0),
+    jerk=(600.0, 200.0, 20.0, 900.0),
+)
+SIZE = 4
+POSITION = st.floats(-1.0, 2.0)
+
+
+@st.composite
+def goals(draw: st.DrawFn) -> list[tuple[int, dict[int, float], set[int], dict[int, float]]]:
+    """Draw goals: ticks until the next, targets, actuators that brake, velocity limits."""
+    found = []
+    for _ in range(draw(st.integers(1, 8))):
+        targets = draw(st.dictionaries(st.integers(0, SIZE - 1), POSITION))
+        rest = [i for i in range(SIZE) if i not in targets]
+        brake = draw(st.sets(st.sampled_from(rest))) if rest else set()
+        speeds = draw(st.dictionaries(st.integers(0, SIZE - 1), st.floats(0.02, 1.0)))
+        velocity = {i: s * LIMITS.velocity[i] for i, s in speeds.items()}
+        found.append((draw(st.integers(1, 150)), targets, brake, velocity))
+    return found
+
+
+def make(kind: ProfileKind, rate: float) -> Profile:
+    return make_profile(ProfileSettings(kind, 3.0), LIMITS, 1.0 / rate)
+
+
+def start_at(profile: Profile, fractions: list[float]) -> list[float]:
+    positions = [
+        LIMITS.lower[i] + f * (LIMITS.upper[i] - LIMITS.lower[i]) if i < 3 else f
+        for i, f in enumerate(fractions)
+    ]
+    profile.seed(dict(enumerate(positions)))
+    return positions
+
+
+FRACTIONS = st.lists(st.floats(0.0, 1.0), min_size=SIZE, max_size=SIZE)
+RATE = st.sampled_from([1000.0, 250.0, 100.0, 20.0])
+
+
+@pytest.mark.parametrize("kind", list(ProfileKind))
+@settings(max_examples=60, deadline=None)
+@given(goals=goals(), fractions=FRACTIONS, rate=RATE)
+def test_limits_are_kept_and_goals_reached(
+    kind: ProfileKind,
+    goals: list[tuple[int, dict[int, float], set[int], dict[int, float]]],
+    fractions: list[float],
+    rate: float,
+) -> None:
+    profile = make(kind, rate)
+    limiter = Limiter(LIMITS, 1.0 / rate)
+    for i, position in enumerate(start_at(profile, fractions)):
+        limiter.seed(i, position)
+    path = [list(limiter.position)]
+
+    def tick() -> None:
+        profile.advance()
+        assert not limiter.apply(profile.position), "a profile must keep the limits by itself"
+        path.append(list(limiter.position))
+
+    for ticks, targets, brake, velocity in goals:
+        profile.go(targets, brake=brake, velocity=velocity)
+        for _ in range(ticks):
+            tick()
+    for _ in range(int(60 * rate)):
+        if not profile.moving:
+            break
+        tick()
+    assert not profile.moving
+    for i, target in goals[-1][1].items():
+        assert profile.position[i] == LIMITS.clamp(i, target)
+    positions = np.array(path)
+    velocity_seen = np.diff(positions, axis=0) * rate
+    acceleration_seen = np.diff(velocity_seen, axis=0, prepend=0.0) * rate
+    assert (positions >= LIMITS.lower).all()
+    assert (positions <= LIMITS.upper).all()
+    assert (np.abs(velocity_seen) <= np.array(LIMITS.velocity) * (1 + 1e-5)).all()
+    slack = 1e-5 * np.array(LIMITS.acceleration) + 1e-9 * rate * rate
+    assert (np.abs(acceleration_seen) <= np.array(LIMITS.acceleration) + slack).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(goals=goals(), fractions=FRACTIONS)
+def test_jerk_limited_continues_acceleration(
+    goals: list[tuple[int, dict[int, float], set[int], dict[int, float]]], fractions: list[float]
+) -> None:
+    rate = 1000.0
+    profile = make(ProfileKind.JERK_LIMITED, rate)
+    assert isinstance(profile, JerkLimited)
+    start_at(profile, fractions)
+    before = list(profile._acceleration)
+    planned_with_jerk_limits = True
+    for ticks, targets, brake, velocity in goals:
+        profile.go(targets, brake=brake, velocity=velocity)
+        for _ in range(ticks):
+            profile.advance()
+            planned_with_jerk_limits &= profile._plain is None
+            after = list(profile._acceleration)
+            for i in range(SIZE):
+                step = abs(after[i] - before[i]) * rate
+                assert step <= LIMITS.jerk[i] * (1 + 1e-6) or not planned_with_jerk_limits
+            before = after
+
+
+def test_actuators_that_start_together_arrive_together() -> None:
+    profile = make(ProfileKind.JERK_LIMITED, 1000.0)
+    profile.seed(dict.fromkeys(range(SIZE), 0.0))
+    profile.go({0: 1.5, 1: 0.1})
+    while profile.moving:
+        left = [abs(t - p) for t, p in zip(profile.target, profile.position, strict=True)]
+        profile.advance()
+    assert all(distance > 0 for distance in left[:2])
+    assert profile.position[:2] == [1.5, 0.1]
+
+
+@pytest.mark.parametrize("kind", list(ProfileKind))
+def test_braking_stops_short_of_the_target_and_others_go_on(kind: ProfileKind) -> None:
+    profile = make(kind, 1000.0)
+    profile.seed(dict.fromkeys(range(SIZE), 0.0))
+    profile.go({0: 1.5, 1: 1.0})
+    for _ in range(150):
+        profile.advance()
+    profile.go({}, brake=(0,))
+    while profile.moving:
+        profile.advance()
+    assert 0.0 < profile.position[0] < 1.0
+    assert profile.target[0] == profile.position[0]
+    assert profile.position[1] == 1.0
+
+
+@pytest.mark.parametrize("kind", list(ProfileKind))
+def test_a_seed_in_mid_motion_stands_and_the_others_go_on(kind: ProfileKind) -> None:
+    profile = make(kind, 1000.0)
+    profile.seed(dict.fromkeys(range(SIZE), 0.0))
+    profile.go({0: 1.5, 1: 1.0})
+    for _ in range(150):
+        profile.advance()
+    profile.seed({0: 0.3})
+    for _ in range(1000):
+        profile.advance()
+        assert profile.position[0] == 0.3
+    assert profile.position[1] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_filter_answers_as_a_critically_damped_second_order() -> None:
+    rate, bandwidth = 1000.0, 2.0
+    wide = replace(LIMITS, velocity=(1e6,) * 4, acceleration=(1e9,) * 4)
+    profile = Filter(wide, 1 / rate, bandwidth)
+    profile.seed(dict.fromkeys(range(SIZE), 0.0))
+    profile.go({0: 1.0})
+    omega = 2 * math.pi * bandwidth
+    for tick in range(1, 600):
+        profile.advance()
+        t = tick / rate
+        assert profile.position[0] == pytest.approx(1 - (1 + omega * t) * math.exp(-omega * t))
+
+
+def test_what_ruckig_cannot_plan_is_done_without_jerk_limits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    profile = make(ProfileKind.JERK_LIMITED, 1000.0)
+    assert isinstance(profile, JerkLimited)
+    profile.seed(dict.fromkeys(range(SIZE), 0.0))
+    profile.go({0: 1.5})
+    for _ in range(100):
+        profile.advance()
+    monkeypatch.setattr(profile, "_inside", lambda: False)
+    profile.go({0: 0.2, 1: 0.5}, velocity={0: 1.0})
+    limiter = Limiter(LIMITS, 1e-3)
+    for i, position in enumerate(profile.position):
+        limiter.seed(i, position)
+    limiter.velocity[0] = profile.velocity[0]
+    limited = 0
+    while profile.moving:
+        profile.advance()
+        limited += limiter.apply(profile.position)
+    assert profile.position[:2] == [0.2, 0.5]
+    assert limited <= 1  # the sampled velocity begins half a period later than ruckig's
+
+
+@given(st.floats(0, 10), st.floats(0.01, 100), st.floats(0.0005, 0.1))
+def test_stopping_velocity_stops_in_time_and_just_so(d: float, a: float, dt: float) -> None:
+    speed = stopping_velocity(d, a, dt)
+    way = 0.0
+    while speed > 0:
+        way += speed * dt
+        speed -= a * dt
+    assert way == pytest.approx(d, rel=1e-6, abs=1e-12)
+
+
+@given(st.floats(-2, 3), st.floats(-5, 5))
+def test_outside_of_the_limits_one_may_only_come_back(position: float, wanted: float) -> None:
+    allowed = bounded(position, 0.0, wanted, 0.01, 3.0, 30.0, 0.0, 1.0)
+    if position >= 1.0:
+        assert allowed <= 0.0
+    if position <= 0.0:
+        assert allowed >= 0.0
+    if 0.0 < position < 1.0:
+        assert -1e-200 <= position + allowed * 0.01 <= 1.0
+
+
+@pytest.mark.parametrize("what", ["velocity", "acceleration", "jerk"])
+@pytest.mark.parametrize("value", [0.0, -1.0, INF, math.nan])
+def test_limits_without_sense_are_refused(hand: Hand, what: str, value: float) -> None:
+    wrong = replace(hand.actuators[0], **{what: value})
+    with pytest.raises(ConfigError, match=f"'{wrong.name}' has the {what} limit"):
+        Limits.of((wrong,))
+
+
+def test_limits_the_wrong_way_round_are_refused(hand: Hand) -> None:
+    wrong = replace(hand.actuators[0], lower=2.0, upper=1.0)
+    with pytest.raises(ConfigError, match="must come first"):
+        Limits.of((wrong,))
