@@ -3,24 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
 
 from rtee.extract.motion import Motion, Way
 from rtee.extract.scene import LinkPair, Scene
 from rtee.types import FloatArray
 
-_COARSE: Final = 16
-"""Stations on the way at which every pair is looked at."""
+STEP: Final = 0.002
+"""Between two exact checks on a way, near links move at most this far against each other [m]."""
 
-STEP: Final = 0.001
-"""Between two stations at which near links are checked exactly nothing moves farther [m]."""
+_FINE: Final = 0.0005
+"""Step of the search for the first contact of two tips whose convex parts overlap [m]."""
 
-_LINGER: Final = 256
-"""Most exact stations on a way, whatever the bounds on the motion say."""
+_MOST: Final = 4096
+"""Most steps of that search."""
+
+_COARSE_PARTS: Final = 16
+"""Into how many parts a way is halved for links whose convex parts overlap."""
+
+_PARTS: Final = 64
+"""Into how many parts a way is halved for other links."""
+
+
+@dataclass(frozen=True, slots=True)
+class Blocked:
+    """A collision on a way.
+
+    Attributes:
+        pair: The links that collide.
+        at: Where they first do, an intensity.
+    """
+
+    pair: LinkPair
+    at: float
 
 
 class Collisions:
-    """Collisions between links, tips' contact aside.
+    """Which links may collide at all.
 
     Not collisions: contact of links that one moving joint joins, of links that touch at rest, and
     of pairs that the SRDF disables.
@@ -44,89 +66,166 @@ class Collisions:
         scene.place(scene.hand.rest)
         touching = {pair.links for pair in candidates if scene.touching(pair)}
         self.at_rest = tuple(sorted(touching))
-        self.checked = tuple(pair for pair in candidates if pair.links not in touching)
+        remaining = [pair for pair in candidates if pair.links not in touching]
+        # Links nested in each other cost most to check and collide rarely.
+        self.checked = tuple(sorted(remaining, key=lambda pair: scene.distance(pair) <= 0.0))
 
-    def concerned(
-        self, actuators: Iterable[int], tips: Iterable[frozenset[str]]
-    ) -> tuple[LinkPair, ...]:
-        """Return the pairs that some actuators move against each other, pairs of tips aside.
+    def watch(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> Watch:
+        """Return a watch over the links that some actuators move against each other.
 
         Args:
             actuators: The actuators that move; the others rest, where nothing collides.
             tips: Pairs of links whose contact is wanted.
         """
         moving, wanted = frozenset(actuators), set(tips)
-        return tuple(
+        pairs = [
             pair
             for pair in self.checked
             if pair.actuators & moving and frozenset(pair.links) not in wanted
-        )
+        ]
+        return Watch(self._scene, self._motion, pairs)
 
-    def at(self, u: FloatArray, pairs: Sequence[LinkPair]) -> list[LinkPair]:
-        """Return which of the pairs collide at a posture."""
+
+class Watch:
+    """Checks the links that may not collide in one search.
+
+    Attributes:
+        pairs: The pairs of links.
+    """
+
+    def __init__(self, scene: Scene, motion: Motion, pairs: Sequence[LinkPair]) -> None:
+        self._scene = scene
+        self._motion = motion
+        self.pairs = tuple(pairs)
+        self._ways: dict[bytes, Blocked | None] = {}
+
+    def at(self, u: FloatArray) -> list[LinkPair]:
+        """Return which links collide at a posture ``(n,)``."""
         self._scene.place(u)
-        return [pair for pair in pairs if self._scene.touching(pair)]
+        return [pair for pair in self.pairs if self._scene.touching(pair)]
 
-    def along(self, way: Way, pairs: Sequence[LinkPair]) -> list[tuple[LinkPair, float]]:
-        """Return which of the pairs collide on the way, and where first, as an intensity.
+    def along(self, u: FloatArray) -> Blocked | None:
+        """Return where the straight way from rest to a posture is first blocked, if it is.
 
-        Between the stations of the check no point moves more than 1 mm.
+        Links whose convex parts stay farther apart than they can move are free; for the others the
+        way is halved, again and again. What remains is checked exactly, so often that the links
+        move at most 2 mm against each other, where they are near, between two checks.
         """
-        scene = self._scene
-        gaps: list[list[float]] = []
-        for i in range(_COARSE + 1):
-            scene.place(way.at(i / _COARSE))
-            gaps.append([scene.distance(pair) for pair in pairs])
-        found = []
-        for column, pair in enumerate(pairs):
-            speed = self._motion.speed(pair, way)
-            for i in range(_COARSE):
-                here, there = gaps[i][column], gaps[i + 1][column]
-                if here + there > speed / _COARSE:
-                    continue
-                at = self._first(pair, way, i / _COARSE, (i + 1) / _COARSE, speed)
-                if at is not None:
-                    found.append((pair, at))
+        key = u.tobytes()
+        if key not in self._ways:
+            self._ways[key] = self.first(self._motion.way(u), self.pairs)
+        return self._ways[key]
+
+    def first(self, way: Way, pairs: Sequence[LinkPair]) -> Blocked | None:
+        """Return where some links first collide on a way, ``None`` if they do not."""
+        found: Blocked | None = None
+        for pair, runs in self._near(way, pairs):
+            for ends in runs:
+                if found is not None and ends[0] >= found.at:
                     break
-        return sorted(found, key=lambda item: item[1])
+                at = self._first_in(pair, way, ends)
+                if at is not None:
+                    if found is None or at < found.at:
+                        found = Blocked(pair, at)
+                    break
+        return found
 
-    def _first(
-        self, pair: LinkPair, way: Way, start: float, end: float, speed: float
-    ) -> float | None:
-        return first_contact(self._scene, pair, way, start, end, speed)
+    def _near(
+        self, way: Way, pairs: Sequence[LinkPair]
+    ) -> list[tuple[LinkPair, list[list[float]]]]:
+        """Return, per pair, the ends of the parts of the way in which it may touch, run by run."""
+        scene = self._scene
+        gaps: list[dict[float, float]] = [{} for _ in pairs]
+        speeds = [self._motion.speed(pair, way) for pair in pairs]
+        left: list[list[tuple[float, float]]] = [[] for _ in pairs]
+        parts = {(0.0, 1.0): list(range(len(pairs)))}
+        while parts:
+            for t in sorted({t for ends in parts for t in ends}):
+                columns = {c for ends, columns in parts.items() if t in ends for c in columns}
+                scene.place(way.at(t))
+                for c in columns:
+                    if t not in gaps[c]:
+                        gaps[c][t] = scene.distance(pairs[c])
+            halves: dict[tuple[float, float], list[int]] = {}
+            for (start, end), columns in parts.items():
+                middle = (start + end) / 2.0
+                for c in columns:
+                    here, there = gaps[c][start], gaps[c][end]
+                    if here + there > speeds[c] * (end - start):
+                        continue
+                    overlap = here <= 0.0 and there <= 0.0
+                    if (end - start) * (_COARSE_PARTS if overlap else _PARTS) <= 1.0:
+                        left[c].append((start, end))
+                    else:
+                        halves.setdefault((start, middle), []).append(c)
+                        halves.setdefault((middle, end), []).append(c)
+            parts = halves
+        return [(pair, _runs(ends)) for pair, ends in zip(pairs, left, strict=True) if ends]
+
+    def _first_in(self, pair: LinkPair, way: Way, ends: Sequence[float]) -> float | None:
+        """Return where a pair first touches on a run of the way."""
+        travelled = self._motion.travelled(pair, way, ends)
+        steps = max(1, int(np.ceil(travelled[-1] / STEP)))
+        before = ends[0]
+        for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:
+            t = float(np.interp(goal, travelled, ends)) if travelled[-1] > 0.0 else ends[-1]
+            self._scene.place(way.at(t))
+            if self._scene.touching(pair):
+                return bisect(self._scene, pair, way, before, t)
+            before = t
+        return None
 
 
-def first_contact(
-    scene: Scene, pair: LinkPair, way: Way, start: float, end: float, speed: float
-) -> float | None:
-    """Return where two links first touch on a part of the way, ``None`` if they do not.
+def _runs(parts: list[tuple[float, float]]) -> list[list[float]]:
+    """Return the ends of parts of a way, joined where one follows another."""
+    runs: list[list[float]] = []
+    for start, end in sorted(parts):
+        if runs and runs[-1][-1] == start:
+            runs[-1].append(end)
+        else:
+            runs.append([start, end])
+    return runs
+
+
+def first_contact(scene: Scene, pair: LinkPair, way: Way, speed: float) -> float | None:
+    """Return where two links first touch on the way, ``None`` if they do not.
 
     Conservative advancement (Mirtich, 1996) on the convex parts; where these overlap, exact checks
-    at most 1 mm of motion apart.
+    at most half a millimetre of motion apart.
 
     Args:
         scene: The scene.
         pair: The links.
         way: The way.
-        start: Where to begin, an intensity.
-        end: Where to end.
         speed: Bound on the speed of the links against each other per unit of the way [m].
     """
-    finest = max(STEP / speed, (end - start) / _LINGER) if speed > 0.0 else end - start
-    t, before = start, start
+    finest = max(_FINE / speed, 1.0 / _MOST) if speed > 0.0 else 1.0
+    t = before = 0.0
     while True:
         scene.place(way.at(t))
         gap = scene.distance(pair)
         if gap <= 0.0 and scene.touching(pair):
-            return _bisect(scene, pair, way, before, t)
-        if t >= end:
+            return bisect(scene, pair, way, before, t)
+        if t >= 1.0:
             return None
         before = t
-        t = min(end, t + max(gap / speed if speed > 0.0 else 0.0, finest))
+        t = min(1.0, t + max(gap / speed if speed > 0.0 else 0.0, finest))
 
 
-def _bisect(scene: Scene, pair: LinkPair, way: Way, apart: float, touching: float) -> float:
-    while touching - apart > 1e-5:
+def bisect(
+    scene: Scene, pair: LinkPair, way: Way, apart: float, touching: float, precision: float = 1e-5
+) -> float:
+    """Return an intensity at which two links begin to touch.
+
+    Args:
+        scene: The scene.
+        pair: The links.
+        way: The way.
+        apart: An intensity at which they do not touch; it may equal ``touching``.
+        touching: A greater one at which they do.
+        precision: How far off the answer may be.
+    """
+    while touching - apart > precision:
         middle = (apart + touching) / 2.0
         scene.place(way.at(middle))
         if scene.touching(pair):

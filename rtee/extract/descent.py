@@ -1,4 +1,4 @@
-"""Local minimisation of a piecewise smooth function in the unit box."""
+"""Local minimisation of a piecewise smooth function in a box."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from rtee.types import FloatArray
 
 Objective = Callable[[FloatArray], tuple[float, FloatArray]]
 """From coordinates in the unit box to the value and its derivative."""
+
+Bounds = tuple[FloatArray | float, FloatArray | float]
+"""Lower and upper corner of the box that coordinates stay in."""
 
 _DECREASE: Final = 1e-4
 _CURVATURE: Final = 0.5
@@ -35,7 +38,13 @@ class Minimum:
 
 
 def descend(
-    function: Objective, start: FloatArray, *, evaluations: int, tolerance: float = 1e-8
+    function: Objective,
+    start: FloatArray,
+    *,
+    evaluations: int,
+    bounds: Bounds = (0.0, 1.0),
+    tolerance: float = 1e-8,
+    enough: float = -np.inf,
 ) -> Minimum:
     """Return a local minimum by projected BFGS.
 
@@ -46,16 +55,19 @@ def descend(
 
     Args:
         function: What to minimise.
-        start: Coordinates in the unit box ``(k,)``.
+        start: Coordinates ``(k,)``.
         evaluations: Most evaluations.
+        bounds: Corners of the box.
         tolerance: A step that gains less ends the descent.
+        enough: A value at which the descent ends.
     """
-    y = np.clip(start, 0.0, 1.0)
+    low, high = bounds
+    y = np.clip(start, low, high)
     value, slope = function(y)
     count, fresh, restarted = 1, True, False
     inverse = np.eye(len(y))
-    while count < evaluations:
-        held = ((y <= 0.0) & (slope > 0.0)) | ((y >= 1.0) & (slope < 0.0))
+    while count < evaluations and value > enough:
+        held = ((y <= low) & (slope > 0.0)) | ((y >= high) & (slope < 0.0))
         free = np.where(held, 0.0, slope)
         if np.abs(free).max(initial=0.0) < 1e-10:
             break
@@ -67,7 +79,7 @@ def descend(
             direction *= _FIRST_STEP / longest
         elif longest > _LONGEST_STEP:
             direction *= _LONGEST_STEP / longest
-        found, used = _search_line(function, y, value, free, direction)
+        found, used = _search_line(function, (y, value, free), direction, bounds)
         count += used
         if found is None or value - found[1] < tolerance:
             if found is not None:
@@ -96,15 +108,16 @@ _Point = tuple[FloatArray, float, FloatArray]
 
 
 def _search_line(
-    function: Objective, y: FloatArray, value: float, slope: FloatArray, direction: FloatArray
+    function: Objective, origin: _Point, direction: FloatArray, bounds: Bounds
 ) -> tuple[_Point | None, int]:
     """Return a point of sufficient decrease on the projected ray, if possible of flatter slope."""
+    y, value, slope = origin
     below, above, t = 0.0, np.inf, 1.0
     best: _Point | None = None
     steepness = float(slope @ direction)
     for count in range(1, 11):
         there = y + t * direction
-        inside = np.clip(there, 0.0, 1.0)
+        inside = np.clip(there, *bounds)
         new, new_slope = function(inside)
         if new > value + _DECREASE * float(slope @ (inside - y)):
             above = t

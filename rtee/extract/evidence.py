@@ -9,15 +9,12 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import Evidence, Posture
-from rtee.extract.collisions import Collisions, first_contact
+from rtee.extract.collisions import Collisions, Watch, first_contact
 from rtee.extract.motion import Motion
 from rtee.extract.opposition import opposition
 from rtee.extract.scene import LinkPair, Scene
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
-
-DECIMALS: Final = 6
-"""Postures are stored rounded to a millionth of a radian or metre."""
 
 _DIGITS: Final = 9
 """Lengths in the evidence are rounded to a nanometre, unit vectors and angles likewise."""
@@ -48,26 +45,29 @@ class Inspector:
         motion = Motion(scene)
         return cls(scene, motion, Collisions(scene, motion))
 
-    def pinch(self, u: FloatArray, tips: LinkPair, others: Sequence[LinkPair]) -> Evidence:
+    def pinch(self, u: FloatArray, tips: LinkPair, watch: Watch) -> Evidence:
         """Return the evidence of a pinch.
 
         Args:
             u: The posture as stored ``(n,)``.
             tips: The two tips, the first element's first.
-            others: The pairs of links that must not collide.
+            watch: The links that must not collide.
         """
         scene = self.scene
         way = self.motion.way(u)
-        blocked = self.collisions.along(way, others)
-        colliding = self.collisions.at(u, others)
+        colliding = watch.at(u)
+        free = not colliding and watch.along(u) is None
         scene.place(u)
         touching = scene.touching(tips)
         witness = scene.witness(tips) if touching else scene.exact_witness(tips)
         points = [scene.origin(link) for link in tips.links]
-        opposed = opposition(scene, tips, witness, u - scene.hand.rest)
         contact_at = None
+        meeting = witness
         if touching:
-            contact_at = first_contact(scene, tips, way, 0.0, 1.0, self.motion.speed(tips, way))
+            contact_at = first_contact(scene, tips, way, self.motion.speed(tips, way))
+            scene.place(way.at(1.0 if contact_at is None else contact_at))
+            meeting = scene.witness(tips)
+        opposed = opposition(scene, tips, meeting, u - scene.hand.rest)
         return Evidence(
             depth=_round(max(0.0, -witness.distance)) if touching else 0.0,
             distance=0.0 if touching else _round(max(0.0, witness.distance)),
@@ -75,21 +75,11 @@ class Inspector:
             point=_triple((witness.first + witness.second) / 2.0),
             normal=_triple(witness.normal),
             clear=not colliding,
-            path_clear=not blocked,
+            path_clear=free,
             colliding=tuple(pair.links for pair in colliding),
             contact_at=None if contact_at is None else _round(contact_at),
             opposition=opposed,
         )
-
-
-def rounded(hand: Hand, u: FloatArray) -> FloatArray:
-    """Return a posture as it is stored: rounded, but never out of the limits."""
-    result = np.round(u, DECIMALS) + 0.0
-    for i, spec in enumerate(hand.actuators):
-        if u[i] == spec.rest:
-            result[i] = spec.rest
-        result[i] = min(max(result[i], spec.lower), spec.upper)
-    return result
 
 
 def posture_of(hand: Hand, u: FloatArray, involved: Sequence[str]) -> Posture:

@@ -6,15 +6,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
 
 from rtee.actions.types import Primitive
 from rtee.extract.evidence import Inspector
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.extract.pinch import find_pinch
+from rtee.extract.ranking import Rank
 from rtee.hand.model import Hand
-
-Rank = Literal["depth", "opposition"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ def extract(
     found = kinematic_primitives(hand)
     inspector = Inspector.of(hand)
     for first, second in combinations([f for f in hand.fingers if f.tip], 2):
-        pinch = find_pinch(inspector, first, second)
+        pinch = find_pinch(inspector, first, second, rank)
         if pinch:
             found.append(pinch)
     return Extraction(tuple(found), time.perf_counter() - begun)

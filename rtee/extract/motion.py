@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
 from rtee.extract.scene import LinkPair, Scene
-from rtee.types import FloatArray, JointKind
+from rtee.types import BoolArray, FloatArray, JointKind
 
-_STATIONS = 33
+_STATIONS: Final = 33
+
+_NEAR: Final = 0.005
+"""How near points must be for their motion to count [m]."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,38 @@ class Motion:
             self._bounds[pair.links] = self._bound(pair)
         return float(self._bounds[pair.links] @ way.travel)
 
+    def travelled(self, pair: LinkPair, way: Way, stations: Sequence[float]) -> FloatArray:
+        """Return how far two links have moved against each other where they are near.
+
+        Near are the points of one link that lie within the other one's bounding box, widened by
+        5 mm, at the one or the other end of a part of the way.
+
+        Args:
+            pair: The links.
+            way: The way.
+            stations: Intensities, increasing ``(s,)``.
+
+        Returns:
+            The sum of the greatest displacements up to each station ``(s,)`` [m].
+        """
+        scene, shapes = self._scene, self._scene.geometry.shapes
+        first, second = (scene.geometry.of_link(link) for link in pair.links)
+        couples = [(a, b) for i in first for j in second for a, b in ((i, j), (j, i))]
+        total, last = [0.0], []
+        for t in stations:
+            scene.place(way.at(t))
+            now = []
+            for fixed, moving in couples:
+                to_fixed = scene.shape_pose(fixed).actInv(scene.shape_pose(moving))
+                points = shapes[moving].surface @ to_fixed.rotation.T + to_fixed.translation
+                low, high = shapes[fixed].box
+                near = ((points > low - _NEAR) & (points < high + _NEAR)).all(axis=1)
+                now.append((points, near))
+            if last:
+                total.append(total[-1] + max(map(_displacement, last, now)))
+            last = now
+        return np.array(total)
+
     def _bound(self, pair: LinkPair) -> FloatArray:
         """Return the longest lever of every joint on the pair ``(m,)``: metres, 1 if prismatic."""
         scene = self._scene
@@ -97,3 +134,13 @@ class Motion:
             points = shape.points @ placement.rotation.T + placement.translation
             radii.append(float(np.linalg.norm(points, axis=1).max()))
         return radii
+
+
+def _displacement(
+    before: tuple[FloatArray, BoolArray], after: tuple[FloatArray, BoolArray]
+) -> float:
+    near = before[1] | after[1]
+    if not near.any():
+        return 0.0
+    step = after[0][near] - before[0][near]
+    return float(np.sqrt(np.einsum("ij,ij->i", step, step).max()))

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 import pinocchio as pin
 
+from rtee.extract.couplings import Couplings
 from rtee.extract.space import Space
 from rtee.extract.surface import encloses
 from rtee.hand.geometry import HandGeometry
@@ -80,6 +81,7 @@ class Scene:
     Attributes:
         hand: The hand.
         geometry: Its collision geometry.
+        couplings: Its transmission.
         pairs: All pairs of links that have geometry and move against each other, by names in the
             order of the URDF's tree.
     """
@@ -97,6 +99,7 @@ class Scene:
         self._convex = self.geometry.model(everything, convex=True)
         self._exact = self.geometry.model(everything, convex=False)
         self.pairs: dict[tuple[str, str], LinkPair] = {}
+        self._shapes: list[tuple[int, int]] = []
         links = list(dict.fromkeys(shape.link for shape in self.geometry.shapes))
         for first, second in combinations(links, 2):
             self._add_pair(first, second)
@@ -104,7 +107,8 @@ class Scene:
         self._data = self.kinematics.data
         self._convex_data = self._convex.createData()
         self._exact_data = self._exact.createData()
-        self._slope = hand.transmission.matrix
+        self.couplings = Couplings(hand)
+        self._slope = self.couplings.slope(hand.rest)
         self._row = np.empty(6)
         self._exact_placed = False
 
@@ -112,14 +116,16 @@ class Scene:
         bodies = (self.kinematics.body(first), self.kinematics.body(second))
         if bodies[0] == bodies[1]:
             return
+        support = self.kinematics.support
+        moved_by = support(bodies[1]) - support(bodies[0])
         indices = []
         for i in self.geometry.of_link(first):
             for j in self.geometry.of_link(second):
-                indices.append(len(self._convex.collisionPairs))
+                k = len(self._shapes)
+                indices.append(k)
+                self._shapes.append((i, j))
                 self._convex.addCollisionPair(pin.CollisionPair(i, j))
                 self._exact.addCollisionPair(pin.CollisionPair(i, j))
-        support = self.kinematics.support
-        moved_by = support(bodies[1]) - support(bodies[0])
         moves = [self.hand.transmission.moves(j) for j in np.flatnonzero(moved_by).tolist()]
         actuators = frozenset(i for i in moves if i is not None)
         self.pairs[first, second] = LinkPair(
@@ -139,11 +145,10 @@ class Scene:
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
         """
-        transmission = self.hand.transmission
-        pin.computeJointJacobians(self._model, self._data, transmission.joints(u))
+        pin.computeJointJacobians(self._model, self._data, self.couplings.joints(u))
         pin.updateGeometryPlacements(self._model, self._data, self._convex, self._convex_data)
-        if not transmission.linear:
-            self._slope = transmission.jacobian(u)
+        if not self.couplings.linear:
+            self._slope = self.couplings.slope(u)
         self._exact_placed = False
 
     def distance(self, pair: LinkPair) -> float:
@@ -164,14 +169,30 @@ class Scene:
             if result.min_distance < least:
                 least, closest = result.min_distance, result
         assert closest is not None  # noqa: S101 - a pair has shapes
-        n, p = closest.normal, closest.getNearestPoint1()
-        row = self._row
+        normal, point = closest.normal, closest.getNearestPoint1()
+        return least, self._derivative(-normal if pair.turned else normal, point, pair, space)
+
+    def exact_slope(self, pair: LinkPair, space: Space) -> tuple[float, FloatArray]:
+        """Return the distance of two links' geometry as given and its derivative, as `slope`.
+
+        Both are 0 where they touch.
+        """
+        if self.touching(pair):
+            return 0.0, np.zeros(space.size)
+        found = self.exact_witness(pair)
+        return found.distance, self._derivative(found.normal, found.first, pair, space)
+
+    def _derivative(
+        self, normal: FloatArray, point: FloatArray, pair: LinkPair, space: Space
+    ) -> FloatArray:
+        row, n, p = self._row, normal, point
         row[0], row[1], row[2] = n
         row[3] = p[1] * n[2] - p[2] * n[1]
         row[4] = p[2] * n[0] - p[0] * n[2]
         row[5] = p[0] * n[1] - p[1] * n[0]
-        by_joint = (row @ self._data.J) * (-pair.moved_by if pair.turned else pair.moved_by)
-        return least, (by_joint @ self._slope[:, space.index]) * space.extent
+        by_joint = (row @ self._data.J) * pair.moved_by
+        result: FloatArray = (by_joint @ self._slope[:, space.index]) * space.extent
+        return result
 
     def witness(self, pair: LinkPair) -> Witness:
         """Return where two links' convex parts are closest or deepest in each other."""
@@ -185,16 +206,17 @@ class Scene:
         return any(self._touching(k) for k in pair.pairs)
 
     def _touching(self, k: int) -> bool:
-        convex = pin.computeDistance(self._convex, self._convex_data, k)
-        if convex.min_distance > 0.0:
+        overlap = -pin.computeDistance(self._convex, self._convex_data, k).min_distance
+        if overlap < 0.0:
             return False
+        i, j = self._shapes[k]
         self._place_exact()
         if pin.computeCollision(self._exact, self._exact_data, k):
             return True
-        pair = self._exact.collisionPairs[k]
-        shapes = self.geometry.shapes
-        a, b = shapes[pair.first], shapes[pair.second]
-        to_a = self._exact_data.oMg[pair.first].actInv(self._exact_data.oMg[pair.second])
+        a, b = self.geometry.shapes[i], self.geometry.shapes[j]
+        if overlap < min(a.least_width, b.least_width):
+            return False
+        to_a = self._exact_data.oMg[i].actInv(self._exact_data.oMg[j])
         return encloses(a, b, to_a) or encloses(b, a, to_a.inverse())
 
     def exact_distance(self, pair: LinkPair) -> float:

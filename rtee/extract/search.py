@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from rtee.extract.descent import Minimum, Objective, descend
+from rtee.extract.descent import Minimum, descend
+from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.space import Space, halton
 from rtee.types import FloatArray
 
@@ -18,38 +19,69 @@ _QUICK: Final = 45
 _THOROUGH: Final = 160
 _SAME: Final = 0.02
 _LINE: Final = 257
+_LINE_PRECISION: Final = 1e-8
+
+
+class SignedDistance:
+    """The signed distance of two links as a function of the coordinates of a space.
+
+    Calling it gives the value with its derivative, `value` the value alone.
+
+    Attributes:
+        space: The space.
+    """
+
+    def __init__(self, scene: Scene, pair: LinkPair, space: Space, *, exact: bool = False) -> None:
+        """Prepare for a pair of links.
+
+        Args:
+            scene: The hand's links.
+            pair: The links.
+            space: The space.
+            exact: Take the distance of the geometry as given, 0 where it touches, instead of that
+                of the convex parts.
+        """
+        self._scene = scene
+        self._pair = pair
+        self._slope = scene.exact_slope if exact else scene.slope
+        self.space = space
+
+    def __call__(self, y: FloatArray) -> tuple[float, FloatArray]:
+        """Return the distance [m] and its derivative ``(k,)`` at coordinates ``(k,)``."""
+        self._scene.place(self.space.posture(y))
+        return self._slope(self._pair, self.space)
+
+    def value(self, y: FloatArray) -> float:
+        """Return the distance [m] at coordinates ``(k,)``."""
+        self._scene.place(self.space.posture(y))
+        return self._scene.distance(self._pair)
 
 
 def minima(
-    value: Callable[[FloatArray], float],
-    objective: Objective,
-    space: Space,
+    function: SignedDistance,
     warm: Sequence[FloatArray] = (),
     starts: int = STARTS,
 ) -> list[Minimum]:
     """Return distinct local minima, the deepest first.
 
     Args:
-        value: The function alone.
-        objective: The function with its derivative.
-        space: Where to search.
+        function: The function to minimise over its space.
         warm: Further starts, coordinates ``(k,)``.
         starts: Number of starts from the low-discrepancy sequence.
     """
+    space = function.space
     if space.size == 0:
         y = np.zeros(0)
-        return [Minimum(y, value(y), 1)]
+        return [Minimum(y, function.value(y), 1)]
     if space.size == 1:
-        return _on_a_line(value)
+        return on_a_line(function)
     points = np.concatenate([halton(space.size, max(SCREENED, starts)), _landmarks(space)])
-    values = np.array([value(y) for y in points])
+    values = np.array([function.value(y) for y in points])
     order = np.argsort(values, kind="stable")[:starts]
-    first = [
-        descend(objective, y, evaluations=_QUICK) for y in (*warm, *(points[i] for i in order))
-    ]
-    best = _distinct(first)[:KEPT]
-    done = [descend(objective, m.y, evaluations=_THOROUGH) for m in best]
-    return _distinct([*done, *first])
+    first = [descend(function, y, evaluations=_QUICK) for y in (*warm, *(points[i] for i in order))]
+    best = distinct(first)[:KEPT]
+    done = [descend(function, m.y, evaluations=_THOROUGH) for m in best]
+    return distinct([*done, *first])
 
 
 def _landmarks(space: Space) -> FloatArray:
@@ -58,7 +90,8 @@ def _landmarks(space: Space) -> FloatArray:
     return np.array([space.rest, np.full(size, 0.5), np.zeros(size), np.ones(size)])
 
 
-def _distinct(found: Sequence[Minimum]) -> list[Minimum]:
+def distinct(found: Sequence[Minimum]) -> list[Minimum]:
+    """Return the minima that lie apart from each other, the deepest first."""
     kept: list[Minimum] = []
     for minimum in sorted(found, key=lambda m: m.value):
         if all(np.abs(minimum.y - other.y).max() > _SAME for other in kept):
@@ -66,35 +99,46 @@ def _distinct(found: Sequence[Minimum]) -> list[Minimum]:
     return kept
 
 
-def _on_a_line(value: Callable[[FloatArray], float]) -> list[Minimum]:
-    """Return all local minima over one coordinate, by a fine grid and golden sections."""
-    grid = np.linspace(0.0, 1.0, _LINE)
-    values = [value(np.array([t])) for t in grid]
+def on_a_line(function: SignedDistance, low: float = 0.0, high: float = 1.0) -> list[Minimum]:
+    """Return all local minima over one coordinate, by a fine grid and golden sections.
+
+    Args:
+        function: The function, over a space of one actuator.
+        low: Least coordinate.
+        high: Greatest coordinate.
+    """
+    grid = np.linspace(low, high, _LINE)
+    values = [function.value(np.array([t])) for t in grid]
     found = []
     for i, here in enumerate(values):
         left = values[i - 1] if i else np.inf
         right = values[i + 1] if i + 1 < _LINE else np.inf
-        if here <= left and here <= right and not (here == left and i):
-            low, high = grid[max(i - 1, 0)], grid[min(i + 1, _LINE - 1)]
-            found.append(_golden(value, float(low), float(high), float(grid[i]), here))
+        if here < left and here <= right:
+            a, b = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, _LINE - 1)])
+            found.append(_golden(function, (a, b), float(grid[i]), here))
     return sorted(found, key=lambda m: m.value)
 
 
 def _golden(
-    value: Callable[[FloatArray], float], low: float, high: float, t: float, least: float
+    function: SignedDistance, bracket: tuple[float, float], at: float, least: float
 ) -> Minimum:
+    """Return the minimum in a bracket; Kiefer (1953)."""
+    low, high = bracket
     ratio = (np.sqrt(5.0) - 1.0) / 2.0
-    best, at = least, t
-    count = 0
-    while high - low > 1e-9:
-        a, b = high - ratio * (high - low), low + ratio * (high - low)
-        fa, fb = value(np.array([a])), value(np.array([b]))
-        count += 2
-        for point, here in ((a, fa), (b, fb)):
-            if here < best:
-                best, at = here, point
-        if fa <= fb:
-            high = b
+    inner = [high - ratio * (high - low), low + ratio * (high - low)]
+    values = [function.value(np.array([t])) for t in inner]
+    count = 2
+    while high - low > _LINE_PRECISION:
+        for t, here in zip(inner, values, strict=True):
+            if here < least:
+                least, at = here, t
+        if values[0] <= values[1]:
+            high = inner[1]
+            inner = [high - ratio * (high - low), inner[0]]
+            values = [function.value(np.array([inner[0]])), values[0]]
         else:
-            low = a
-    return Minimum(np.array([at]), best, count)
+            low = inner[0]
+            inner = [inner[1], low + ratio * (high - low)]
+            values = [values[1], function.value(np.array([inner[1]]))]
+        count += 1
+    return Minimum(np.array([at]), least, count)

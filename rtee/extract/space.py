@@ -6,11 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
 from rtee.hand.model import Hand
 from rtee.types import FloatArray, JointKind
+
+DECIMALS: Final = 6
+"""Postures are stored rounded to a millionth of a radian or metre."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,16 @@ def make_space(
     index = tuple(i for i in sorted(actuators) if upper[i] > lower[i])
     chosen = list(index)
     return Space(hand.rest, index, lower[chosen], upper[chosen] - lower[chosen])
+
+
+def rounded(hand: Hand, u: FloatArray) -> FloatArray:
+    """Return a posture as it is stored: rounded, but never out of the limits."""
+    result = np.round(u, DECIMALS) + 0.0
+    for i, spec in enumerate(hand.actuators):
+        if u[i] == spec.rest:
+            result[i] = spec.rest
+        result[i] = min(max(result[i], spec.lower), spec.upper)
+    return result
 
 
 @lru_cache(maxsize=32)

@@ -24,8 +24,8 @@ def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
         return False
     start = inner.exact.vertices()[0] if inner.is_mesh else np.zeros(3)
     point = inner_in_outer.act(np.asarray(start))
-    bounds = outer.exact.aabb_local
-    if (point < bounds.min_).any() or (point > bounds.max_).any():
+    low, high = outer.box
+    if (point < low).any() or (point > high).any():
         return False
     return winding_number(point, *outer.triangles) > 0.5
 

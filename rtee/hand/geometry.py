@@ -85,6 +85,20 @@ class Shape:
         return bounds.min_, bounds.max_
 
     @cached_property
+    def least_width(self) -> float:
+        """A lower bound on the width of the convex part in any direction [m].
+
+        The width of a polyhedron is least across a face and a vertex or across two edges; a third
+        of the least width across its faces is less than either.
+        """
+        if not self.is_mesh:
+            low, high = self.box
+            return float((high - low).min()) / 2.0
+        normals = np.array(self.convex.normals())
+        heights = normals @ self.points.T
+        return float((heights.max(axis=1) - heights.min(axis=1)).min()) / 3.0
+
+    @cached_property
     def surface(self) -> FloatArray:
         """Points ``(k, 3)`` [m] in the shape's own frame, spread over its surface."""
         return np.array(self.exact.vertices()) if self.is_mesh else self.triangles[0]

@@ -1,0 +1,259 @@
+"""The deepest pose of two tips at which nothing else collides, nor on the way there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtee.extract.collisions import Blocked, Watch, bisect
+from rtee.extract.descent import Minimum, Objective, descend
+from rtee.extract.motion import Motion, Way
+from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.search import distinct
+from rtee.extract.space import Space, rounded
+from rtee.types import FloatArray
+
+_ROUNDS: Final = 8
+_REFINEMENTS: Final = 8
+_EVALUATIONS: Final = 60
+_QUICK: Final = 40
+_WEIGHT: Final = 5.0
+_SHRINK: Final = 0.8
+_STRENGTHEN: Final = 2.0
+_GAIN: Final = 0.01
+_COARSE: Final = 0.01
+_SAFE: Final = 2e-5
+_MARGIN: Final = 1e-4
+_CLOSE: Final = 5e-5
+_NEAR: Final = 2e-3
+_STATIONS: Final = 9
+_TRIED: Final = 2
+_WAYS: Final = 4
+
+
+@dataclass(slots=True)
+class Constraint:
+    """Two links that are to stay apart.
+
+    Attributes:
+        pair: The links.
+        at: Where on the way, an intensity; 1 is the pose itself.
+        allowance: How deep their convex parts may overlap there before they collide [m].
+        weight: Factor of the penalty.
+    """
+
+    pair: LinkPair
+    at: float
+    allowance: float
+    weight: float = _WEIGHT
+
+
+class ClearSearch:
+    """Pushes poses of two tips out of their other collisions.
+
+    The convex parts of two links stand in for the links: they overlap before the links collide, by
+    an allowance that is measured where the links first touch. Poses are improved under the
+    constraints known so far, with an exact penalty; then the pose is checked exactly, and what
+    collides there becomes a constraint, or a tighter one. A pose that is clear is refined: the
+    allowances are measured there, and it moves on as long as it gets deeper and stays clear.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        motion: Motion,
+        tips: LinkPair,
+        space: Space,
+        watch: Watch,
+    ) -> None:
+        """Prepare a search.
+
+        Args:
+            scene: The hand's links.
+            motion: Bounds on their motion.
+            tips: The tips to press together.
+            space: Where to search.
+            watch: The links that may not collide.
+        """
+        self._scene = scene
+        self._motion = motion
+        self._tips = tips
+        self._space = space
+        self._varying = frozenset(space.index.tolist())
+        self._low, self._high = np.zeros(space.size), np.ones(space.size)
+        self._watch = watch
+        self._constraints: list[Constraint] = []
+
+    def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return clear poses, the deepest one whose way is clear first, if there is any.
+
+        Args:
+            starts: Coordinates ``(k,)`` of deep poses, the deepest first.
+
+        Returns:
+            Coordinates ``(k,)`` of clear poses; if no clear way was found, of poses behind
+            collisions on the way.
+        """
+        poses = [self._push_out(starts[0])]
+        again = [self._descend(y, _QUICK) for y in starts]
+        poses += [self._push_out(minimum.y) for minimum in distinct(again)[:_TRIED]]
+        found = sorted((y for y in poses if y is not None), key=self._depth)
+        behind: list[FloatArray] = []
+        for _ in range(_WAYS):
+            if not found:
+                break
+            blocked = self._blocked(found[0])
+            if blocked is None:
+                return [*found, *behind]
+            worst = found.pop(0)
+            behind.append(worst)
+            self._learn_way(blocked, worst)
+            better = self._push_out(self._descend(worst, _EVALUATIONS).y)
+            if better is not None:
+                found = sorted([*found, better], key=self._depth)
+        return [*found, *behind]
+
+    def _push_out(self, y: FloatArray) -> FloatArray | None:
+        """Return a clear pose reached from a deep one."""
+        for _ in range(_ROUNDS):
+            hits = self._colliding(y)
+            if not hits:
+                return self._refine(y)
+            for pair in hits:
+                self._learn(pair, y)
+            y = self._descend(y, _EVALUATIONS).y
+            if self._depth(y) > 0.0:
+                return None
+        return None
+
+    def _refine(self, y: FloatArray) -> FloatArray:
+        """Return a deeper clear pose near a clear one."""
+        best = self._depth(y)
+        for _ in range(_REFINEMENTS):
+            self._calibrate(y)
+            step = self._descend(y, _EVALUATIONS).y - y
+            for share in (1.0, 0.5, 0.25, 0.125):
+                trial = y + share * step
+                value = self._depth(trial)
+                if value >= best - _CLOSE:
+                    continue
+                hits = self._colliding(trial)
+                if not hits:
+                    break
+                for pair in hits:
+                    if not any(c.pair is pair and c.at == 1.0 for c in self._constraints):
+                        self._learn(pair, trial)
+            else:
+                return y
+            gain, y, best = best - value, trial, value
+            if gain < _GAIN * abs(best):
+                return y
+        return y
+
+    def _calibrate(self, y: FloatArray) -> None:
+        """Set the allowances by the links' gaps at a clear pose."""
+        self._scene.place(self._space.posture(y))
+        for c in self._constraints:
+            overlap = -self._scene.distance(c.pair)
+            if c.at == 1.0 and overlap > -_NEAR:
+                c.allowance = self._scene.exact_distance(c.pair) + overlap - _CLOSE
+
+    def _posture(self, y: FloatArray) -> FloatArray:
+        return rounded(self._scene.hand, self._space.posture(y))
+
+    def _colliding(self, y: FloatArray) -> list[LinkPair]:
+        return self._watch.at(self._posture(y))
+
+    def _blocked(self, y: FloatArray) -> Blocked | None:
+        return self._watch.along(self._posture(y))
+
+    def _learn(self, pair: LinkPair, y: FloatArray) -> None:
+        """Learn from a collision at a pose."""
+        if self._bound(pair, y):
+            return
+        known = next((c for c in self._constraints if c.pair is pair and c.at == 1.0), None)
+        if known is not None:
+            known.allowance = min(known.allowance, self._overlap(pair, self._way(y), 1.0)) * _SHRINK
+            known.weight *= _STRENGTHEN
+            return
+        way = self._way(y)
+        at = bisect(self._scene, pair, way, 0.0, 1.0, _COARSE)
+        overlap = self._overlap(pair, way, max(0.0, at - _COARSE))
+        self._constraints.append(Constraint(pair, 1.0, overlap))
+
+    def _learn_way(self, blocked: Blocked, y: FloatArray) -> None:
+        """Learn from a collision on the way to a pose."""
+        if self._bound(blocked.pair, y):
+            return
+        way = self._way(y)
+        times = np.linspace(blocked.at, 1.0, _STATIONS)[:-1]
+        overlaps = [self._overlap(blocked.pair, way, float(t)) for t in times]
+        at = float(times[int(np.argmax(overlaps))])
+        for known in self._constraints:
+            if known.pair is blocked.pair and known.at != 1.0 and abs(known.at - at) < 0.1:
+                known.allowance = min(known.allowance, max(overlaps)) * _SHRINK
+                known.weight *= _STRENGTHEN
+                known.at = at
+                return
+        self._constraints.append(Constraint(blocked.pair, at, overlaps[0]))
+
+    def _bound(self, pair: LinkPair, y: FloatArray) -> bool:
+        """Bound an actuator that alone moves two links, where they first collide on its way."""
+        moving = pair.actuators & self._varying
+        if len(moving) != 1:
+            return False
+        (actuator,) = moving
+        goal = self._scene.hand.rest.copy()
+        goal[actuator] = self._space.posture(y)[actuator]
+        blocked = self._watch.first(self._motion.way(goal), [pair])
+        if blocked is None:
+            return False
+        share = max(0.0, blocked.at - _SAFE)
+        goal[actuator] = goal[actuator] * share + self._scene.hand.rest[actuator] * (1.0 - share)
+        i = self._space.index.tolist().index(actuator)
+        limit, rest = self._space.coordinates(goal)[i], self._space.rest[i]
+        if limit >= rest and y[i] > rest:
+            self._high[i] = min(self._high[i], limit)
+        else:
+            self._low[i] = max(self._low[i], limit)
+        return True
+
+    def _way(self, y: FloatArray) -> Way:
+        return self._motion.way(self._space.posture(y))
+
+    def _depth(self, y: FloatArray) -> float:
+        self._scene.place(self._space.posture(y))
+        return self._scene.distance(self._tips)
+
+    def _overlap(self, pair: LinkPair, way: Way, at: float) -> float:
+        self._scene.place(way.at(at))
+        return max(0.0, -self._scene.distance(pair) - _MARGIN)
+
+    def _descend(self, y: FloatArray, evaluations: int) -> Minimum:
+        bounds = (self._low, self._high)
+        return descend(self._objective(), y, evaluations=evaluations, bounds=bounds)
+
+    def _objective(self) -> Objective:
+        """Return the tips' signed distance with a penalty for overlaps beyond the allowances."""
+        scene, space, tips, rest = self._scene, self._space, self._tips, self._scene.hand.rest
+        constraints = sorted(self._constraints, key=lambda c: -c.at)
+
+        def function(y: FloatArray) -> tuple[float, FloatArray]:
+            u = space.posture(y)
+            scene.place(u)
+            value, slope = scene.slope(tips, space)
+            at = 1.0
+            for c in constraints:
+                if c.at != at:
+                    at = c.at
+                    scene.place(rest + at * (u - rest))
+                if scene.distance(c.pair) < -c.allowance:
+                    d, g = scene.slope(c.pair, space)
+                    value -= c.weight * (d + c.allowance)
+                    slope = slope - c.weight * at * g
+            return value, slope
+
+        return function
