@@ -51,7 +51,7 @@ def read(
     Raises:
         LogError: if a file cannot be opened, is no MCAP file or holds no recording of a hand.
     """
-    paths = _paths(path, series)
+    paths = paths_of(path, series=series)
     surveys = [survey(each) for each in paths]
     wanted = set(topics.TYPES) if only is None else set(only)
     unknown = wanted - set(topics.TYPES)
@@ -60,7 +60,12 @@ def read(
     return _Collector(surveys, wanted).read()
 
 
-def _paths(path: Path | str | Sequence[Path | str], series: bool) -> list[Path]:
+def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
+    """Return the files that `read` would read.
+
+    Raises:
+        LogError: if a folder holds no recording.
+    """
     if not isinstance(path, (str, Path)):
         if not path:
             raise LogError("no file is given")

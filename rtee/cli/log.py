@@ -1,0 +1,252 @@
+"""`rtee log`: look at recordings, plot, export, replay and repair them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import JsonOption
+from rtee.errors import LogError
+
+if TYPE_CHECKING:
+    from rtee.log.check import Check
+    from rtee.log.info import Info
+
+app = typer.Typer(no_args_is_help=True)
+
+File = Annotated[
+    Path, typer.Argument(metavar="FILE", help="A recording, or a folder: its newest recording.")
+]
+Series = Annotated[
+    bool, typer.Option("--series", help="Take all parts of the recording that FILE belongs to.")
+]
+
+
+def _paths(path: Path, series: bool) -> list[Path]:
+    from rtee.log.reader import paths_of
+
+    return paths_of(path, series=series)
+
+
+@app.command()
+def info(file: File, series: Series = False, as_json: JsonOption = False) -> None:
+    """Show what a recording holds."""
+    from rtee.log.info import info as look
+
+    found = look(_paths(file, series))
+    if as_json:
+        print(json.dumps(found.as_dict(), indent=2))
+    else:
+        _show(found)
+
+
+def _show(found: Info) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from rtee.log.info import iso
+
+    console = Console(highlight=False)
+    recording = found.recording
+    for path, size in found.files:
+        console.print(Text(f"{path}  {size / 1e6:.1f} MB"))
+    rate = f", {recording.rate:g} Hz" if recording.rate else ""
+    console.print(Text(f"hand {recording.hand or 'unknown'}{rate}, written by {found.library}"))
+    console.print(
+        Text(
+            f"{iso(recording.start) or 'no messages'}, {recording.duration:.1f} s, "
+            f"{found.size_per_minute / 1e6:.1f} MB a minute"
+        )
+    )
+    table = Table("topic", "type", "messages", "rate [Hz]", box=None, pad_edge=False)
+    for each in found.topics:
+        table.add_row(each.topic, each.kind, str(each.messages), f"{each.rate:.1f}")
+    console.print(table)
+    if found.attachments:
+        names = ", ".join(name for name, _ in found.attachments)
+        console.print(Text(f"attachments: {names}"))
+    if found.statistics is not None:
+        last = found.statistics
+        console.print(
+            Text(
+                f"loop: {last.ticks} ticks, {last.missed} missed, lateness p99 "
+                f"{last.lateness_p99 * 1e6:.0f} µs, max {last.lateness_max * 1e6:.0f} µs, "
+                f"{last.dropped} records dropped"
+            )
+        )
+    if recording.spans:
+        table = Table("at [s]", "goal", "took [s]", "outcome", box=None, pad_edge=False)
+        for span in recording.spans:
+            took = f"{span.end - span.start:.2f}"
+            table.add_row(f"{span.start:.2f}", Text(span.name), took, span.outcome)
+        console.print(table)
+    for entry in recording.events:
+        event = entry.value
+        if event.kind != "trace":
+            console.print(Text(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}"))
+    for note in recording.notes:
+        console.print(Text(f"note: {note}"))
+
+
+@app.command()
+def plot(
+    file: File,
+    series: Series = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="PATH", help="Path without its ending; FILE's own unless given."
+        ),
+    ] = None,
+    by: Annotated[str | None, typer.Option(help="A row per 'actuator' or per 'finger'.")] = None,
+    actuator: Annotated[
+        list[str] | None, typer.Option(help="Only this actuator; may be given again.")
+    ] = None,
+    start: Annotated[float | None, typer.Option("--from", help="Begin here [s].")] = None,
+    end: Annotated[float | None, typer.Option("--to", help="End here [s].")] = None,
+    html: Annotated[bool, typer.Option(help="Make a page.")] = True,
+    png: Annotated[bool, typer.Option(help="Make a picture.")] = True,
+) -> None:
+    """Plot positions, references and efforts with the spans of the actions."""
+    from rtee.log.figure import By, figure
+    from rtee.log.playback import fingers
+    from rtee.log.reader import read
+
+    if by is not None and by not in list(By):
+        raise LogError(f"--by should be 'actuator' or 'finger', not '{by}'")
+    recording = read(_paths(file, series))
+    drawing = figure(
+        recording,
+        by=None if by is None else By(by),
+        actuators=actuator or (),
+        start=start,
+        end=end,
+        fingers=fingers(recording),
+    )
+    base = output or recording.paths[0].with_suffix("")
+    if html:
+        from rtee.log.plot_html import write_html
+
+        path = base.with_name(base.name + ".html")
+        write_html(drawing, path)
+        print(path)
+    if png:
+        from rtee.log.plot_png import write_png
+
+        path = base.with_name(base.name + ".png")
+        write_png(drawing, path)
+        print(path)
+
+
+@app.command()
+def export(
+    file: File,
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="A folder, or a file that ends in .npz.")
+    ],
+    series: Series = False,
+    kind: Annotated[
+        str | None, typer.Option("--format", help="csv, parquet or npz; by OUT unless given.")
+    ] = None,
+    topic: Annotated[
+        list[str] | None, typer.Option(help="Only this topic; may be given again.")
+    ] = None,
+) -> None:
+    """Write a recording's topics as CSV, Parquet or NumPy files."""
+    from rtee.log.export import Format
+    from rtee.log.export import export as write
+    from rtee.log.reader import read
+
+    if kind is None:
+        kind = "npz" if output.suffix == ".npz" else "csv"
+    if kind not in list(Format):
+        raise LogError(f"--format should be csv, parquet or npz, not '{kind}'")
+    for path in write(read(_paths(file, series)), output, Format(kind), topic or ()):
+        print(path)
+
+
+@app.command()
+def replay(
+    file: File,
+    series: Series = False,
+    checking: Annotated[
+        bool,
+        typer.Option("--check", help="Compute the references anew and compare them bit for bit."),
+    ] = False,
+    speed: Annotated[
+        float, typer.Option(min=0.01, max=1000.0, help="How fast time passes in it.")
+    ] = 1.0,
+    repeat: Annotated[bool, typer.Option("--repeat", help="Begin again at the end.")] = False,
+    gui: Annotated[bool, typer.Option("--gui", help="Open the hand in the browser.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a recording to the GUI and all clients, or check that it comes out again."""
+    from rtee.log.reader import read
+
+    paths = _paths(file, series)
+    if checking:
+        from rtee.log.check import check
+
+        _show_check(check(read(paths)), as_json)
+        return
+    if len(paths) > 1:
+        raise LogError("--series goes with --check only: replay one part after the other")
+    from rtee.cli._replay import show
+
+    raise typer.Exit(show(paths[0], speed=speed, repeat=repeat, gui=gui))
+
+
+def _show_check(found: Check, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    if as_json:
+        print(json.dumps(asdict(found) | {"same": found.same}, indent=2))
+    elif found.same:
+        print(
+            f"the same, bit for bit: {found.ticks} ticks, {found.goals} goals, "
+            f"{found.values} numbers"
+        )
+    else:
+        print(f"{found.different} of {found.values} numbers differ, by at most {found.largest:g}")
+        if found.first is not None:
+            first = found.first
+            print(
+                f"first at tick {first.tick} ({first.t:.3f} s), {first.quantity} of "
+                f"'{first.actuator}': recorded {first.recorded!r}, computed {first.computed!r}"
+            )
+        if not found.results:
+            print("the goals ended otherwise than recorded")
+        if found.missing:
+            print(f"{found.missing} ticks are not in the recording: missed, or dropped")
+    if not found.same:
+        raise typer.Exit(1)
+
+
+@app.command()
+def recover(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE…", help="Recordings.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="PATH", help="Write the whole file here instead."),
+    ] = None,
+) -> None:
+    """Make recordings whole whose program was killed."""
+    from rtee.log.recover import recover as make_whole
+
+    if output is not None and len(files) > 1:
+        raise LogError("--out goes with one file only")
+    for file in files:
+        done = make_whole(file, output)
+        if done.untouched:
+            print(f"{done.path}: is whole, {done.messages} messages, {done.seconds:.1f} s")
+            continue
+        text = f"{done.path}: recovered {done.messages} messages, {done.seconds:.1f} s"
+        if done.damaged:
+            text += f"; {done.damaged} damaged chunks left out"
+        if done.lost_bytes:
+            text += f"; {done.lost_bytes} bytes at the end were of no use"
+        print(text)

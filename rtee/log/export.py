@@ -1,0 +1,113 @@
+"""Exporting recordings to CSV, Parquet and NumPy files."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtee.errors import LogError
+from rtee.log.recording import Recording
+from rtee.log.sink import reason
+from rtee.log.tables import Table, tables
+
+_ROWS = 10_000
+
+
+class Format(StrEnum):
+    """What can be exported to."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+    NPZ = "npz"
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside ``path``, which it replaces once it is written whole.
+
+    Raises:
+        LogError: if it cannot be written; nothing of it is left then.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export.") as folder:
+            temporary = Path(folder, path.name)
+            yield temporary
+            with temporary.open("rb") as stream:
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+    except OSError as error:
+        raise LogError(f"cannot be written: {reason(error)}", path=path) from error
+
+
+def export(
+    recording: Recording, output: Path, kind: Format, only: Sequence[str] = ()
+) -> list[Path]:
+    """Write the topics of a recording as tables.
+
+    CSV and Parquet make a folder with one file per topic; NPZ makes one file with all columns,
+    named ``<topic>/<column>``. Columns of joints are named ``position.<joint>`` and so on.
+
+    Args:
+        recording: The recording.
+        output: The folder, or the NPZ file.
+        kind: The format.
+        only: Topics wanted; all unless given.
+
+    Returns:
+        The files written.
+
+    Raises:
+        LogError: if there is nothing to export, or it cannot be written.
+    """
+    found = tables(recording, only)
+    if not found:
+        raise LogError("holds nothing that could be exported", path=recording.paths[0])
+    if kind is Format.NPZ:
+        _write_npz(output, found)
+        return [output]
+    written = []
+    for name, table in found.items():
+        path = output / f"{name}.{kind}"
+        with replacing(path) as temporary:
+            (_write_csv if kind is Format.CSV else _write_parquet)(temporary, table)
+        written.append(path)
+    return written
+
+
+def _write_csv(path: Path, table: Table) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(table)
+        count = len(table["t"])
+        for begin in range(0, count, _ROWS):
+            part = [column[begin : begin + _ROWS].tolist() for column in table.values()]
+            writer.writerows(zip(*part, strict=True))
+
+
+def _write_parquet(path: Path, table: Table) -> None:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise LogError("Parquet needs pyarrow: pip install 'rtee[plot]'") from None
+    columns = {name: pyarrow.array(column) for name, column in table.items()}
+    pyarrow.parquet.write_table(pyarrow.table(columns), path, compression="zstd")
+
+
+def _write_npz(path: Path, found: Mapping[str, Table]) -> None:
+    arrays: dict[str, Any] = {
+        f"{topic}/{name}": column
+        for topic, table in found.items()
+        for name, column in table.items()
+    }
+    with replacing(path) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)

@@ -1,0 +1,336 @@
+"""What a plot of a recording shows, whatever draws it: panels, lines, spans, marks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.errors import LogError
+from rtee.log.recording import JointSeries, Recording, Span
+from rtee.types import FloatArray
+
+MOST_POINTS = 4000
+"""Points of a line; more are thinned out so that every peak stays."""
+
+COLOURS = (
+    "#1f77b4",
+    "#d62728",
+    "#2ca02c",
+    "#9467bd",
+    "#ff7f0e",
+    "#17becf",
+    "#8c564b",
+    "#e377c2",
+    "#7f7f7f",
+    "#bcbd22",
+)
+SPAN_COLOURS = ("#4c78a8", "#f58518", "#54a24b", "#b279a2", "#b8860b", "#439894", "#e45756")
+MARK_COLOUR = "#444444"
+_CHARACTER = 0.0098
+"""Width of a character of a label, as a share of the left panels'."""
+_LONGEST = 40
+_LANES = 3
+
+TOLD = frozenset(
+    {"mark", "grasp_lost", "device_fault", "device_lost", "stop", "thermal", "log_resumed"}
+)
+"""Kinds of events that are drawn."""
+
+
+class By(StrEnum):
+    """What gets a row of the plot."""
+
+    ACTUATOR = "actuator"
+    FINGER = "finger"
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of a panel.
+
+    Attributes:
+        name: Its name.
+        t: Times [s].
+        values: Values at those times.
+        colour: Its colour.
+        dashed: It is a reference.
+        group: Lines of one actuator share it.
+    """
+
+    name: str
+    t: FloatArray
+    values: FloatArray
+    colour: str
+    dashed: bool
+    group: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of the plot: positions with their references, and efforts.
+
+    Attributes:
+        title: The actuator or finger.
+        positions: Lines of positions and references.
+        efforts: Lines of efforts or currents.
+    """
+
+    title: str
+    positions: tuple[Line, ...]
+    efforts: tuple[Line, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A span as it is drawn.
+
+    Attributes:
+        span: The span.
+        colour: Its colour.
+        inner: It is the inner action of a timed one.
+    """
+
+    span: Span
+    colour: str
+    inner: bool
+
+    @property
+    def text(self) -> str:
+        """Its name with how it ended, unless it was simply reached."""
+        if self.span.outcome in ("reached", "ended"):
+            return self.span.name
+        return f"{self.span.name} ({self.span.outcome.replace('_', ' ')})"
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A text above the first row.
+
+    Attributes:
+        t: Where it begins [s].
+        lane: Its height, counted from below.
+        text: What it says.
+        colour: Its colour.
+    """
+
+    t: float
+    lane: int
+    text: str
+    colour: str
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A plot.
+
+    Attributes:
+        title: Its title.
+        rows: Its rows.
+        bands: Spans of actions.
+        marks: Times of marks and events [s].
+        labels: Names of all of them, laid out so that they do not overlap.
+        effort_label: What the right column shows, with its unit.
+        start: Left end of the time axis [s].
+        end: Right end of the time axis [s].
+    """
+
+    title: str
+    rows: tuple[Row, ...]
+    bands: tuple[Band, ...]
+    marks: tuple[float, ...]
+    labels: tuple[Label, ...]
+    effort_label: str
+    start: float
+    end: float
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes that the labels take."""
+        return max((label.lane + 1 for label in self.labels), default=0)
+
+
+def thinned(
+    t: FloatArray, values: FloatArray, most: int = MOST_POINTS
+) -> tuple[FloatArray, FloatArray]:
+    """Return at most ``most`` points of a line: the lowest and the highest of every stretch."""
+    if len(t) <= most:
+        return t, values
+    stretch = -(-2 * len(t) // most)
+    count = len(t) // stretch
+    whole = np.where(np.isnan(values), np.inf, values)[: count * stretch].reshape(count, stretch)
+    low = whole.argmin(axis=1)
+    high = np.where(np.isinf(whole), -np.inf, whole).argmax(axis=1)
+    base = np.arange(count) * stretch
+    chosen: NDArray[np.intp] = np.unique(
+        np.concatenate(([0, len(t) - 1], base + low, base + high)).astype(np.intp)
+    )
+    return t[chosen], values[chosen]
+
+
+def figure(
+    recording: Recording,
+    *,
+    by: By | None = None,
+    actuators: Sequence[str] = (),
+    start: float | None = None,
+    end: float | None = None,
+    fingers: dict[str, tuple[str, ...]] | None = None,
+) -> Figure:
+    """Return what a plot of a recording shows.
+
+    Args:
+        recording: The recording.
+        by: What gets a row; unless given, a finger where there are more than six actuators.
+        actuators: Actuators to show; all unless given.
+        start: Begin here, since the recording's start [s].
+        end: End here [s].
+        fingers: Finger to its actuators, for rows by finger.
+
+    Raises:
+        LogError: if there is nothing to show, or an actuator is unknown.
+    """
+    states = recording.actuator_states
+    chosen = list(actuators) or list(states.names)
+    for name in chosen:
+        states.index(name)
+    begin = 0.0 if start is None else start
+    until = recording.duration if end is None else end
+    within = (states.t >= begin) & (states.t <= until)
+    if not within.any():
+        raise LogError("holds no states in that time", path=recording.paths[0])
+    groups = _groups(chosen, by, fingers or {})
+    efforts, label = _efforts(recording, within)
+    rows = []
+    for title, names in groups.items():
+        positions: list[Line] = []
+        forces: list[Line] = []
+        for index, name in enumerate(names):
+            colour = COLOURS[index % len(COLOURS)]
+            column = states.index(name)
+            positions += _position_lines(recording, name, colour, begin, until)
+            if efforts is not None:
+                t, values = thinned(states.t[within], efforts[within, column])
+                forces.append(Line(name, t, values, colour, dashed=False, group=name))
+        rows.append(Row(title, tuple(positions), tuple(forces)))
+    bands = _bands(recording.spans, begin, until)
+    marks = [
+        (entry.t, entry.value.text if entry.value.kind == "mark" else entry.value.kind)
+        for entry in recording.events
+        if entry.value.kind in TOLD and begin <= entry.t <= until
+    ]
+    return Figure(
+        title=_title(recording),
+        rows=tuple(rows),
+        bands=bands,
+        marks=tuple(t for t, _ in marks),
+        labels=tuple(_labels(bands, marks, begin, until)),
+        effort_label=label,
+        start=begin,
+        end=until,
+    )
+
+
+def _title(recording: Recording) -> str:
+    from rtee.log.info import iso
+
+    return f"{recording.hand}, {iso(recording.start)[:19].replace('T', ' ')} UTC"
+
+
+def _groups(
+    names: Sequence[str], by: By | None, fingers: dict[str, tuple[str, ...]]
+) -> dict[str, list[str]]:
+    """Return the rows' titles with their actuators, every actuator once."""
+    if by is None:
+        by = By.FINGER if len(names) > 6 and fingers else By.ACTUATOR
+    if by is By.ACTUATOR:
+        return {name: [name] for name in names}
+    owners = {name: [f for f, its in fingers.items() if name in its] for name in names}
+    groups: dict[str, list[str]] = {}
+    for finger in fingers:
+        own = [name for name in names if owners[name] == [finger]]
+        if own:
+            groups[finger] = own
+    shared = [name for name in names if len(owners[name]) != 1]
+    if shared:
+        groups["several fingers"] = shared
+    return groups
+
+
+def _position_lines(
+    recording: Recording, name: str, colour: str, start: float, end: float
+) -> list[Line]:
+    lines = []
+    series: tuple[tuple[JointSeries, bool], ...] = (
+        (recording.actuator_states, False),
+        (recording.reference, True),
+    )
+    for source, dashed in series:
+        if name not in source.names:
+            continue
+        within = (source.t >= start) & (source.t <= end)
+        t, values = thinned(source.t[within], source.position[within, source.index(name)])
+        label = f"{name} reference" if dashed else name
+        lines.append(Line(label, t, values, colour, dashed, name))
+    return lines
+
+
+def _efforts(recording: Recording, within: NDArray[np.bool_]) -> tuple[FloatArray | None, str]:
+    """Return what the right column shows: efforts, or currents where only those are measured."""
+    states = recording.actuator_states
+    if not np.isnan(states.effort[within]).all():
+        return states.effort, "effort [N·m | N]"
+    if not np.isnan(states.current[within]).all():
+        return states.current, "current [A]"
+    return None, "effort"
+
+
+def _bands(spans: Sequence[Span], start: float, end: float) -> tuple[Band, ...]:
+    """Return the spans that are visible, with colours by name."""
+    bands: list[Band] = []
+    colours: dict[str, str] = {}
+
+    def colour(name: str) -> str:
+        return colours.setdefault(name, SPAN_COLOURS[len(colours) % len(SPAN_COLOURS)])
+
+    for span in spans:
+        if span.end < start or span.start > end:
+            continue
+        bands.append(Band(span, colour(span.name), inner=False))
+        bands += [
+            Band(inner, colour(span.name), inner=True)
+            for inner in span.inner
+            if inner.end >= start and inner.start <= end
+        ]
+    return tuple(bands)
+
+
+def _labels(
+    bands: Sequence[Band], marks: Sequence[tuple[float, str]], start: float, end: float
+) -> Iterator[Label]:
+    """Lay out the names: inner actions below, actions above them, marks on top.
+
+    Each kind has a few lanes; a name for which there is no room in any of them is left out.
+    """
+    duration = max(end - start, 1e-9)
+    kinds = (
+        [(max(b.span.start, start), b.text, b.colour) for b in bands if b.inner],
+        [(max(b.span.start, start), b.text, b.colour) for b in bands if not b.inner],
+        [(t, text, MARK_COLOUR) for t, text in marks],
+    )
+    base = 0
+    for texts in kinds:
+        free: list[float] = []
+        for t, text, colour in sorted(texts):
+            shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+            width = (len(shown) + 1) * _CHARACTER * duration
+            at = max(start, min(t, end - width))
+            lane = next((k for k, until in enumerate(free) if until <= at), len(free))
+            if lane == _LANES:
+                continue
+            free[lane:] = [at + width, *free[lane + 1 :]]
+            yield Label(at, base + lane, shown, colour)
+        base += len(free)

@@ -1,0 +1,197 @@
+"""What a recording holds, in short, without reading all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtee.errors import MessageError
+from rtee.log import rows
+from rtee.log.chunks import MESSAGE
+from rtee.log.reader import read
+from rtee.log.recording import Recording
+from rtee.log.scan import DamagedRecordError, messages_of
+from rtee.log.survey import Survey, survey
+from rtee.messages import topics
+from rtee.messages.convert import decode_loop_statistics
+from rtee.types import LoopStatistics
+
+_SECOND = 1e9
+_FEW = (topics.GOALS, topics.RESULTS, topics.EVENTS)
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a recording.
+
+    Attributes:
+        topic: Its full name.
+        kind: Type of its messages.
+        messages: Their number.
+        rate: Messages per second.
+    """
+
+    topic: str
+    kind: str
+    messages: int
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """What a recording holds.
+
+    Attributes:
+        files: The files it consists of, with their sizes [bytes].
+        library: What wrote it.
+        topics: Its topics that have messages.
+        attachments: Attached files with their sizes [bytes].
+        statistics: The last loop statistics in it.
+        recording: Goals, results and events.
+    """
+
+    files: tuple[tuple[Path, int], ...]
+    library: str
+    topics: tuple[TopicInfo, ...]
+    attachments: tuple[tuple[str, int], ...]
+    statistics: LoopStatistics | None
+    recording: Recording
+
+    @property
+    def size(self) -> int:
+        """Size of all files [bytes]."""
+        return sum(size for _, size in self.files)
+
+    @property
+    def size_per_minute(self) -> float:
+        """Size of a minute of it [bytes]; 0 for an empty one."""
+        duration = self.recording.duration
+        return 60.0 * self.size / duration if duration else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON can hold it."""
+        recording = self.recording
+        statistics = self.statistics
+        return {
+            "hand": recording.hand,
+            "files": [{"path": str(path), "bytes": size} for path, size in self.files],
+            "finished": recording.finished,
+            "library": self.library,
+            "start": iso(recording.start),
+            "duration": recording.duration,
+            "bytes": self.size,
+            "bytes_per_minute": round(self.size_per_minute),
+            "metadata": dict(recording.metadata),
+            "topics": [
+                {
+                    "topic": each.topic,
+                    "type": each.kind,
+                    "messages": each.messages,
+                    "rate": round(each.rate, 3),
+                }
+                for each in self.topics
+            ],
+            "attachments": dict(self.attachments),
+            "goals": [
+                {
+                    "name": span.name,
+                    "start": span.start,
+                    "end": span.end,
+                    "outcome": span.outcome,
+                    "goal_id": span.goal_id,
+                }
+                for span in recording.spans
+            ],
+            "events": [
+                {
+                    "t": entry.t,
+                    "kind": entry.value.kind,
+                    "source": entry.value.source,
+                    "text": entry.value.text,
+                    "severity": entry.value.severity,
+                }
+                for entry in recording.events
+                if entry.value.kind != "trace"
+            ],
+            "loop": None
+            if statistics is None
+            else {
+                "rate": statistics.rate,
+                "ticks": statistics.ticks,
+                "missed": statistics.missed,
+                "lateness_p99": statistics.lateness_p99,
+                "lateness_max": statistics.lateness_max,
+                "dropped": statistics.dropped,
+            },
+            "notes": list(recording.notes),
+        }
+
+
+def iso(wall_ns: int) -> str:
+    """Return a time since 1970 [ns] as ISO 8601 in UTC; empty for 0."""
+    if not wall_ns:
+        return ""
+    return datetime.fromtimestamp(wall_ns / _SECOND, UTC).isoformat(timespec="milliseconds")
+
+
+def info(paths: Sequence[Path]) -> Info:
+    """Look at the files of a recording.
+
+    Raises:
+        LogError: as `rtee.log.read`.
+    """
+    surveys = [survey(path) for path in paths]
+    recording = read(paths, only=_FEW)
+    return Info(
+        files=tuple((each.path, each.size) for each in surveys),
+        library=surveys[0].library,
+        topics=tuple(_topics(surveys, recording.duration)),
+        attachments=tuple(
+            (name, len(attachment.data)) for name, attachment in surveys[0].attachments.items()
+        ),
+        statistics=_statistics(surveys[-1]),
+        recording=recording,
+    )
+
+
+def _topics(surveys: Sequence[Survey], duration: float) -> list[TopicInfo]:
+    counts: dict[tuple[str, str], int] = {}
+    for each in surveys:
+        for number, channel in each.channels.items():
+            schema = each.schemas.get(channel.schema_id)
+            key = (channel.topic, schema.name if schema else "")
+            counts[key] = counts.get(key, 0) + each.count(number)
+    return [
+        TopicInfo(topic, kind, count, count / duration if duration else 0.0)
+        for (topic, kind), count in sorted(counts.items())
+        if count
+    ]
+
+
+def _statistics(file: Survey) -> LoopStatistics | None:
+    """Return the last loop statistics of a file."""
+    topic = topics.log_topic(file.hand, topics.LOOP_STATISTICS)
+    number = next((k for k, channel in file.channels.items() if channel.topic == topic), None)
+    if number is None:
+        return None
+    with file.path.open("rb") as stream:
+        for place in reversed(file.chunks):
+            if place.indexes and number not in place.indexes:
+                continue
+            try:
+                data, _ = messages_of(place.record.read(stream))
+                found = rows.walk(data).get(number)
+                if found:
+                    start = found[-1]
+                    array = np.frombuffer(data, dtype=np.uint8)
+                    size = int(rows.lengths(array, np.array([start], dtype=np.int64))[0])
+                    begin = start + MESSAGE.size
+                    return decode_loop_statistics(data[begin : begin + size])
+            except (DamagedRecordError, MessageError):
+                continue
+    return None

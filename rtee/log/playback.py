@@ -1,0 +1,100 @@
+"""Playing a recording: its states one after the other, and its hand as a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from rtee.errors import LogError
+from rtee.hand.files import make_folder, write_atomically
+from rtee.hand.names import check_name
+from rtee.log.contents import REPLAY, Replayable
+from rtee.log.plain import from_json
+from rtee.log.recording import Recording
+from rtee.loop.observer import TickRecord
+
+
+def states(recording: Recording) -> Iterator[TickRecord]:
+    """Yield what was known at every tick, as the loop told it.
+
+    References that are not in the recording are ``NaN``.
+    """
+    measured, reference = recording.actuator_states, recording.reference
+    rows = dict(zip(reference.wall.tolist(), range(len(reference)), strict=True))
+    unknown = np.full(len(measured.names), np.nan)
+    for row in range(len(measured)):
+        sent = rows.get(int(measured.wall[row]))
+        yield TickRecord(
+            tick=int(measured.tick[row]),
+            stamp=float(measured.time[row]),
+            wall_ns=int(measured.wall[row]),
+            position=measured.position[row],
+            velocity=measured.velocity[row],
+            effort=measured.effort[row],
+            current=measured.current[row],
+            temperature=measured.temperature[row],
+            fresh=measured.fresh[row],
+            reference_position=unknown if sent is None else reference.position[sent],
+            reference_velocity=unknown if sent is None else reference.velocity[sent],
+            reference_effort=unknown if sent is None else reference.effort[sent],
+            grasped=measured.grasped[row],
+            extras={},
+        )
+
+
+def fingers(recording: Recording) -> dict[str, tuple[str, ...]]:
+    """Return the fingers with the actuators that move them; none if the recording lacks them."""
+    attached = recording.attachments.get(REPLAY)
+    if attached is None:
+        return {}
+    found: dict[str, list[str]] = {}
+    for actuator in from_json(attached, Replayable).actuators:
+        for finger in actuator.fingers:
+            found.setdefault(finger, []).append(actuator.name)
+    return {finger: tuple(names) for finger, names in found.items()}
+
+
+def write_hand(recording: Recording, folder: Path) -> Path:
+    """Write the hand of a recording as a folder that `rtee run` takes.
+
+    Only what is needed to show it is written: a hand.yaml, the URDF and SRDF, the actions.
+
+    Args:
+        recording: The recording.
+        folder: Where to make it; the hand's folder is made in it.
+
+    Returns:
+        The hand's folder.
+
+    Raises:
+        LogError: if the recording holds no URDF.
+        ConfigError: if it cannot be written.
+    """
+    if not recording.urdf:
+        raise LogError("holds no URDF", path=recording.paths[0])
+    name = check_name(recording.hand, "hand", path=recording.paths[0])
+    home = make_folder(folder / name)
+    write_atomically(home / "hand.urdf", recording.urdf)
+    lines = [f"name: {name}", "urdf: hand.urdf"]
+    srdf = next(
+        (data for file, data in recording.attachments.items() if file.endswith(".srdf")), None
+    )
+    if srdf is not None:
+        write_atomically(home / "hand.srdf", srdf)
+        lines.append("srdf: hand.srdf")
+    write_atomically(home / "hand.yaml", "\n".join(lines) + "\n")
+    _write_actions(recording.attachments, home)
+    return home
+
+
+def _write_actions(attachments: Mapping[str, bytes], home: Path) -> None:
+    """Write the attached actions; names that leave their folder are passed over."""
+    for file, data in attachments.items():
+        parts = PurePosixPath(file).parts
+        if len(parts) != 3 or parts[0] != "actions" or not parts[2].endswith(".yaml"):
+            continue
+        kind = check_name(parts[1], "folder of actions")
+        target = make_folder(home / "actions" / kind)
+        write_atomically(target / check_name(parts[2], "file of actions"), data)

@@ -1,0 +1,114 @@
+"""A plot of a recording as one self-contained page, by Plotly."""
+
+from __future__ import annotations
+
+import html
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtee.errors import LogError
+from rtee.log.export import replacing
+from rtee.log.figure import MARK_COLOUR, Figure, Line
+
+_ROW_HEIGHT = 210
+_LANE_HEIGHT = 18
+_HEAD = 90
+
+
+def write_html(figure: Figure, path: Path) -> None:
+    """Write a plot as a page that needs nothing else, no network either.
+
+    Raises:
+        LogError: if Plotly is missing or the file cannot be written.
+    """
+    try:
+        import plotly.graph_objects as go
+        from plotly.subplots import make_subplots
+    except ImportError:
+        raise LogError("a page needs Plotly: pip install 'rtee[plot]'") from None
+    count = len(figure.rows)
+    drawing = make_subplots(
+        rows=count,
+        cols=2,
+        shared_xaxes="all",
+        column_widths=[0.6, 0.4],
+        horizontal_spacing=0.06,
+        vertical_spacing=min(0.06, 0.3 / count),
+    )
+    shown: set[str] = set()
+    for number, row in enumerate(figure.rows, start=1):
+        for column, lines in ((1, row.positions), (2, row.efforts)):
+            for line in lines:
+                trace = _trace(go, line, named=line.group not in shown and not line.dashed)
+                drawing.add_trace(trace, row=number, col=column)
+                shown.add(line.group)
+        drawing.update_yaxes(title_text=f"{row.title}<br>[rad | m]", row=number, col=1)
+        drawing.update_yaxes(title_text=figure.effort_label, row=number, col=2)
+    _spans(drawing, figure, count)
+    head = _HEAD + _LANE_HEIGHT * (figure.lanes)
+    drawing.update_xaxes(range=[figure.start, figure.end], title_text=None, gridcolor="#e5e5e5")
+    drawing.update_xaxes(title_text="time [s]", row=count)
+    drawing.update_yaxes(gridcolor="#e5e5e5", title_font_size=11)
+    drawing.update_layout(
+        title=html.escape(figure.title),
+        height=head + _ROW_HEIGHT * count,
+        margin={"t": head, "l": 70, "r": 20, "b": 50},
+        plot_bgcolor="white",
+        hovermode="x",
+        legend={"groupclick": "togglegroup", "tracegroupgap": 2},
+    )
+    text = drawing.to_html(include_plotlyjs=True, full_html=True, config={"scrollZoom": True})
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _trace(go: Any, line: Line, *, named: bool) -> Any:
+    name = html.escape(line.name)
+    return go.Scattergl(
+        x=np.round(line.t, 6),
+        y=line.values,
+        name=name,
+        legendgroup=html.escape(line.group),
+        showlegend=named,
+        mode="lines",
+        line={
+            "color": line.colour,
+            "width": 1.2 if line.dashed else 1.6,
+            "dash": "dash" if line.dashed else "solid",
+        },
+        hovertemplate=f"{name}: %{{y:.5g}}<extra></extra>",
+    )
+
+
+def _spans(drawing: Any, figure: Figure, rows: int) -> None:
+    """Shade the spans over all panels, with their names above the first ones."""
+    for row in range(1, rows + 1):
+        for column in (1, 2):
+            place = {"row": row, "col": column}
+            for band in figure.bands:
+                start, end = max(band.span.start, figure.start), min(band.span.end, figure.end)
+                if band.inner:
+                    drawing.add_vline(x=start, line_width=1, line_color=band.colour, **place)
+                    continue
+                drawing.add_vrect(
+                    x0=start, x1=end, fillcolor=band.colour, opacity=0.12, line_width=0, **place
+                )
+            for t in figure.marks:
+                drawing.add_vline(
+                    x=t, line_width=1, line_dash="dot", line_color=MARK_COLOUR, **place
+                )
+    for label in figure.labels:
+        drawing.add_annotation(
+            x=label.t,
+            xref="x",
+            y=1.0,
+            yref="paper",
+            yshift=4 + _LANE_HEIGHT * label.lane,
+            text=html.escape(label.text),
+            showarrow=False,
+            xanchor="left",
+            yanchor="bottom",
+            font={"size": 11, "color": label.colour},
+        )

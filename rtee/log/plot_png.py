@@ -1,0 +1,104 @@
+"""A plot of a recording as a picture, by Matplotlib."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rtee.errors import LogError
+from rtee.log.export import replacing
+from rtee.log.figure import MARK_COLOUR, Figure, Row
+
+_WIDTH = 14.0
+_ROW_HEIGHT = 1.9
+_LANE_HEIGHT = 0.22
+_DPI = 110
+
+
+def write_png(figure: Figure, path: Path) -> None:
+    """Draw a plot into a PNG file.
+
+    Raises:
+        LogError: if Matplotlib is missing or the file cannot be written.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure as Drawing
+    except ImportError:
+        raise LogError("a PNG needs Matplotlib: pip install 'rtee[plot]'") from None
+    head = 0.8 + _LANE_HEIGHT * figure.lanes
+    height = head + _ROW_HEIGHT * len(figure.rows) + 0.5
+    drawing = Drawing(figsize=(_WIDTH, height), dpi=_DPI)
+    FigureCanvasAgg(drawing)
+    axes = drawing.subplots(
+        len(figure.rows), 2, sharex=True, squeeze=False, gridspec_kw={"width_ratios": (3, 2)}
+    )
+    drawing.subplots_adjust(
+        left=0.06, right=0.985, top=1 - head / height, bottom=0.5 / height, hspace=0.3, wspace=0.13
+    )
+    drawing.suptitle(figure.title, x=0.06, y=1 - 0.14 / height, ha="left", va="top", size=13)
+    for row, (left, right) in zip(figure.rows, axes, strict=True):
+        _row(row, left, right, figure)
+        for panel in (left, right):
+            _shade(panel, figure)
+            panel.set_xlim(figure.start, figure.end)
+            panel.grid(visible=True, color="#dddddd", linewidth=0.6)
+            panel.set_axisbelow(True)
+            panel.tick_params(labelsize=8)
+            for side in ("top", "right"):
+                panel.spines[side].set_visible(False)
+    _name(axes[0][0], figure)
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]", size=9)
+    with replacing(path) as temporary:
+        drawing.savefig(temporary, format="png")
+
+
+def _row(row: Row, left: Any, right: Any, figure: Figure) -> None:
+    for panel, lines in ((left, row.positions), (right, row.efforts)):
+        for line in lines:
+            panel.plot(
+                line.t,
+                line.values,
+                color=line.colour,
+                linewidth=1.0 if line.dashed else 1.3,
+                linestyle=(0, (4, 2)) if line.dashed else "-",
+                alpha=0.8 if line.dashed else 1.0,
+                label="_" if line.dashed else line.name,
+            )
+    left.set_ylabel("position\n[rad | m]", size=8)
+    right.set_ylabel(figure.effort_label, size=8)
+    left.set_title(f"{row.title}   (dashed: reference)", loc="left", size=9, pad=3)
+    if len(row.positions) > 2:
+        left.legend(loc="upper right", fontsize=7, framealpha=0.8, ncols=2)
+    if not row.efforts:
+        right.text(
+            0.5, 0.5, "not measured", transform=right.transAxes, ha="center", color="#888888"
+        )
+
+
+def _shade(panel: Any, figure: Figure) -> None:
+    """Shade the spans and draw where inner actions and marks begin."""
+    for band in figure.bands:
+        start, end = max(band.span.start, figure.start), min(band.span.end, figure.end)
+        if not band.inner:
+            panel.axvspan(start, end, color=band.colour, alpha=0.13, linewidth=0)
+        panel.axvline(start, color=band.colour, linewidth=0.7, alpha=0.7)
+    for t in figure.marks:
+        panel.axvline(t, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
+
+
+def _name(panel: Any, figure: Figure) -> None:
+    """Write the names above a panel."""
+    for label in figure.labels:
+        panel.annotate(
+            label.text,
+            xy=(label.t, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(2, 17 + label.lane * _LANE_HEIGHT * 72),
+            textcoords="offset points",
+            size=8,
+            color=label.colour,
+            fontweight="bold",
+            annotation_clip=False,
+        )

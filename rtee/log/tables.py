@@ -1,0 +1,123 @@
+"""A recording as tables: columns of numbers and texts, one table per topic."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.errors import LogError, suggestion
+from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording, outcome_of
+from rtee.messages import topics
+from rtee.types import Result
+
+Column = NDArray[Any]
+Table = dict[str, Column]
+"""Column names to columns, all of one length."""
+
+_WIDE = ("position", "velocity", "effort")
+_WIDER = (*_WIDE, "current", "temperature", "grasped", "fresh")
+
+
+def _series(series: JointSeries) -> Table:
+    table: Table = {"t": series.t, "wall_ns": series.wall}
+    wide: Sequence[str] = _WIDE
+    if isinstance(series, ActuatorSeries):
+        table |= {"tick": series.tick, "monotonic": series.time}
+        wide = _WIDER
+    for quantity in wide:
+        values = getattr(series, quantity)
+        for index, name in enumerate(series.names):
+            table[f"{quantity}.{name}"] = values[:, index]
+    return table
+
+
+def _text(value: object) -> str:
+    if isinstance(value, Mapping):
+        return " ".join(f"{key}={item}" for key, item in value.items())
+    if isinstance(value, (tuple, list)):
+        return " ".join(map(str, value))
+    return "" if value is None else str(value)
+
+
+def _column(values: Sequence[Any]) -> Column:
+    if all(isinstance(value, bool) for value in values):
+        return np.array(values, dtype=bool)
+    if all(isinstance(value, int) for value in values):
+        return np.array(values, dtype=np.int64)
+    numbers = [value for value in values if value is not None]
+    if numbers and all(isinstance(value, (int, float)) for value in numbers):
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    return np.array([_text(value) for value in values], dtype=np.str_)
+
+
+def _entries(entries: Sequence[Entry[Any]]) -> Table:
+    table: Table = {
+        "t": np.array([entry.t for entry in entries], dtype=np.float64),
+        "wall_ns": np.array([entry.wall for entry in entries], dtype=np.int64),
+    }
+    if not entries:
+        return table
+    for field in dataclasses.fields(entries[0].value):
+        table[field.name] = _column([getattr(entry.value, field.name) for entry in entries])
+    return table
+
+
+def _results(entries: Sequence[Entry[Result]]) -> Table:
+    table = _entries(entries)
+    table["outcome"] = np.array([outcome_of(entry.value) for entry in entries], dtype=np.str_)
+    return table
+
+
+def _channels(recording: Recording) -> Table:
+    rows = [
+        (t, name, index, float(value))
+        for name, channel in recording.channels.items()
+        for t, values in zip(channel.t.tolist(), channel.values, strict=True)
+        for index, value in enumerate(values.tolist())
+    ]
+    rows.sort(key=lambda row: row[0])
+    return {
+        "t": np.array([row[0] for row in rows], dtype=np.float64),
+        "channel": np.array([row[1] for row in rows], dtype=np.str_),
+        "index": np.array([row[2] for row in rows], dtype=np.int64),
+        "value": np.array([row[3] for row in rows], dtype=np.float64),
+    }
+
+
+_MAKERS: Mapping[str, Callable[[Recording], Table]] = {
+    topics.JOINT_STATES: lambda recording: _series(recording.joint_states),
+    topics.ACTUATOR_STATES: lambda recording: _series(recording.actuator_states),
+    topics.REFERENCE: lambda recording: _series(recording.reference),
+    topics.CHANNELS: _channels,
+    topics.GOALS: lambda recording: _entries(recording.goals),
+    topics.COMMANDS: lambda recording: _entries(recording.commands),
+    topics.FEEDBACK: lambda recording: _entries(recording.feedback),
+    topics.RESULTS: lambda recording: _results(recording.results),
+    topics.EVENTS: lambda recording: _entries(recording.events),
+    topics.DEVICE_STATUS: lambda recording: _entries(recording.device_status),
+    topics.LOOP_STATISTICS: lambda recording: _entries(recording.loop_statistics),
+}
+
+TABLES = tuple(_MAKERS)
+"""Topics that can be had as a table."""
+
+
+def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:
+    """Return the topics of a recording that hold something, as tables.
+
+    Args:
+        recording: The recording.
+        only: Topics wanted; all unless given.
+
+    Raises:
+        LogError: if a topic is asked for that there is not.
+    """
+    for name in only:
+        if name not in _MAKERS:
+            raise LogError(f"unknown topic '{name}'; {suggestion(name, _MAKERS)}")
+    made = {name: make(recording) for name, make in _MAKERS.items() if not only or name in only}
+    return {name: table for name, table in made.items() if len(table["t"])}
