@@ -21,14 +21,15 @@ from rtee.actions.types import (
     PrimitiveKind,
     Timed,
 )
+from rtee.errors import ConfigError
+from rtee.extract.report_image import Contact
 from rtee.extract.report_page import Card, Section, Shot, page
-from rtee.extract.report_pictures import Contact, Studio
+from rtee.extract.report_pictures import Studio
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
 if TYPE_CHECKING:
-    from rtee.actions.library import ActionLibrary
     from rtee.extract.extraction import Extraction
 
 
@@ -59,7 +60,7 @@ def write_report(
     path: Path | str,
     hand: Hand,
     extraction: Extraction,
-    library: ActionLibrary | None = None,
+    actions: Iterable[Action] | None = None,
     *,
     jobs: int = 0,
     progress: Callable[[int, int], None] | None = None,
@@ -70,7 +71,7 @@ def write_report(
         path: The HTML file to write.
         hand: The hand.
         extraction: What was extracted from it.
-        library: Its actions, for the composed, timed and generic ones among them.
+        actions: Its actions (a library is some), for the composed, timed and generic ones.
         jobs: Threads that take pictures; 0 for one per processor.
         progress: Called with the pictures taken and those there are.
 
@@ -78,7 +79,9 @@ def write_report(
         ConfigError: The file cannot be written, or the extra ``plot`` is not installed.
         ModelError: A mesh cannot be read.
     """
-    sections = {**_primitives(hand, extraction.primitives), **_custom(hand, library or ())}
+    if not Path(path).parent.is_dir():
+        raise ConfigError("cannot be written: no such folder", path=path)
+    sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}
     every = [view for plans in sections.values() for plan in plans for view in plan.views]
     studio = Studio(hand, postures=[view.u for view in every])
     done = 0

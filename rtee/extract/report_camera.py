@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from rtee.hand.kinematics import Kinematics
+from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
@@ -91,26 +91,35 @@ def _between(across: FloatArray, depth: FloatArray, half: float) -> tuple[float,
     return (upper - lower) / 2, -(upper + lower) / (2 * half)
 
 
-def view(hand: Hand, kinematics: Kinematics) -> tuple[FloatArray, FloatArray]:
-    """Choose where to look at a hand from: a little to the side of where its fingers close.
+_SNAP: Final = math.radians(35.0)
+_ONE_WAY: Final = 0.45
+"""Fingertips that together move less than this part of their ways close towards one another."""
+
+
+def view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
+    """Choose where to look at a hand from, so that closing is seen well.
+
+    Where all fingers close the same way, as in a human hand, it is seen from where they close to;
+    where they close towards one another, from the side. Both a little turned and from above.
 
     Returns:
         Unit vectors towards the camera and from the palm to the fingertips.
     """
-    rest = _tips(hand, kinematics, hand.rest)
-    closing = hand.rest + _FIRST_PART * (farthest(hand) - hand.rest)
-    closed = _tips(hand, kinematics, closing)
-    base = kinematics.link_pose(hand.rest, _palm(hand))[:3, 3]
-    up = _unit(rest.mean(axis=0) - base, np.array([0.0, 0.0, 1.0]))
-    moves = closed - rest
+    hand = geometry.hand
+    rest = _tips(geometry, hand.rest)
+    moves = _tips(geometry, hand.rest + _FIRST_PART * (farthest(hand) - hand.rest)) - rest
+    base = geometry.kinematics.link_pose(hand.rest, _palm(hand))[:3, 3]
+    up = _snapped(_unit(rest.mean(axis=0) - base, np.array([0.0, 0.0, 1.0])))
     moves -= np.outer(moves @ up, up)
-    spread = rest - rest.mean(axis=0)
-    spread -= np.outer(spread @ up, up)
     total = float(np.linalg.norm(moves, axis=1).sum())
     front = moves.sum(axis=0)
-    if total == 0.0 or float(np.linalg.norm(front)) < 0.25 * total:
-        widest = np.linalg.svd(np.concatenate([spread, moves]))[2][0]
-        front = np.cross(widest - (widest @ up) * up, up)
+    if len(rest) < 3 or float(np.linalg.norm(front)) < _ONE_WAY * total or total == 0.0:
+        # Fingers close towards one another: look across.
+        spread = rest - rest.mean(axis=0)
+        widest = np.linalg.svd(np.concatenate([spread - np.outer(spread @ up, up), moves]))[2][0]
+        front = np.cross(widest, up)
+        if float(spread[0] @ np.cross(up, front)) > 0:
+            front = -front  # the first finger on the left
     front = _unit(front - (front @ up) * up, _perpendicular(up))
     side = np.cross(up, front)
     level = math.cos(_AZIMUTH) * front + math.sin(_AZIMUTH) * side
@@ -138,10 +147,26 @@ def _palm(hand: Hand) -> str:
     return palm
 
 
-def _tips(hand: Hand, kinematics: Kinematics, u: FloatArray) -> FloatArray:
-    poses = kinematics.placements(u)
-    tips = [poses[finger.tip or finger.links[-1]][:3, 3] for finger in hand.fingers]
-    return np.array(tips) if tips else np.array([poses[hand.joints[-1].child][:3, 3]])
+def _tips(geometry: HandGeometry, u: FloatArray) -> FloatArray:
+    """Return the middle of each fingertip's geometry ``(f, 3)`` [m]."""
+    poses = geometry.kinematics.placements(u)
+    middles = []
+    for finger in geometry.hand.fingers:
+        link = finger.tip or finger.links[-1]
+        vertices, _ = geometry.triangles(link)
+        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2 if len(vertices) else np.zeros(3)
+        middles.append(poses[link][:3, :3] @ middle + poses[link][:3, 3])
+    return np.array(middles or [poses[geometry.hand.joints[-1].child][:3, 3]])
+
+
+def _snapped(direction: FloatArray) -> FloatArray:
+    """Return the axis of the base frame near a direction, or the direction itself."""
+    axis = int(np.argmax(np.abs(direction)))
+    if abs(direction[axis]) < math.cos(_SNAP):
+        return direction
+    snapped = np.zeros(3)
+    snapped[axis] = math.copysign(1.0, direction[axis])
+    return snapped
 
 
 def _unit(vector: FloatArray, otherwise: FloatArray) -> FloatArray:

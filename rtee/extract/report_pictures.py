@@ -2,35 +2,34 @@
 
 from __future__ import annotations
 
-import io
 import math
 import threading
 from collections.abc import Collection
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Final
 
 import numpy as np
 
+from rtee.errors import ConfigError
 from rtee.extract.report_camera import Camera, fitted, view
+from rtee.extract.report_image import (
+    Contact,
+    FileFormat,
+    linear,
+    picture_file,
+    with_silhouette,
+)
 from rtee.extract.report_mesh import HandSurface, Surface
-from rtee.extract.report_render import Look, Painter, Tracer
+from rtee.extract.report_render import Look, Painter
+from rtee.extract.report_trace import Tracer
 from rtee.hand.colours import PALM, finger_colours, finger_of_link
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
-if TYPE_CHECKING:
-    from PIL import ImageDraw
-
 SIZE: Final = (430, 400)
 CLOSE_UP: Final = (230, 215)
 
-FileFormat = Literal["PNG", "WEBP"]
-Point = tuple[float, float, float]
-Contact = tuple[Point, Point]
-"""Point [m] and unit normal of a contact, in the hand's base frame."""
-
-_GHOST: Final = 0.16
 _FADED: Final = 0.82
 
 
@@ -87,13 +86,15 @@ class Studio:
             postures: Postures that must fit into the picture, besides rest.
 
         Raises:
+            ConfigError: The extra ``plot`` is not installed.
             ModelError: A mesh cannot be read.
         """
+        _check_extra()
         self.hand = hand
         self.size = size
         self._lock = threading.Lock()
         self._surface = HandSurface(HandGeometry(hand, visual=True))
-        self._back, self._up = view(hand, self._surface.geometry.kinematics)
+        self._back, self._up = view(self._surface.geometry)
         rest = self._corners(hand.rest)
         points = np.concatenate([rest, *(self._corners(u) for u in postures)])
         self._camera = fitted(points, self._back, self._up, size)
@@ -119,8 +120,8 @@ class Studio:
         tracer = Tracer(self._posed(u))
         picture = Painter(tracer, self._camera, self._look(self._camera, highlight)).paint()
         if ghost:
-            picture = _with_ghost(picture, self._silhouette)
-        return _file(picture, background, self._camera, contacts, file_format)
+            picture = with_silhouette(picture, self._silhouette)
+        return picture_file(picture, background, self._camera, contacts, file_format)
 
     def close_up(
         self,
@@ -152,7 +153,7 @@ class Studio:
         camera = fitted(point + ring, back, self._up, size)
         look = self._look(camera, None, tips)
         picture = Painter(Tracer(surface), camera, _without_ground(look)).paint()
-        return _file(picture, background, camera, [contact], file_format, large=True)
+        return picture_file(picture, background, camera, [contact], file_format, large=True)
 
     def _posed(self, u: FloatArray) -> Surface:
         with self._lock:  # kinematics keeps what it computes
@@ -169,10 +170,10 @@ class Studio:
         rows = []
         for link in self._surface.links:
             finger = owner.get(link)
-            colour = _linear(colours[finger] if finger else PALM)
+            colour = linear(colours[finger] if finger else PALM)
             faded = finger is not None and highlight is not None and finger not in highlight
             if faded or (links and link not in links and finger is not None):
-                colour = _FADED * _linear("#c9ccd1") + (1 - _FADED) * colour
+                colour = _FADED * linear("#c9ccd1") + (1 - _FADED) * colour
             rows.append(colour)
         light = -0.55 * camera.right + 0.75 * self._up - 0.62 * camera.forward
         return Look(
@@ -200,6 +201,16 @@ class Studio:
         tilted = side + 0.25 * self._back
         tilted = tilted - 0.3 * (tilted @ normal) * normal
         return tilted / np.linalg.norm(tilted)
+
+
+def _check_extra() -> None:
+    try:
+        import embreex.rtcore_scene  # noqa: F401
+        import PIL.Image  # noqa: F401
+    except ImportError:
+        raise ConfigError(
+            "pictures need the extra 'plot'; install it by: pip install 'rtee[plot]'"
+        ) from None
 
 
 def _blocked_share(
@@ -230,99 +241,3 @@ def _around(axis: FloatArray) -> FloatArray:
 
 def _without_ground(look: Look) -> Look:
     return Look(look.colours, look.light, look.up, None, look.reach)
-
-
-def _with_ghost(picture: FloatArray, behind: FloatArray) -> FloatArray:
-    """Return a picture with a silhouette behind it."""
-    result = picture.copy()
-    cover = (1 - picture[..., 3:]) * (_GHOST * behind)[..., None]
-    result[..., :3] += cover * _linear("#7d8590")
-    result[..., 3:] += cover
-    return result
-
-
-def _linear(colour: str) -> FloatArray:
-    """Return a colour ``#rrggbb`` as linear light (IEC 61966-2-1)."""
-    shown = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
-    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-
-
-def _shown(light: FloatArray) -> FloatArray:
-    """Return linear light as it is stored in a picture (IEC 61966-2-1)."""
-    light = np.clip(light, 0, 1)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-
-
-def _file(
-    picture: FloatArray,
-    background: str | None,
-    camera: Camera,
-    contacts: Collection[Contact],
-    file_format: FileFormat,
-    *,
-    large: bool = False,
-) -> bytes:
-    from PIL import Image
-
-    cover = np.clip(picture[..., 3:], 0, 1)
-    if background is None:
-        colour = np.where(cover > 1e-6, picture[..., :3] / np.maximum(cover, 1e-6), 0.0)
-        data = np.concatenate([_shown(colour), cover], axis=2)
-    else:
-        data = _shown(picture[..., :3] + (1 - cover) * _linear(background))
-    image = Image.fromarray(np.round(data * 255).astype(np.uint8))
-    for contact in contacts:
-        image = _marked(image, camera, contact, large=large)
-    out = io.BytesIO()
-    image.save(out, file_format, quality=90)
-    return out.getvalue()
-
-
-def _marked(image: Any, camera: Camera, contact: Contact, *, large: bool) -> Any:
-    """Return the picture with a ring around a contact and arrows along its normal."""
-    from PIL import Image, ImageDraw
-
-    fine = 3
-    layer = Image.new("RGBA", (image.width * fine, image.height * fine), (255, 255, 255, 0))
-    draw = ImageDraw.Draw(layer)
-    point, normal = np.array(contact[0]), np.array(contact[1])
-    x, y = camera.project(point[None])[0] * fine
-    tip = camera.project((point + 1e-3 * normal)[None])[0] * fine - np.array([x, y])
-    length = float(np.hypot(*tip))
-    radius = (0.030 if large else 0.020) * image.height * fine
-    pen = max(1.6 * fine, radius / 6)
-    for colour, width in (((255, 255, 255, 235), pen * 2.2), ((17, 17, 17, 255), pen)):
-        grown = (width - pen) / 2
-        box = [x - radius - grown, y - radius - grown, x + radius + grown, y + radius + grown]
-        draw.ellipse(box, outline=colour, width=round(width))
-        if length > 1e-9:
-            for sign in (-1.0, 1.0):
-                _arrow(draw, np.array([x, y]), sign * tip / length, radius, width, grown, colour)
-    small = layer.resize(image.size, Image.Resampling.LANCZOS)
-    return Image.alpha_composite(image.convert("RGBA"), small).convert(image.mode)
-
-
-def _arrow(
-    draw: ImageDraw.ImageDraw,
-    centre: FloatArray,
-    side: FloatArray,
-    radius: float,
-    width: float,
-    grown: float,
-    colour: tuple[int, int, int, int],
-) -> None:
-    """Draw an arrow from outside to the ring."""
-    across = np.array([-side[1], side[0]])
-    head = centre + side * (1.35 * radius - grown)
-    neck = centre + side * 2.1 * radius
-    tail = centre + side * (3.0 * radius + grown)
-    spread = 0.48 * radius + 1.4 * grown
-    draw.line([tuple(neck), tuple(tail)], fill=colour, width=round(width))
-    draw.polygon(
-        [
-            tuple(head),
-            tuple(neck + across * spread + side * grown),
-            tuple(neck - across * spread + side * grown),
-        ],
-        fill=colour,
-    )

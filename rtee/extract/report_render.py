@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.errors import ConfigError
 from rtee.extract.report_camera import Camera
-from rtee.extract.report_mesh import Surface
+from rtee.extract.report_sampling import (
+    blurred,
+    cone,
+    enlarged,
+    hemisphere,
+    lattice,
+    margin,
+    normalised,
+)
+from rtee.extract.report_trace import Hits, Mask, Tracer
 from rtee.types import FloatArray
 
 _TILE: Final = 4
@@ -22,10 +29,7 @@ _GRID: Final = 3
 """Samples per pixel at edges, squared."""
 _EDGE: Final = 0.035
 """Neighbours that differ more than this in brightness or cover have an edge between them."""
-_LIGHT_ANGLE: Final = math.radians(9.0)
 _GROUND_STEP: Final = 4
-
-_Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -47,24 +51,12 @@ class Look:
     reach: float
 
 
-@dataclass(frozen=True)
-class _Hits:
-    """What rays hit: points, normals and links of those that hit something."""
-
-    which: NDArray[np.int64]
-    points: FloatArray
-    normals: FloatArray
-    flat: FloatArray
-    links: NDArray[np.int64]
-    depth: FloatArray
-
-
 class _Seen:
     """What the pixels of a picture show, and how it is lit."""
 
     def __init__(
         self,
-        hits: _Hits,
+        hits: Hits,
         y: NDArray[np.int64],
         x: NDArray[np.int64],
         shape: tuple[int, int],
@@ -94,7 +86,7 @@ class _Seen:
         self.light[self.y, self.x] = total / np.maximum(weight, 1)[:, None]
 
     def light_of(
-        self, hits: _Hits, y: NDArray[np.int64], x: NDArray[np.int64]
+        self, hits: Hits, y: NDArray[np.int64], x: NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray]:
         """Return the light at points in given pixels: that of the nearest likeness around."""
         best = np.full(len(y), np.inf)
@@ -115,61 +107,6 @@ class _Seen:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         height, width = self.shape
         return np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)
-
-
-class Tracer:
-    """Rays against one surface."""
-
-    def __init__(self, surface: Surface) -> None:
-        """Build the scene.
-
-        Raises:
-            ConfigError: The ray tracer is not installed.
-        """
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError:
-            raise ConfigError(
-                "pictures need the extra 'plot'; install it by: pip install 'rtee[plot]'"
-            ) from None
-        self.surface = surface
-        self._scene: Any = EmbreeScene()
-        # The mesh must live as long as the scene.
-        self._mesh: Any = TriangleMesh(self._scene, surface.corners.astype(np.float32))
-
-    def cast(self, origin: FloatArray, directions: FloatArray) -> _Hits:
-        """Return what rays from one point hit first."""
-        origins = np.broadcast_to(origin, directions.shape)
-        found = self._scene.run(_f32(origins), _f32(directions), output=1)
-        which = np.flatnonzero(found["primID"] >= 0)
-        face = found["primID"][which]
-        u, v = found["u"][which, None], found["v"][which, None]
-        depth = found["tfar"][which].astype(np.float64)
-        corners = self.surface.normals[face]
-        normals = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
-        triangle = self.surface.corners[face]
-        flat = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
-        seen = directions[which]
-        # Meshes are not always wound outwards: turn what shows its back.
-        backwards = np.einsum("ij,ij->i", flat, seen) > 0
-        flat[backwards] *= -1
-        normals[backwards] *= -1
-        return _Hits(
-            which,
-            origin + seen * depth[:, None],
-            _normalised(normals),
-            _normalised(flat),
-            self.surface.links[face],
-            depth,
-        )
-
-    def blocked(self, points: FloatArray, directions: FloatArray, reach: float) -> _Mask:
-        """Return which rays hit something within a distance."""
-        far = np.full(len(points), reach, dtype=np.float32)
-        found = self._scene.run(_f32(points), _f32(directions), far, query="OCCLUDED")
-        hit: _Mask = np.asarray(found) >= 0
-        return hit
 
 
 class Painter:
@@ -218,7 +155,7 @@ class Painter:
         return y.ravel(), x.ravel()
 
     def _lit(
-        self, hits: _Hits, x: NDArray[np.int64], y: NDArray[np.int64]
+        self, hits: Hits, x: NDArray[np.int64], y: NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray]:
         """Return how much of the light and of the sky each point sees ``(k,)``."""
         cells = _TILE * _TILE
@@ -226,22 +163,22 @@ class Painter:
         start = hits.points + hits.flat * (1e-4 * self.look.reach)
         light, sky = np.zeros(len(start)), np.zeros(len(start))
         for ray in range(_RAYS):
-            a, b = _lattice(cell + cells * ray, cells * _RAYS)
-            toward = _cone(self.look.light, a, b)
+            a, b = lattice(cell + cells * ray, cells * _RAYS)
+            toward = cone(self.look.light, a, b)
             facing = np.einsum("ij,ij->i", hits.flat, toward) > 0
             light += facing & ~self.tracer.blocked(start, toward, 10 * self.look.reach)
-            around = _hemisphere(hits.normals, a, b)
+            around = hemisphere(hits.normals, a, b)
             above = np.einsum("ij,ij->i", hits.flat, around) > 0
             sky += above & ~self.tracer.blocked(start, around, self.look.reach)
         return light / _RAYS, sky / _RAYS
 
-    def _shaded(self, hits: _Hits, light: FloatArray, sky: FloatArray) -> FloatArray:
+    def _shaded(self, hits: Hits, light: FloatArray, sky: FloatArray) -> FloatArray:
         """Return colour and cover ``(k, 4)`` of points."""
         look = self.look
         base = look.colours[hits.links]
-        toward = -_normalised(hits.points - self.camera.position)
+        toward = -normalised(hits.points - self.camera.position)
         facing = np.clip(hits.normals @ look.light, 0, 1) * light
-        half = _normalised(toward + look.light)
+        half = normalised(toward + look.light)
         gloss = np.clip(np.einsum("ij,ij->i", hits.normals, half), 0, 1) ** 48 * light
         rim = (1 - np.clip(np.einsum("ij,ij->i", hits.normals, toward), 0, 1)) ** 3 * sky
         above = 0.5 + 0.5 * (hits.normals @ look.up)
@@ -292,61 +229,20 @@ class Painter:
         dark = np.zeros(len(points))
         rounds = 8
         for ray in range(rounds):
-            a, b = _lattice((x[which] * 7 + y[which] * 3) % 16 + 16 * ray, 16 * rounds)
-            dark += 0.45 * self.tracer.blocked(start, _cone(look.light, a, b), 10 * look.reach)
-            dark += 0.55 * self.tracer.blocked(start, _hemisphere(up, a, b), look.reach)
+            a, b = lattice((x[which] * 7 + y[which] * 3) % 16 + 16 * ray, 16 * rounds)
+            dark += 0.45 * self.tracer.blocked(start, cone(look.light, a, b), 10 * look.reach)
+            dark += 0.55 * self.tracer.blocked(start, hemisphere(up, a, b), look.reach)
         shade = np.zeros(rows * columns)
         shade[which] = 0.62 * fade * dark / rounds
-        shade = _blurred(shade.reshape(rows, columns))
-        cover = _enlarged(shade, step)[:height, :width] * _margin(height, width)
+        shade = blurred(shade.reshape(rows, columns))
+        cover = enlarged(shade, step)[:height, :width] * margin(height, width)
         result = picture.copy()
         # The shadow is black with that cover, behind the surface.
         result[..., 3] += (1 - picture[..., 3]) * cover
         return result
 
 
-def _f32(values: FloatArray) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
-
-
-def _normalised(vectors: FloatArray) -> FloatArray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    result: FloatArray = vectors / np.maximum(length, 1e-12)
-    return result
-
-
-def _lattice(index: NDArray[np.int64], count: int) -> tuple[FloatArray, FloatArray]:
-    """Return points of a Fibonacci lattice in the unit square."""
-    return (index + 0.5) / count, np.mod(index * 0.6180339887498949, 1.0)
-
-
-def _frame(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two unit vectors perpendicular to each normal (Duff et al., 2017)."""
-    x, y, z = normals.T
-    sign = np.where(z >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    return first, np.stack([b, sign + y * y * a, -y], axis=1)
-
-
-def _hemisphere(normals: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return directions around normals, as frequent as the cosine of their angle."""
-    first, second = _frame(normals)
-    radius, turn = np.sqrt(a)[:, None], 2 * math.pi * b[:, None]
-    height = np.sqrt(1 - a)[:, None]
-    return radius * (np.cos(turn) * first + np.sin(turn) * second) + height * normals
-
-
-def _cone(axis: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return directions in a narrow cone around an axis."""
-    first, second = _frame(axis[None])
-    radius = math.tan(_LIGHT_ANGLE) * np.sqrt(a)[:, None]
-    turn = 2 * math.pi * b[:, None]
-    return _normalised(axis + radius * (np.cos(turn) * first + np.sin(turn) * second))
-
-
-def _edges(picture: FloatArray) -> _Mask:
+def _edges(picture: FloatArray) -> Mask:
     """Return the pixels that differ from a neighbour, and those neighbours."""
     shown = np.sqrt(np.clip(picture, 0, 1))
     edge = np.zeros(picture.shape[:2], dtype=bool)
@@ -357,35 +253,3 @@ def _edges(picture: FloatArray) -> _Mask:
     edge[:, 1:] |= side
     edge[:, :-1] |= side
     return edge
-
-
-def _margin(height: int, width: int) -> FloatArray:
-    """Return factors that fade towards the picture's border ``(height, width)``."""
-    y, x = (
-        np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / (0.12 * n) for n in (height, width)
-    )
-    y, x = (np.clip(v, 0, 1) for v in (y, x))
-    fade: FloatArray = (y * y * (3 - 2 * y))[:, None] * (x * x * (3 - 2 * x))[None]
-    return fade
-
-
-def _blurred(values: FloatArray) -> FloatArray:
-    """Return values averaged with their neighbours."""
-    for _ in range(2):
-        padded = np.pad(values, 1, mode="edge")
-        values = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
-        values = (values[:, :-2] + 2 * values[:, 1:-1] + values[:, 2:]) / 4
-    return values
-
-
-def _enlarged(values: FloatArray, step: int) -> FloatArray:
-    """Return values at every pixel from those at every ``step``-th one, linearly."""
-    rows, columns = values.shape
-    y = np.arange((rows - 1) * step) / step
-    x = np.arange((columns - 1) * step) / step
-    i, j = y.astype(int), x.astype(int)
-    fy, fx = (y - i)[:, None], (x - j)[None]
-    above = values[i][:, j] * (1 - fx) + values[i][:, j + 1] * fx
-    below = values[i + 1][:, j] * (1 - fx) + values[i + 1][:, j + 1] * fx
-    result: FloatArray = above * (1 - fy) + below * fy
-    return result

@@ -1,0 +1,128 @@
+"""From light to picture files, with contacts marked."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from rtee.extract.report_camera import Camera
+from rtee.types import FloatArray
+
+if TYPE_CHECKING:
+    from PIL import ImageDraw
+
+FileFormat = Literal["PNG", "WEBP"]
+Point = tuple[float, float, float]
+Contact = tuple[Point, Point]
+"""Point [m] and unit normal of a contact, in the hand's base frame."""
+
+_GHOST: Final = 0.16
+
+
+def with_silhouette(picture: FloatArray, behind: FloatArray) -> FloatArray:
+    """Return a picture with a silhouette behind it."""
+    result = picture.copy()
+    cover = (1 - picture[..., 3:]) * (_GHOST * behind)[..., None]
+    result[..., :3] += cover * linear("#7d8590")
+    result[..., 3:] += cover
+    return result
+
+
+def linear(colour: str) -> FloatArray:
+    """Return a colour ``#rrggbb`` as linear light (IEC 61966-2-1)."""
+    shown = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+
+
+def _shown(light: FloatArray) -> FloatArray:
+    """Return linear light as it is stored in a picture (IEC 61966-2-1)."""
+    light = np.clip(light, 0, 1)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def picture_file(
+    picture: FloatArray,
+    background: str | None,
+    camera: Camera,
+    contacts: Collection[Contact],
+    file_format: FileFormat,
+    *,
+    large: bool = False,
+) -> bytes:
+    """Return a picture file.
+
+    Args:
+        picture: Linear colours times cover, and cover ``(height, width, 4)``.
+        background: Colour behind the surface; ``None`` for transparent.
+        camera: Where the picture was taken from.
+        contacts: Contacts to mark.
+        file_format: Format of the file.
+        large: Mark contacts large, for a picture of little else.
+    """
+    from PIL import Image
+
+    cover = np.clip(picture[..., 3:], 0, 1)
+    if background is None:
+        colour = np.where(cover > 1e-6, picture[..., :3] / np.maximum(cover, 1e-6), 0.0)
+        data = np.concatenate([_shown(colour), cover], axis=2)
+    else:
+        data = _shown(picture[..., :3] + (1 - cover) * linear(background))
+    image = Image.fromarray(np.round(data * 255).astype(np.uint8))
+    for contact in contacts:
+        image = _marked(image, camera, contact, large=large)
+    out = io.BytesIO()
+    image.save(out, file_format, quality=90)
+    return out.getvalue()
+
+
+def _marked(image: Any, camera: Camera, contact: Contact, *, large: bool) -> Any:
+    """Return the picture with a ring around a contact and arrows along its normal."""
+    from PIL import Image, ImageDraw
+
+    fine = 3
+    layer = Image.new("RGBA", (image.width * fine, image.height * fine), (255, 255, 255, 0))
+    draw = ImageDraw.Draw(layer)
+    point, normal = np.array(contact[0]), np.array(contact[1])
+    x, y = camera.project(point[None])[0] * fine
+    tip = camera.project((point + 1e-3 * normal)[None])[0] * fine - np.array([x, y])
+    length = float(np.hypot(*tip))
+    radius = (0.030 if large else 0.020) * image.height * fine
+    pen = max(1.6 * fine, radius / 6)
+    for colour, width in (((255, 255, 255, 235), pen * 2.2), ((17, 17, 17, 255), pen)):
+        grown = (width - pen) / 2
+        box = [x - radius - grown, y - radius - grown, x + radius + grown, y + radius + grown]
+        draw.ellipse(box, outline=colour, width=round(width))
+        if length > 1e-9:
+            for sign in (-1.0, 1.0):
+                _arrow(draw, np.array([x, y]), sign * tip / length, radius, width, grown, colour)
+    small = layer.resize(image.size, Image.Resampling.LANCZOS)
+    return Image.alpha_composite(image.convert("RGBA"), small).convert(image.mode)
+
+
+def _arrow(
+    draw: ImageDraw.ImageDraw,
+    centre: FloatArray,
+    side: FloatArray,
+    radius: float,
+    width: float,
+    grown: float,
+    colour: tuple[int, int, int, int],
+) -> None:
+    """Draw an arrow from outside to the ring."""
+    across = np.array([-side[1], side[0]])
+    head = centre + side * (1.35 * radius - grown)
+    neck = centre + side * 2.1 * radius
+    tail = centre + side * (3.0 * radius + grown)
+    spread = 0.48 * radius + 1.4 * grown
+    draw.line([tuple(neck), tuple(tail)], fill=colour, width=round(width))
+    draw.polygon(
+        [
+            tuple(head),
+            tuple(neck + across * spread + side * grown),
+            tuple(neck - across * spread + side * grown),
+        ],
+        fill=colour,
+    )
