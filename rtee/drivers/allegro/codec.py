@@ -1,0 +1,178 @@
+"""The Allegro Hand's CAN frames, versions 4 and 5. No I/O."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import ClassVar, Self
+
+from rtee.buses.emulator import CanFrame
+
+BITRATE = 1_000_000
+FINGERS = 4
+PER_FINGER = 4
+JOINTS = FINGERS * PER_FINGER
+
+_INT16 = struct.Struct("<4h")
+_PERIODS = struct.Struct("<3H")
+
+
+class AllegroFrameError(ValueError):
+    """A frame whose data does not fit its command."""
+
+
+class Command(IntEnum):
+    """What a frame is about: its identifier without the two bits of the hand's number."""
+
+    FINGER_POSE = 0x20
+    IMU = 0x30
+    TEMPERATURE = 0x38
+    SYSTEM_ON = 0x40
+    SYSTEM_OFF = 0x41
+    SET_TORQUE = 0x60
+    HAND_INFO = 0x80
+    SET_PERIOD = 0x81
+    SERIAL = 0x88
+
+
+def identifier(command: int, hand: int = 0) -> int:
+    """Return the CAN identifier of a command for a hand, 0 to 3."""
+    return command << 2 | hand
+
+
+def split(can_id: int) -> tuple[int, int]:
+    """Return command and hand of a CAN identifier."""
+    return can_id >> 2, can_id & 0x3
+
+
+def request(command: Command, hand: int = 0) -> CanFrame:
+    """Return the frame that asks a hand for something."""
+    return CanFrame(identifier(command, hand), remote=True)
+
+
+def order(command: Command, hand: int = 0) -> CanFrame:
+    """Return a frame that carries nothing but its command."""
+    return CanFrame(identifier(command, hand))
+
+
+@dataclass(frozen=True, slots=True)
+class Periods:
+    """How often the hand tells what by itself [ms]; 0: never."""
+
+    joints: int = 0
+    imu: int = 0
+    temperature: int = 0
+
+    def to_frame(self, hand: int = 0) -> CanFrame:
+        """Return the frame that sets them."""
+        data = _PERIODS.pack(self.joints, self.imu, self.temperature)
+        return CanFrame(identifier(Command.SET_PERIOD, hand), data)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read them; raises `AllegroFrameError`."""
+        if len(data) != _PERIODS.size:
+            raise AllegroFrameError(f"periods are six bytes, not {len(data)}")
+        return cls(*_PERIODS.unpack(data))
+
+
+class Status(IntFlag):
+    """The status byte of a hand."""
+
+    SERVO_ON = 0x01
+    OVER_TEMPERATURE = 0x02
+    COMMUNICATION = 0x04
+
+
+@dataclass(frozen=True, slots=True)
+class HandInfo:
+    """What a hand says about itself.
+
+    Attributes:
+        hardware: Hardware version; its high byte is the hand's version.
+        firmware: Firmware version.
+        handedness: 0 right, else left; only version 4 means it.
+        temperature: [°C]
+        status: Servo, over-temperature, internal communication.
+    """
+
+    _FORM: ClassVar[struct.Struct] = struct.Struct("<HHBBB")
+
+    hardware: int
+    firmware: int
+    handedness: int
+    temperature: int
+    status: Status
+
+    @property
+    def version(self) -> int:
+        """The hand's version, 4 or 5."""
+        return self.hardware >> 8
+
+    def to_bytes(self) -> bytes:
+        """Return the data of the answer."""
+        return self._FORM.pack(
+            self.hardware, self.firmware, self.handedness, self.temperature, self.status
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read the data of an answer; raises `AllegroFrameError`."""
+        if len(data) < cls._FORM.size:
+            raise AllegroFrameError(f"hand information is seven bytes, not {len(data)}")
+        hardware, firmware, handedness, temperature, status = cls._FORM.unpack_from(data)
+        return cls(hardware, firmware, handedness, temperature, Status(status & 0x07))
+
+
+def pack_counts(values: Sequence[float]) -> bytes:
+    """Return four joints' values as the hand's 16-bit counts, clamped into their range."""
+    return _INT16.pack(*(min(max(int(v), -32768), 32767) for v in values))
+
+
+def read_counts(data: bytes) -> tuple[int, int, int, int]:
+    """Return four joints' counts; raises `AllegroFrameError`."""
+    if len(data) != _INT16.size:
+        raise AllegroFrameError(f"four joints are eight bytes, not {len(data)}")
+    first, second, third, fourth = _INT16.unpack(data)
+    return first, second, third, fourth
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The units of a version.
+
+    Attributes:
+        version: 4 or 5.
+        rad_per_count: Angle per count [rad].
+        pwm_per_torque: Counts of torque per N·m, with a 12 V supply.
+        period_ms: Period of the joints' frames [ms].
+    """
+
+    version: int
+    rad_per_count: float
+    pwm_per_torque: float
+    period_ms: int
+
+    def to_rad(self, count: int) -> float:
+        """Return an angle [rad]."""
+        return count * self.rad_per_count
+
+    def to_count(self, angle: float) -> int:
+        """Return the count of an angle [rad]."""
+        return round(angle / self.rad_per_count)
+
+
+SCALES: dict[int, Scale] = {
+    4: Scale(4, math.radians(333.3 / 65536.0), 1200.0, 3),
+    5: Scale(5, math.radians(0.088), 1200.0, 2),
+}
+"""Units by version."""
+
+LIMITS_PWM: tuple[int, ...] = (375, 675, 450, 285) * 3 + (525, 405, 270, 270)
+"""Largest torque of each joint [counts], as the vendor's programs clamp it."""
+
+NAMES: tuple[str, ...] = ("index", "middle", "ring", "thumb")
+"""The fingers in the order of the wire."""

@@ -1,0 +1,96 @@
+"""The joint controller of a torque-driven hand: PD about a reference. No I/O, no clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from rtee.drivers.allegro.codec import FINGERS, JOINTS, LIMITS_PWM, PER_FINGER, Scale
+
+
+class JointControl:
+    """Positions in, torques out, once per complete set of the hand's position frames.
+
+    Lists are in the order of the wire. Joints without a reference get no torque.
+
+    Attributes:
+        kp: Stiffness [N·m/rad].
+        kd: Damping [N·m·s/rad].
+        position: Measured angles [rad].
+        velocity: Filtered velocities [rad/s].
+        torque: Torques sent last [N·m].
+        stamp: When the last set was complete [s].
+        sets: Complete sets so far.
+    """
+
+    def __init__(
+        self, scale: Scale, *, kp: float, kd: float, max_torque: float, smoothing: float
+    ) -> None:
+        self.scale = scale
+        self.kp = kp
+        self.kd = kd
+        self.position = [math.nan] * JOINTS
+        self.velocity = [0.0] * JOINTS
+        self.torque = [0.0] * JOINTS
+        self.stamp = -math.inf
+        self.sets = 0
+        self._smoothing = smoothing
+        self._most = [min(pwm / scale.pwm_per_torque, max_torque) for pwm in LIMITS_PWM]
+        self._limit = list(self._most)
+        self._reference: list[float | None] = [None] * JOINTS
+        self._rate = [0.0] * JOINTS
+        self._fresh: dict[int, tuple[float, ...]] = {}
+
+    def refer(self, joint: int, angle: float | None, rate: float = 0.0) -> None:
+        """Set where a joint goes [rad] and how fast its reference moves [rad/s]; ``None``: limp."""
+        self._reference[joint] = angle
+        self._rate[joint] = rate
+
+    def limit(self, joint: int, torque: float) -> None:
+        """Limit a joint's torque [N·m]; never above what the hand bears."""
+        self._limit[joint] = min(abs(torque), self._most[joint])
+
+    def limp(self) -> None:
+        """Let every joint go."""
+        self._reference = [None] * JOINTS
+
+    def take(self, finger: int, counts: Sequence[int], stamp: float) -> list[list[int]] | None:
+        """Take one finger's positions; with the set complete, return the counts of all torques.
+
+        Args:
+            finger: 0 to 3.
+            counts: Its four joints.
+            stamp: When they came [s].
+        """
+        self._fresh[finger] = tuple(self.scale.to_rad(count) for count in counts)
+        if len(self._fresh) < FINGERS:
+            return None
+        measured = [angle for f in range(FINGERS) for angle in self._fresh[f]]
+        self._fresh.clear()
+        self._measure(measured, stamp)
+        return self._torques()
+
+    def _measure(self, measured: list[float], stamp: float) -> None:
+        dt = stamp - self.stamp
+        if 0.0 < dt < 0.1 and self.sets:
+            share = dt / (dt + self._smoothing)
+            for i, angle in enumerate(measured):
+                rate = (angle - self.position[i]) / dt
+                self.velocity[i] += share * (rate - self.velocity[i])
+        elif dt > 0.0:
+            self.velocity = [0.0] * JOINTS
+        self.position = measured
+        self.stamp = stamp
+        self.sets += 1
+
+    def _torques(self) -> list[list[int]]:
+        counts: list[int] = []
+        for i, reference in enumerate(self._reference):
+            torque = 0.0
+            if reference is not None:
+                error = reference - self.position[i]
+                torque = self.kp * error + self.kd * (self._rate[i] - self.velocity[i])
+                torque = min(max(torque, -self._limit[i]), self._limit[i])
+            self.torque[i] = torque
+            counts.append(int(torque * self.scale.pwm_per_torque))
+        return [counts[f * PER_FINGER : (f + 1) * PER_FINGER] for f in range(FINGERS)]

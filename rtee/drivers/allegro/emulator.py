@@ -1,0 +1,253 @@
+"""Plays an Allegro Hand on a CAN bus: sixteen joints under torques, telling their positions.
+
+What the hand does when torques stop coming is not known; here it is an option.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from rtee.buses.emulator import CanFrame, Emulator
+from rtee.drivers.allegro import codec
+from rtee.drivers.allegro.codec import (
+    FINGERS,
+    JOINTS,
+    LIMITS_PWM,
+    PER_FINGER,
+    AllegroFrameError,
+    Command,
+    HandInfo,
+    Periods,
+    Status,
+    identifier,
+)
+from rtee.drivers.axis import VirtualObject
+from rtee.drivers.properties import read_properties
+
+_STEP = 0.0005
+_MOST_STEPS = 400
+
+
+@dataclass(frozen=True, slots=True)
+class AllegroProperties:
+    """What the emulated hand is like.
+
+    Attributes:
+        hand: Its number on the bus, 0 to 3.
+        version: 4 or 5.
+        left: Whether it is a left hand.
+        serial: Its serial number, eight characters.
+        torque_timeout: Torques count for so long [s]; 0: until the next.
+        inertia: Of a joint [kg·m²].
+        damping: Of a joint [N·m·s/rad].
+        friction: Of a joint [N·m].
+        start: Angle of all joints at power-up [rad].
+        hot: Temperature at which it switches off [°C].
+    """
+
+    hand: int = 0
+    version: int = 4
+    left: bool = False
+    serial: str = "SAH040AR"
+    torque_timeout: float = 0.0
+    inertia: float = 5e-4
+    damping: float = 0.02
+    friction: float = 0.005
+    start: float = 0.4
+    hot: float = 90.0
+
+
+@dataclass(slots=True)
+class _Joint:
+    """A joint driven by torque: inertia, damping, friction, stops, an object."""
+
+    angle: float
+    lower: float
+    upper: float
+    velocity: float = 0.0
+    torque: float = 0.0
+    obstacle: VirtualObject | None = None
+
+    def advance(self, dt: float, made: AllegroProperties) -> None:
+        push = self.torque - made.damping * self.velocity
+        thing = self.obstacle
+        if thing is not None:
+            depth = (self.angle - thing.contact) * thing.closing
+            if depth > 0.0:
+                push -= thing.closing * (depth * thing.stiffness) + 0.05 * self.velocity
+        drag = made.friction
+        if self.velocity == 0.0 and abs(push) <= drag:
+            return
+        direction = self.velocity if self.velocity else push
+        push -= math.copysign(drag, direction)
+        velocity = self.velocity + dt * push / made.inertia
+        if self.velocity and velocity * self.velocity < 0.0 and abs(push) <= 2.0 * drag:
+            velocity = 0.0
+        self.velocity = velocity
+        angle = self.angle + dt * velocity
+        if not self.lower <= angle <= self.upper:
+            angle = min(max(angle, self.lower), self.upper)
+            self.velocity = 0.0
+        self.angle = angle
+
+
+class AllegroEmulator(Emulator):
+    """The hand.
+
+    Attributes:
+        properties: What it is like.
+        joints: Its joints, in the order of the wire.
+        periods: What it tells by itself, and how often.
+        servo: Whether its motors are on.
+        temperature: [°C]
+        frames: Frames taken, by command.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
+        "over_temperature", "communication", "silent",
+    }  # fmt: skip
+    period = 0.0005
+
+    def __init__(self, properties: AllegroProperties | None = None) -> None:
+        super().__init__()
+        self.properties = made = properties or AllegroProperties()
+        self.scale = codec.SCALES[made.version]
+        self.joints = [_Joint(made.start, -0.8, 2.2) for _ in range(JOINTS)]
+        self.frames: dict[int, int] = {}
+        self.temperature = 30.0
+        self._now: float | None = None
+        self.power_cycle(0.0)
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the hand that the option ``emulator`` of a device describes."""
+        hand = options.get("hand", 0)
+        version = options.get("version") or 4
+        return cls(read_properties(AllegroProperties, options, hand=hand, version=version))
+
+    def power_cycle(self, now: float) -> None:
+        """Begin anew: motors off, silent until asked."""
+        self.servo = False
+        self.periods = Periods()
+        self._fault = Status(0)
+        self._next = now
+        self._torque_at = now
+        for joint in self.joints:
+            joint.torque = 0.0
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the hand; over-temperature and communication switch it off."""
+        super().inject(fault)
+        found = {
+            "over_temperature": Status.OVER_TEMPERATURE,
+            "communication": Status.COMMUNICATION,
+        }.get(fault)
+        if found is not None:
+            self._fail(found)
+
+    def _fail(self, fault: Status) -> None:
+        self._fault |= fault
+        self._off()
+
+    def _off(self) -> None:
+        self.servo = False
+        for joint in self.joints:
+            joint.torque = 0.0
+
+    def hold(self, joint: int, angle: float, stiffness: float = 8.0) -> None:
+        """Put an object in a joint's way, met at an angle [rad]; stiffness in N·m/rad."""
+        self.joints[joint].obstacle = VirtualObject(angle, stiffness)
+
+    # --- time --------------------------------------------------------------------------------
+
+    def step(self, now: float) -> list[CanFrame]:
+        """Let time pass; return the positions when they are due."""
+        self._advance(now)
+        if not self.periods.joints or now < self._next or "silent" in self.faults:
+            return []
+        period = self.periods.joints / 1000.0
+        self._next = max(self._next + period, now)
+        return [self._pose(finger) for finger in range(FINGERS)]
+
+    def _advance(self, now: float) -> None:
+        dt = 0.0 if self._now is None else max(0.0, now - self._now)
+        self._now = now if self._now is None else max(now, self._now)
+        timeout = self.properties.torque_timeout
+        if timeout and now - self._torque_at > timeout:
+            for joint in self.joints:
+                joint.torque = 0.0
+        steps = min(max(1, math.ceil(dt / _STEP)), _MOST_STEPS) if dt else 0
+        if "stuck" not in self.faults:
+            for _ in range(steps):
+                for joint in self.joints:
+                    joint.advance(dt / steps, self.properties)
+        load = max(abs(j.torque) for j in self.joints)
+        self.temperature += dt * (8.0 * load - 0.02 * (self.temperature - 30.0))
+        if self.temperature > self.properties.hot:
+            self._fail(Status.OVER_TEMPERATURE)
+
+    def _pose(self, finger: int) -> CanFrame:
+        first = finger * PER_FINGER
+        counts = [self.scale.to_count(j.angle) for j in self.joints[first : first + PER_FINGER]]
+        return self._frame(Command.FINGER_POSE + finger, codec.pack_counts(counts))
+
+    def _frame(self, command: int, data: bytes) -> CanFrame:
+        return CanFrame(identifier(command, self.properties.hand), data)
+
+    # --- frames ------------------------------------------------------------------------------
+
+    def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Take a frame from the bus and return the answer, if any."""
+        self._advance(now)
+        command, hand = codec.split(frame.id)
+        if frame.extended or hand != self.properties.hand or "silent" in self.faults:
+            return []
+        self.frames[command] = self.frames.get(command, 0) + 1
+        if frame.remote:
+            return self._tell(command)
+        try:
+            self._obey(command, frame.data, now)
+        except AllegroFrameError:
+            return []
+        return []
+
+    def _tell(self, command: int) -> list[CanFrame]:
+        made = self.properties
+        if command == Command.HAND_INFO:
+            status = self._fault | (Status.SERVO_ON if self.servo else Status(0))
+            version = 9 if "wrong_device" in self.faults else made.version
+            info = HandInfo(
+                version << 8, 0x0201, int(made.left), min(round(self.temperature), 255), status
+            )
+            return [self._frame(command, info.to_bytes())]
+        if command == Command.SERIAL:
+            return [self._frame(command, made.serial.encode("ascii").ljust(8)[:8])]
+        finger = command - Command.FINGER_POSE
+        return [self._pose(finger)] if 0 <= finger < FINGERS else []
+
+    def _obey(self, command: int, data: bytes, now: float) -> None:
+        finger = command - Command.SET_TORQUE
+        if command == Command.SYSTEM_ON:
+            self._fault = Status(0)
+            for fault, bit in (
+                ("over_temperature", Status.OVER_TEMPERATURE),
+                ("communication", Status.COMMUNICATION),
+            ):
+                if fault in self.faults:
+                    self._fault |= bit
+            self.servo = not self._fault
+        elif command == Command.SYSTEM_OFF:
+            self._off()
+        elif command == Command.SET_PERIOD:
+            self.periods = Periods.from_bytes(data)
+            self._next = now
+        elif 0 <= finger < FINGERS and self.servo:
+            self._torque_at = now
+            first = finger * PER_FINGER
+            for offset, count in enumerate(codec.read_counts(data)):
+                limit = LIMITS_PWM[first + offset]
+                pwm = min(max(count, -limit), limit)
+                self.joints[first + offset].torque = pwm / self.scale.pwm_per_torque

@@ -1,0 +1,47 @@
+"""Options of an Allegro Hand in hand.yaml."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rtee.drivers.allegro.codec import JOINTS
+from rtee.drivers.options import DeviceOptions
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class AllegroOptions(DeviceOptions):
+    """Options of an Allegro Hand.
+
+    Attributes:
+        channel: CAN channel, for example ``can0``.
+        interface: python-can interface.
+        hand: The hand's number on the bus.
+        version: 4 or 5; by default as the hand says.
+        side: ``left`` or ``right``; a version 4 hand of the other side is refused.
+        joints: Joint on the wire, 0 to 15, of each actuator; by default in their order.
+        period: Period of the hand's position frames [ms]; by default 3 (version 4) or 2 (5).
+        kp: Stiffness of the joints [N·m/rad].
+        kd: Damping of the joints [N·m·s/rad].
+        max_torque: Torque not to be exceeded [N·m], besides the hand's own limits.
+        smoothing: Time constant of the velocity filter [s].
+        info_every: Temperature and faults are asked for every so many exchanges.
+        deadline: Longest time to wait for an answer [s].
+    """
+
+    channel: str = "can0"
+    interface: str = "socketcan"
+    hand: Annotated[int, Field(ge=0, le=3)] = 0
+    version: Literal[4, 5] | None = None
+    side: Literal["left", "right"] | None = None
+    joints: dict[str, Annotated[int, Field(ge=0, lt=JOINTS)]] = Field(default_factory=dict)
+    period: Annotated[int, Field(ge=1, le=50)] | None = None
+    kp: NotNegative = 0.6
+    kd: NotNegative = 0.03
+    max_torque: Positive = 0.5
+    smoothing: Positive = 0.006
+    info_every: Annotated[int, Field(ge=1)] = 100
+    deadline: Positive = 0.1

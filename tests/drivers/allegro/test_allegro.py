@@ -1,0 +1,300 @@
+"""The Allegro Hand's frames, its joint control, and the driver against the emulator."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import AsyncIterator
+from typing import Any
+
+import anyio
+import can
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtee.buses.emulator import CanFrame
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import SimulatedCan
+from rtee.drivers.allegro import codec
+from rtee.drivers.allegro.codec import AllegroFrameError, Command, HandInfo, Periods, Status
+from rtee.drivers.allegro.control import JointControl
+from rtee.drivers.allegro.driver import AllegroDriver
+from rtee.drivers.allegro.emulator import AllegroEmulator, AllegroProperties
+from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+
+# --- frames --------------------------------------------------------------------------------------
+
+
+def test_frames_are_those_of_the_sheet() -> None:
+    assert codec.order(Command.SYSTEM_ON) == CanFrame(0x100)
+    assert codec.order(Command.SYSTEM_OFF) == CanFrame(0x104)
+    assert Periods(3).to_frame() == CanFrame(0x204, bytes.fromhex("030000000000"))
+    assert codec.request(Command.HAND_INFO) == CanFrame(0x200, remote=True)
+    assert codec.request(Command.SERIAL) == CanFrame(0x220, remote=True)
+    assert codec.identifier(Command.SET_TORQUE + 3) == 0x18C
+    assert codec.identifier(Command.FINGER_POSE, 2) == 0x82
+    assert codec.split(0x82) == (Command.FINGER_POSE, 2)
+    info = HandInfo(0x0400, 0x0201, 0, 40, Status.SERVO_ON)
+    assert info.to_bytes() == bytes.fromhex("00040102002801")
+    assert HandInfo.from_bytes(info.to_bytes()) == info
+    assert info.version == 4
+
+
+def test_torques_and_positions_are_those_of_the_sheet() -> None:
+    torques = [t * codec.SCALES[4].pwm_per_torque for t in (0.1, -0.2, 0.05, 0.0)]
+    assert codec.pack_counts(torques) == bytes.fromhex("780010FF3C000000")
+    angles = [math.radians(a) for a in (10, 45, -5, 20)]
+    for version, data in ((4, "AE079022 29FC5D0F"), (5, "7200FF01C7FFE300")):
+        scale = codec.SCALES[version]
+        counts = [scale.to_count(a) for a in angles]
+        assert codec.pack_counts(counts) == bytes.fromhex(data.replace(" ", ""))
+        assert codec.read_counts(codec.pack_counts(counts)) == tuple(counts)
+
+
+@given(st.floats(-2.8, 2.8), st.sampled_from([4, 5]))
+def test_angles_have_an_inverse(angle: float, version: int) -> None:
+    scale = codec.SCALES[version]
+    assert scale.to_rad(scale.to_count(angle)) == pytest.approx(angle, abs=scale.rad_per_count)
+
+
+@given(st.binary(max_size=8))
+def test_any_data_is_read_or_refused(data: bytes) -> None:
+    for read, size in (
+        (codec.read_counts, 8), (Periods.from_bytes, 6), (HandInfo.from_bytes, None),
+    ):  # fmt: skip
+        if size is None or len(data) == size:
+            with contextlib.suppress(AllegroFrameError):
+                read(data)
+        else:
+            with pytest.raises(AllegroFrameError):
+                read(data)
+
+
+# --- control -------------------------------------------------------------------------------------
+
+
+def control(**changes: float) -> JointControl:
+    values = {"kp": 1.0, "kd": 0.0, "max_torque": 10.0, "smoothing": 0.005, **changes}
+    return JointControl(codec.SCALES[4], **values)
+
+
+def test_torques_come_with_the_complete_set_and_never_exceed_the_limits() -> None:
+    made = control()
+    for joint in range(16):
+        made.refer(joint, 2.0)
+    made.limit(5, 0.1)
+    made.limit(6, 99.0)
+    assert [made.take(finger, (0, 0, 0, 0), 1.0) for finger in (2, 0, 3)] == [None] * 3
+    counts = made.take(1, (0, 0, 0, 0), 1.0)
+    assert counts is not None
+    assert counts[0] == [375, 675, 450, 285]
+    assert counts[1] == [375, 120, 450, 285]
+    assert counts[3] == [525, 405, 270, 270]
+
+
+def test_a_joint_without_reference_gets_no_torque() -> None:
+    made = control()
+    made.refer(0, 0.1)
+    made.refer(1, None)
+    made.take(0, (0, 0, 0, 0), 1.0)
+    made.take(1, (0, 0, 0, 0), 1.0)
+    made.take(2, (0, 0, 0, 0), 1.0)
+    assert made.take(3, (0, 0, 0, 0), 1.0) == [[120, 0, 0, 0], *[[0] * 4] * 3]
+
+
+# --- driver --------------------------------------------------------------------------------------
+
+
+def device(n: int = 16, **options: Any) -> DeviceSpec:
+    return DeviceSpec(
+        name="hand",
+        hand="allegro",
+        driver="allegro",
+        actuators=tuple(
+            ActuatorSpec(f"j{i}", JointKind.REVOLUTE, -0.5, 1.7, 8.0, 20.0, 400.0, 0.4, 0.0)
+            for i in range(n)
+        ),
+        options=options,
+        emulated=True,
+    )
+
+
+@contextlib.asynccontextmanager
+async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[AllegroDriver]:
+    made = AllegroDriver(spec, pool)
+    try:
+        await made.configure()
+        yield made
+    finally:
+        await made.close()
+        await made.close()
+
+
+def hand(pool: BusPool) -> AllegroEmulator:
+    found = pool.played("allegro/hand")
+    assert isinstance(found, AllegroEmulator)
+    return found
+
+
+async def until(check: Any, seconds: float = 5.0) -> None:
+    end = time.monotonic() + seconds
+    while not check():
+        assert time.monotonic() < end
+        await anyio.sleep(0.01)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("version", [4, 5])
+async def test_follows_a_reference(version: int) -> None:
+    spec = device(emulator={"version": version})
+    async with BusPool() as pool, connected(pool, spec) as made:
+        assert made.capabilities.identity["model"] == f"Allegro Hand V{version}"
+        assert made.capabilities.identity["serial"] == "SAH040AR"
+        assert not any(Command.SET_TORQUE + f in hand(pool).frames for f in range(4))
+        await made.activate()
+        start = (await made.sense()).position
+        goal = start + np.linspace(-0.3, 0.5, 16)
+        for share in np.linspace(0.0, 1.0, 40):
+            await made.move(Reference.at(start + share * (goal - start)))
+            await anyio.sleep(0.01)
+        await until(lambda: np.abs(np.array(made.control.position) - goal).max() < 0.03)
+        assert (await made.sense()).temperature[0] == pytest.approx(30, abs=5)
+
+
+@pytest.mark.anyio
+async def test_activation_holds_the_measured_pose_and_closing_switches_off() -> None:
+    async with BusPool() as pool:
+        async with connected(pool, device()) as made:
+            await made.activate()
+            where = (await made.sense()).position
+            await anyio.sleep(0.1)
+            assert (await made.sense()).position == pytest.approx(where, abs=0.01)
+            assert hand(pool).servo
+        await until(lambda: not hand(pool).servo and not hand(pool).periods.joints)
+        assert all(joint.torque == 0.0 for joint in hand(pool).joints)
+
+
+@pytest.mark.anyio
+async def test_an_object_is_pressed_with_the_effort_limit() -> None:
+    async with BusPool() as pool, connected(pool, device(kp=3.0)) as made:
+        await made.activate()
+        hand(pool).hold(1, 0.6)
+        goal = (await made.sense()).position.copy()
+        goal[1] = 1.4
+        limit = np.full(16, 0.2)
+        await made.move(Reference.at(goal, max_effort=limit))
+        await until(lambda: made.control.position[1] > 0.6 and abs(made.control.velocity[1]) < 0.05)
+        await anyio.sleep(0.2)
+        state = await made.sense()
+        assert state.effort[1] == pytest.approx(0.2, abs=0.01)
+        assert state.position[1] == pytest.approx(0.6 + 0.2 / 8.0, abs=0.02)
+
+
+@pytest.mark.anyio
+async def test_faults_are_named_and_recovered() -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=1)) as made:
+        await made.activate()
+        hand(pool).inject("over_temperature")
+        with pytest.raises(DeviceFault, match="over-temperature"):
+            await made.sense()
+        with pytest.raises(DeviceFault, match="over-temperature"):
+            await made.recover()
+        hand(pool).clear()
+        await made.recover()
+        await made.activate()
+        assert np.isfinite((await made.sense()).position).all()
+        hand(pool).servo = False
+        with pytest.raises(DeviceFault, match="motors off"):
+            await made.sense()
+
+
+@pytest.mark.anyio
+async def test_a_hand_that_falls_silent_is_noticed() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        hand(pool).inject("silent")
+        await anyio.sleep(0.35)
+        with pytest.raises(BusTimeout, match="no positions"):
+            await made.sense()
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("options", "error", "sentence"),
+    [
+        ({"emulator": {"hand": 1}, "deadline": 0.02}, NotConnected, "as number 0"),
+        ({"version": 5, "emulator": {"version": 4}}, HandshakeError, "version 5, found version 4"),
+        ({"side": "left"}, HandshakeError, "a left hand, found a right one"),
+    ],
+)
+async def test_another_hand_is_refused(
+    options: dict[str, Any], error: type[Exception], sentence: str
+) -> None:
+    async with BusPool() as pool:
+        with pytest.raises(error, match=sentence):
+            async with connected(pool, device(**options)):
+                pass
+
+
+@pytest.mark.anyio
+async def test_some_joints_in_any_order() -> None:
+    spec = device(2, joints={"j0": 7, "j1": 2})
+    async with BusPool() as pool, connected(pool, spec) as made:
+        hand(pool).joints[7].angle = 1.0
+        await until(lambda: abs(made.control.position[7] - 1.0) < 0.01)
+        assert (await made.sense()).position == pytest.approx([1.0, 0.4], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("n", "options", "sentence"),
+    [
+        (3, {}, "16 actuators"),
+        (2, {"joints": {"j0": 1, "j1": 1}}, "two have the same"),
+        (2, {"joints": {"j0": 1}}, "missing: j1"),
+    ],
+)
+def test_mistakes_are_told(n: int, options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        AllegroDriver(device(n, **options), BusPool())
+
+
+def test_a_client_that_knows_only_the_sheet_talks_to_the_emulator() -> None:
+    """python-can and the sheet's numbers, as the vendor's programs do it."""
+    emulated = AllegroEmulator(AllegroProperties(start=0.0))
+    with (
+        SimulatedCan([emulated], channel="allegro-raw"),
+        can.Bus(interface="virtual", channel="allegro-raw") as bus,
+    ):
+
+        def wait(wanted: int) -> can.Message:
+            end = time.monotonic() + 2.0
+            while time.monotonic() < end:
+                message = bus.recv(0.1)
+                if message is not None and message.arbitration_id == wanted:
+                    return message
+            raise AssertionError(f"no frame {wanted:#x}")
+
+        def send(number: int, data: bytes = b"", remote: bool = False) -> None:
+            bus.send(
+                can.Message(
+                    arbitration_id=number, data=data, is_extended_id=False, is_remote_frame=remote
+                )
+            )
+
+        send(0x104)
+        send(0x200, remote=True)
+        assert wait(0x200).data[1] == 4
+        send(0x220, remote=True)
+        assert bytes(wait(0x220).data) == b"SAH040AR"
+        send(0x204, b"\x03\0\0\0\0\0")
+        send(0x100)
+        for _ in range(60):
+            poses = [wait(0x80 + 4 * finger) for finger in range(4)]
+            for finger in range(4):
+                send(0x180 + 4 * finger, b"\x3c\x00" + bytes(6))
+        assert int.from_bytes(poses[2].data[:2], "little", signed=True) > 500
+        assert int.from_bytes(poses[2].data[2:4], "little", signed=True) == 0
