@@ -8,7 +8,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import os
 import sys
+import termios
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -120,13 +122,17 @@ def _open_port(url: str, line: Line) -> Any:
         url,
         do_not_open=True,
         baudrate=line.baudrate,
-        parity=line.parity,
+        # A pty knows no parity, and the C library reports that as an error.
+        parity="N" if os.path.realpath(url).startswith("/dev/pts/") else line.parity,
         stopbits=line.stopbits,
         timeout=0,
     )
     if "://" not in url and sys.platform != "win32":
         port.exclusive = True
-    port.open()
+    try:
+        port.open()
+    except termios.error as error:
+        raise OSError(*error.args) from error
     if hasattr(port, "set_low_latency_mode"):
         # Sets the latency timer of FTDI adapters to 1 ms; other ports refuse.
         with contextlib.suppress(Exception):

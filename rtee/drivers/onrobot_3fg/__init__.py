@@ -1,0 +1,1 @@
+"""OnRobot 3FG15 and 3FG25."""

@@ -1,0 +1,251 @@
+"""Registers and units of OnRobot's three-finger grippers; no I/O.
+
+Sources: register tables published with drivers of others, four of which agree on addresses, control
+codes and status bits; the vendor prints no example frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Self
+
+from rtee.errors import FrameError
+
+TARGETS = 0x0000
+"""First of the four registers that command: force, diameter, grip type, control."""
+
+STATUS = 0x0100
+"""First of the registers that tell the state."""
+
+GEOMETRY = 0x010E
+"""Finger length; two registers on, the fingers' position and the fingertips' offset."""
+
+LIMITS = 0x0201
+"""Smallest and largest raw diameter."""
+
+SETTINGS = 0x0401
+"""Settable finger length, an unnamed register, finger position, fingertip offset."""
+
+PRODUCT = 0x0600
+FIRMWARE = 0x0604
+SERIAL = 0x0609
+SERIAL_COUNT = 16
+
+STATUS_COUNT = 4
+
+_RESERVED = 0xFFF0
+_TENTH_MM = 1e-4
+_HUNDREDTH_MM = 1e-5
+
+
+class Control(IntEnum):
+    """What register 3 asks for."""
+
+    NONE = 0
+    GRIP = 1
+    MOVE = 2
+    STOP = 4
+    FLEXIBLE_GRIP = 5
+
+
+class GripType(IntEnum):
+    """Register 2: what is held, from outside or from inside."""
+
+    EXTERNAL = 0
+    INTERNAL = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the host asks for: registers 0 to 3, best written in one frame.
+
+    Attributes:
+        force: Part of the largest force, 0 to 1000 [0.1 %].
+        diameter: Raw diameter, between the fingertips' centres [0.1 mm].
+        grip_type: From outside or from inside.
+        control: What to do.
+    """
+
+    force: int
+    diameter: int
+    grip_type: GripType = GripType.EXTERNAL
+    control: Control = Control.NONE
+
+    def to_registers(self) -> tuple[int, int, int, int]:
+        """Return the four registers."""
+        return self.force, self.diameter, self.grip_type, self.control
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
+        """Read it from four registers.
+
+        Raises:
+            FrameError: if grip type or control has no such value.
+        """
+        try:
+            return cls(registers[0], registers[1], GripType(registers[2]), Control(registers[3]))
+        except ValueError as error:
+            raise FrameError(bus, f"no command of a 3FG: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What the gripper says: registers 0100 to 0103.
+
+    Attributes:
+        busy: It moves or builds up force.
+        grip_detected: It met an object.
+        force_grip: It holds with the force asked for.
+        calibrated: Its calibration is valid.
+        raw_diameter: Between the fingertips' centres [0.1 mm].
+        diameter: With the fingertips' offset, signed [0.1 mm].
+        force: Force applied [0.1 %].
+    """
+
+    busy: bool = False
+    grip_detected: bool = False
+    force_grip: bool = False
+    calibrated: bool = True
+    raw_diameter: int = 0
+    diameter: int = 0
+    force: int = 0
+
+    def to_registers(self) -> tuple[int, int, int, int]:
+        """Return the four registers."""
+        bits = self.busy | self.grip_detected << 1 | self.force_grip << 2 | self.calibrated << 3
+        return bits, self.raw_diameter, self.diameter & 0xFFFF, self.force
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
+        """Read it from four registers.
+
+        Raises:
+            FrameError: if reserved bits are set.
+        """
+        bits, raw, offset, force = registers[:4]
+        if bits & _RESERVED:
+            raise FrameError(bus, f"no status of a 3FG: {bits:#06x}", bits.to_bytes(2, "big"))
+        return cls(
+            busy=bool(bits & 1),
+            grip_detected=bool(bits & 2),
+            force_grip=bool(bits & 4),
+            calibrated=bool(bits & 8),
+            raw_diameter=raw,
+            diameter=offset - 0x10000 if offset & 0x8000 else offset,
+            force=force,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Fingers:
+    """How the fingers are mounted: from the angle of their pivots to the diameter between the tips.
+
+    Each finger is a lever on a pivot at 37 mm from the axis; the formula is that of a published
+    simulator of the larger model and not the vendor's.
+
+    Attributes:
+        length: Of a finger [m].
+        position: Mounting hole, 1 to 3.
+        offset: From a fingertip's centre to its surface [m].
+    """
+
+    length: float = 0.049
+    position: int = 2
+    offset: float = 0.0063
+
+    @property
+    def lever(self) -> float:
+        """Length of the lever from pivot to fingertip's centre [m]."""
+        return self.length + {1: -0.018, 2: -0.006, 3: 0.006}[self.position]
+
+    def raw_diameter(self, angle: float) -> float:
+        """Return the diameter through the fingertips' centres [m] for a pivot's angle [rad]."""
+        return 2.0 * math.sqrt(
+            _PIVOT**2 + self.lever**2 + 2.0 * _PIVOT * self.lever * math.cos(angle)
+        )
+
+    def angle(self, raw_diameter: float) -> float:
+        """Return the angle of the pivots for a raw diameter [rad]; ends where the levers end."""
+        radius = raw_diameter / 2.0
+        cosine = (radius**2 - _PIVOT**2 - self.lever**2) / (2.0 * _PIVOT * self.lever)
+        return math.acos(min(max(cosine, -1.0), 1.0))
+
+    def diameter(self, raw_diameter: float, grip_type: GripType) -> float:
+        """Return the diameter of what fits between (or into) the fingertips [m]."""
+        sign = -2.0 if grip_type is GripType.EXTERNAL else 2.0
+        return raw_diameter + sign * self.offset
+
+
+_PIVOT = 0.037
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Converts between registers and the actuator's units.
+
+    The actuator's position is linear in the raw diameter, from the largest at its lower limit to
+    the smallest at its upper one. Effort follows from the force by virtual work.
+
+    Attributes:
+        lower: Position of the actuator at the largest diameter [rad].
+        upper: Position of the actuator at the smallest diameter [rad].
+        largest: Largest raw diameter [m].
+        smallest: Smallest raw diameter [m].
+        force: Largest force [N].
+    """
+
+    lower: float
+    upper: float
+    largest: float = 0.150
+    smallest: float = 0.0346
+    force: float = 240.0
+
+    @property
+    def diameter_per_position(self) -> float:
+        """Change of the diameter per position of the actuator, as an amount [m/rad]."""
+        return (self.largest - self.smallest) / (self.upper - self.lower)
+
+    def diameter(self, position: float) -> float:
+        """Return the raw diameter for a position of the actuator [m]."""
+        return self.largest - (position - self.lower) * self.diameter_per_position
+
+    def position(self, diameter: float) -> float:
+        """Return the actuator's position for a raw diameter [rad]."""
+        return self.lower + (self.largest - diameter) / self.diameter_per_position
+
+    def register(self, position: float) -> int:
+        """Return the target diameter for a position [0.1 mm]."""
+        wanted = min(max(self.diameter(position), self.smallest), self.largest)
+        return round(wanted / _TENTH_MM)
+
+    def measured(self, register: int) -> float:
+        """Return the actuator's position for a raw diameter [0.1 mm]."""
+        return self.position(register * _TENTH_MM)
+
+    def force_register(self, effort: float) -> int:
+        """Return the target force for an effort [0.1 %]; infinite is the largest."""
+        share = effort / self.diameter_per_position / self.force
+        return round(min(max(share, 0.0), 1.0) * 1000)
+
+    def effort(self, register: int) -> float:
+        """Return the actuator's effort for a force [0.1 %]."""
+        return register / 1000 * self.force * self.diameter_per_position
+
+
+def metres(tenth_mm: int) -> float:
+    """Return a length register of 0.1 mm in metres."""
+    return tenth_mm * _TENTH_MM
+
+
+def offset_metres(hundredth_mm: int) -> float:
+    """Return the fingertip offset's register, 0.01 mm, in metres."""
+    return hundredth_mm * _HUNDREDTH_MM
+
+
+def serial_number(registers: Sequence[int]) -> str:
+    """Return the serial number from its registers, two characters each."""
+    text = b"".join(register.to_bytes(2, "big") for register in registers)
+    return text.split(b"\0")[0].decode("ascii", "replace").strip()

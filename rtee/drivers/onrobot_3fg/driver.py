@@ -1,0 +1,324 @@
+"""Drives an OnRobot 3FG over Modbus, through the Compute Box or directly."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Mapping
+from typing import ClassVar
+
+from pydantic import BaseModel
+
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.pool import BusPool
+from rtee.drivers.base import Driver
+from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.onrobot_3fg.codec import (
+    FIRMWARE,
+    GEOMETRY,
+    LIMITS,
+    PRODUCT,
+    SERIAL,
+    SERIAL_COUNT,
+    STATUS,
+    STATUS_COUNT,
+    TARGETS,
+    Command,
+    Control,
+    GripType,
+    Scale,
+    Status,
+    metres,
+    serial_number,
+)
+from rtee.drivers.onrobot_3fg.options import OnRobot3FGOptions
+from rtee.drivers.options import read_options
+from rtee.drivers.robotiq import Blocks
+from rtee.errors import (
+    BusError,
+    BusTimeout,
+    ConfigError,
+    DeviceFault,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+)
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+
+_SAME = 10
+"""A diameter this near to the measured one asks for no motion [0.1 mm]."""
+
+_REACHED = 3
+"""A diameter this near to the measured one counts as reached [0.1 mm]."""
+
+_STUCK_BUSY = 0.5
+"""Busy without moving for this long, it is stopped before it is asked to grip [s]."""
+
+_GATEWAY = (0x0A, 0x0B)
+
+
+class OnRobot3FGDriver(Driver):
+    """A 3FG15 or 3FG25.
+
+    The gripper takes no speed, and force only with the command *grip*, which it ignores while it is
+    busy. So a reference that changes is followed by *move*; one that rests is gripped at, with its
+    effort, as soon as the gripper is free. It attaches without writing anything.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = read_options(OnRobot3FGOptions, spec)
+        if len(spec.actuators) != 1:
+            raise ConfigError(
+                f"device '{spec.name}': a 3FG has one actuator, not {len(spec.actuators)}",
+                key=f"devices.{spec.name}.actuators",
+            )
+        self.scale = self._scaled(self.options.largest or 0.150)
+        self._kind = GripType[self.options.grip.upper()]
+        self._bus: ModbusBus | None = None
+        self._blocks: Blocks | None = None
+        self._status = Status()
+        self._active = False
+        self._sent: Command | None = None
+        self._wanted: tuple[int, int] = (0, 0)
+        self._wanted_since = 0.0
+        self._moved_at = 0.0
+        self.capabilities = self._abilities(self.options.rate, {})
+
+    def _scaled(self, largest: float) -> Scale:
+        actuator = self.spec.actuators[0]
+        return Scale(
+            actuator.lower, actuator.upper, largest, self.options.smallest, self.options.force
+        )
+
+    def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
+        return Capabilities(
+            measures=frozenset({"position", "effort", "grasped"}),
+            accepts=frozenset({"position", "max_effort"}),
+            best_rate=best_rate,
+            recoverable=True,
+            identity={"model": "OnRobot 3FG", "unit": str(self.options.unit), **identity},
+        )
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the connection and see whether a 3FG answers; moves nothing."""
+        await self.close()
+        options = self.options
+        self._bus = bus = await self.buses.modbus(
+            options.address,
+            owner=owner_of(self.spec),
+            baudrate=options.baudrate,
+            parity="E",
+            emulator=emulator_of(self.spec, port=options.address),
+        )
+        self._blocks = Blocks(
+            bus,
+            options.unit,
+            output=TARGETS,
+            source=STATUS,
+            count=STATUS_COUNT,
+            deadline=1.0,
+            kind=options.exchange,
+        )
+        best = min(self._blocks.best_rate(4), options.rate if not bus.rtu else math.inf)
+        try:
+            identity = await self._identify(bus)
+        except BusTimeout as error:
+            raise self._absent("no answer") from error
+        except ModbusRefusal as error:
+            if error.code not in _GATEWAY:
+                raise HandshakeError(self.spec.name, "an OnRobot 3FG", error.message) from error
+            raise self._absent("the Compute Box finds no tool") from error
+        except FrameError as error:
+            raise HandshakeError(self.spec.name, "an OnRobot 3FG", error.message) from error
+        self.capabilities = self._abilities(best, identity)
+        every = self.spec.every or math.ceil(self.spec.rate / best)
+        self._blocks.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 3.0 / best)
+
+    def _absent(self, what: str) -> NotConnected:
+        return NotConnected(
+            self.spec.name,
+            f"{what} (unit {self.options.unit} at {self.options.address})",
+            hint="check supply, cable and `unit` (65; 66 or 67 on a dual quick changer)",
+        )
+
+    async def _identify(self, bus: ModbusBus) -> dict[str, str]:
+        self._status = await self._read()
+        unit = self.options.unit
+        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=1.0)
+        length, _, hole, _ = await bus.read(unit, GEOMETRY, 4, deadline=1.0)
+        if hole not in (1, 2, 3) or not smallest < largest:
+            raise HandshakeError(
+                self.spec.name,
+                "an OnRobot 3FG",
+                f"a tool with finger position {hole} and diameters {smallest} to {largest}",
+                hint="is another tool mounted?",
+            )
+        self.scale = self._scaled(self.options.largest or metres(largest))
+        if self.scale.largest <= self.scale.smallest:
+            raise ConfigError(
+                f"device '{self.spec.name}': `smallest` ({self.scale.smallest} m) is not below the "
+                f"largest diameter ({self.scale.largest} m)",
+                key=f"devices.{self.spec.name}.options.smallest",
+            )
+        identity = {
+            "finger length": f"{metres(length) * 1000:.1f} mm",
+            "finger position": str(hole),
+            "diameters": f"{metres(smallest) * 1000:.1f} to {metres(largest) * 1000:.1f} mm",
+        }
+        # What only one source documents is told, but nothing depends on it.
+        with contextlib.suppress(BusError):
+            product, firmware, serial = (
+                await bus.read(unit, PRODUCT, 1, deadline=0.3),
+                await bus.read(unit, FIRMWARE, 1, deadline=0.3),
+                await bus.read(unit, SERIAL, SERIAL_COUNT, deadline=0.3),
+            )
+            identity["product code"] = f"{product[0]:#04x}"
+            identity["firmware"] = f"{firmware[0] >> 8}.{firmware[0] & 0xFF}"
+            identity["serial"] = serial_number(serial)
+        return identity
+
+    async def activate(self) -> None:
+        """See that the calibration is valid; the gripper needs no activation and no homing."""
+        self._status = await self._read()
+        self._refuse(self._status)
+        self._sent = None
+        self._active = True
+
+    async def deactivate(self) -> None:
+        """Stop; the gears hold what is gripped."""
+        await self.stop()
+        self._active = False
+
+    async def close(self) -> None:
+        """Give the connection back."""
+        self._active = False
+        bus, self._bus, self._blocks = self._bus, None, None
+        if bus is not None:
+            await bus.release(owner_of(self.spec))
+
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of the connection."""
+        return {} if self._bus is None else self._bus.counters.as_mapping()
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def sense(self) -> ActuatorState:
+        """Return what the last exchange brought, or read it."""
+        blocks = self._open()
+        period = (self.spec.every or 1) / self.spec.rate
+        kept = blocks.fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
+        if kept is None:
+            self._note(await self._read())
+        stamp = time.monotonic() if kept is None else kept[1]
+        status = self._status
+        if self._active:
+            self._refuse(status)
+        return ActuatorState.measured(
+            [self.scale.measured(status.raw_diameter)],
+            stamp,
+            effort=[self.scale.effort(status.force)],
+            grasped=(status.grip_detected,),
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """Follow a reference that changes, grip at one that rests; in one frame."""
+        blocks = self._open()
+        if not reference.mask[0]:
+            return
+        command = self._next(
+            self.scale.register(float(reference.position[0])),
+            self.scale.force_register(float(reference.max_effort[0])),
+            time.monotonic(),
+        )
+        if command is None:
+            return
+        block = await blocks.exchange(command.to_registers())
+        self._sent = command
+        self._note(Status.from_registers(block, self.options.address))
+        blocks.keep(block)
+
+    def _next(self, diameter: int, force: int, now: float) -> Command | None:
+        """Return what to send for a target [0.1 mm, 0.1 %], or ``None`` for nothing."""
+        status = self._status
+        if (diameter, force) != self._wanted:
+            self._wanted, self._wanted_since = (diameter, force), now
+        near = abs(diameter - status.raw_diameter) <= _SAME
+        if near and (self._sent is None or status.grip_detected):
+            return None
+        gripping = self._sent is not None and self._sent.control is Control.GRIP
+        asked = self._sent is not None and self._sent.diameter == diameter
+        reached = abs(diameter - status.raw_diameter) <= _REACHED
+        rests = now - self._wanted_since >= self.options.settle
+        if rests and self._tightens(diameter) and not (reached and not gripping):
+            if gripping and asked and self._sent is not None and self._sent.force == force:
+                return None
+            if not status.busy:
+                return self._command(force, diameter, Control.GRIP)
+            if now - self._moved_at > _STUCK_BUSY:
+                return self._command(force, diameter, Control.STOP)
+        if asked and (reached or status.busy or gripping):
+            return None
+        if gripping and status.busy:
+            return self._command(force, diameter, Control.STOP)
+        return self._command(force, diameter, Control.MOVE)
+
+    def _tightens(self, diameter: int) -> bool:
+        """Return whether a target lies in the direction of gripping, or is reached."""
+        if self._kind is GripType.EXTERNAL:
+            return diameter <= self._status.raw_diameter + _SAME
+        return diameter >= self._status.raw_diameter - _SAME
+
+    def _command(self, force: int, diameter: int, control: Control) -> Command:
+        return Command(force, diameter, self._kind, control)
+
+    def _note(self, status: Status) -> None:
+        if abs(status.raw_diameter - self._status.raw_diameter) > 1:
+            self._moved_at = time.monotonic()
+        self._status = status
+
+    # --- stop and faults ---------------------------------------------------------------------
+
+    async def stop(self) -> None:
+        """End the motion; what is gripped stays gripped."""
+        if self._blocks is None:
+            return
+        status = self._status
+        force = self._sent.force if self._sent else status.force
+        command = self._command(force, status.raw_diameter, Control.STOP)
+        for _ in range(3):
+            with contextlib.suppress(BusError):
+                await self._blocks.write(command.to_registers())
+                self._sent = None
+                return
+
+    async def recover(self) -> None:
+        """Stop, and see that the calibration is valid again."""
+        self._status = await self._read()
+        self._refuse(self._status)
+        await self.stop()
+
+    def _refuse(self, status: Status) -> None:
+        if not status.calibrated:
+            self._active = False
+            raise DeviceFault(
+                self.spec.name,
+                3,
+                "calibration lost",
+                hint="restart the tool from the Compute Box's web page, then recover",
+            )
+
+    # --- the wire ----------------------------------------------------------------------------
+
+    def _open(self) -> Blocks:
+        if self._blocks is None:
+            raise NotConnected(self.spec.name, "is not connected")
+        return self._blocks
+
+    async def _read(self) -> Status:
+        return Status.from_registers(await self._open().read(), self.options.address)

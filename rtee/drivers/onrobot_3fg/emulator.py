@@ -1,0 +1,274 @@
+"""Plays an OnRobot 3FG at the other end of the wire: its registers through the Compute Box or RTU.
+
+What no document states is an option here: whether a move is taken while it is busy, the speed, what
+an unlisted register does, and how a missing tool answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Self
+
+from rtee.buses.modbus_slave import (
+    ILLEGAL_ADDRESS,
+    ILLEGAL_VALUE,
+    Framing,
+    ModbusEmulator,
+    Refused,
+)
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.onrobot_3fg.codec import Control, Fingers, GripType, Status
+from rtee.drivers.properties import read_properties
+
+_GATEWAY_NO_TARGET = 0x0B
+_APPROACH_FORCE = 50.0
+_FLEXIBLE_FORCE = 140.0
+_READABLE = (
+    (0x0000, 0x0003),
+    (0x0100, 0x0113),
+    (0x0201, 0x0202),
+    (0x0401, 0x0404),
+    (0x0600, 0x0618),
+)
+_WRITABLE = ((0x0000, 0x0003), (0x0401, 0x0404))
+
+
+@dataclass(frozen=True, slots=True)
+class OnRobot3FGProperties:
+    """What the emulated gripper is like.
+
+    Attributes:
+        unit: Its number behind the Compute Box or on the line.
+        framing: ``tcp`` or ``rtu``.
+        baudrate: Bits per second.
+        force: Largest force [N].
+        smallest: Smallest raw diameter [m].
+        largest: Largest raw diameter [m].
+        speed: Of the diameter [m/s].
+        force_time: Time to build up the force after the contact [s].
+        busy_ignores: While busy it ignores only ``grip``, or ``all`` commands but stop.
+        position: Raw diameter at power-up [m].
+        product: Its product code.
+        serial: Its serial number.
+        haste: How much faster than the real one it moves.
+    """
+
+    unit: int = 65
+    framing: Framing = "tcp"
+    baudrate: int = 1_000_000
+    force: float = 240.0
+    smallest: float = 0.020
+    largest: float = 0.150
+    speed: float = 0.080
+    force_time: float = 0.3
+    busy_ignores: Literal["grip", "all"] = "grip"
+    position: float = 0.150
+    product: int = 0x70
+    serial: str = "3FG15-EMULATED"
+    haste: float = 1.0
+
+
+class OnRobot3FGEmulator(ModbusEmulator):
+    """A 3FG15.
+
+    Attributes:
+        axis: Its fingers; position is the raw diameter [m], effort the force [N].
+        moves: Times a motion was started.
+        begun: The force register when that happened last.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | {"calibration_lost", "no_tool"}
+    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({0x03, 0x06, 0x10, 0x17})
+    EXCEPTIONS: ClassVar[bool] = True
+
+    def __init__(self, properties: OnRobot3FGProperties | None = None) -> None:
+        made = self.properties = properties or OnRobot3FGProperties()
+        super().__init__(made.unit, made.framing, baudrate=made.baudrate)
+        self.any_unit = False
+        self.fingers = Fingers()
+        self.axis = Axis(
+            made.position,
+            lower=made.smallest,
+            upper=made.largest,
+            max_velocity=made.speed,
+            max_effort=_APPROACH_FORCE,
+            time_constant=0.01,
+            resolution=2e-5,
+        )
+        self.axis.rating = made.force
+        self.axis.enabled = True
+        self.moves = 0
+        self.begun = 0
+        self._now: float | None = None
+        self._settings = [490, 0, 2, 630]
+        self.power_cycle(0.0)
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the gripper that a driver's options describe."""
+        fitting = {k: options[k] for k in ("unit", "baudrate") if options.get(k) is not None}
+        port = str(options.get("port") or "tcp://")
+        fitting["framing"] = "tcp" if port.startswith("tcp://") else "rtu"
+        return cls(read_properties(OnRobot3FGProperties, options, **fitting))
+
+    def power_cycle(self, now: float) -> None:
+        """Forget the targets; encoders are absolute and the gears hold the fingers."""
+        self.line_reset()
+        self._targets = [0, round(self.axis.position * 1e4), 0, 0]
+        self._control = Control.NONE
+        self._busy = False
+        self._contact = False
+        self._reached = False
+        self._building = 0.0
+        self.axis.target = self.axis.position
+        self.axis.max_effort = _APPROACH_FORCE
+
+    def hold(self, diameter: float = 0.08, force: int = 500, stiffness: float = 4e4) -> None:
+        """Grip an object of a diameter, as if another program had done so before."""
+        self.axis.obstacle = VirtualObject(diameter, stiffness, closing=-1.0)
+        self._targets = [force, round(self.properties.smallest * 1e4), 0, Control.GRIP]
+        self._start(Control.GRIP)
+        for _ in range(100):
+            self._advance_by(0.1)
+        self.moves = 0
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the gripper."""
+        super().inject(fault)
+        self.axis.stuck = "stuck" in self.faults
+
+    def clear(self, fault: str | None = None) -> None:
+        """Take a fault away."""
+        super().clear(fault)
+        self.axis.stuck = "stuck" in self.faults
+
+    # --- registers -------------------------------------------------------------------------------
+
+    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
+        """Return registers; those inside a block that no document names are 0."""
+        self._reachable()
+        self._advance(now)
+        if not any(low <= address and address + count - 1 <= high for low, high in _READABLE):
+            raise Refused(ILLEGAL_ADDRESS)
+        known = self._registers()
+        return [known.get(address + i, 0) & 0xFFFF for i in range(count)]
+
+    def write(self, address: int, values: Sequence[int], now: float) -> None:
+        """Set targets or settings; writing control starts what it names."""
+        self._reachable()
+        last = address + len(values) - 1
+        if not any(low <= address and last <= high for low, high in _WRITABLE):
+            raise Refused(ILLEGAL_ADDRESS)
+        self._advance(now)
+        if address >= 0x0401:
+            start = address - 0x0401
+            settings = [*self._settings]
+            settings[start : start + len(values)] = values
+            if settings[2] not in (1, 2, 3):
+                raise Refused(ILLEGAL_VALUE)
+            self._settings = settings
+            self.fingers = Fingers(settings[0] * 1e-4, settings[2], settings[3] * 1e-5)
+            return
+        self._targets[address : address + len(values)] = values
+        if last == 3:
+            self._command(values[-1])
+
+    def _reachable(self) -> None:
+        if "no_tool" in self.faults:
+            raise Refused(_GATEWAY_NO_TARGET)
+
+    def _registers(self) -> dict[int, int]:
+        status = self.status()
+        raw = status.raw_diameter * 1e-4
+        known = dict(enumerate(self._targets))
+        known |= {0x0100 + i: value for i, value in enumerate(status.to_registers())}
+        length, _, position, offset = self._settings
+        known |= {0x0105: round(self.fingers.angle(raw) * 1000), 0x010E: length}
+        known |= {0x0110: position, 0x0111: offset, 0x0113: status.diameter}
+        known |= {0x0201: round(self.properties.smallest * 1e4)}
+        known |= {0x0202: round(self.properties.largest * 1e4)}
+        known |= {0x0401 + i: value for i, value in enumerate(self._settings)}
+        known |= {0x0600: self.properties.product, 0x0604: 0x0105, 0x0605: 7}
+        text = self.properties.serial.encode("ascii").ljust(32, b"\0")
+        known |= {0x0609 + i: text[2 * i] << 8 | text[2 * i + 1] for i in range(16)}
+        if "wrong_device" in self.faults:
+            known |= {0x0110: 0, 0x0201: 0, 0x0202: 0, 0x0600: 0x20}
+        return known
+
+    def status(self) -> Status:
+        """Return what the gripper says."""
+        raw = self.axis.position
+        kind = GripType(self._targets[2] & 1)
+        force = abs(self.axis.effort) if self._contact else 0.0
+        return Status(
+            busy=self._busy,
+            grip_detected=self._contact,
+            force_grip=self._contact and self._reached,
+            calibrated="calibration_lost" not in self.faults,
+            raw_diameter=round(raw * 1e4),
+            diameter=round(self.fingers.diameter(raw, kind) * 1e4),
+            force=min(round(force / self.properties.force * 1000), 1000),
+        )
+
+    # --- behaviour -------------------------------------------------------------------------------
+
+    def _command(self, value: int) -> None:
+        try:
+            control = Control(value)
+        except ValueError:
+            raise Refused(ILLEGAL_VALUE) from None
+        if control is Control.STOP:
+            self.axis.target = self.axis.position
+            self._busy = False
+            self._control = control
+        elif control is not Control.NONE and "calibration_lost" not in self.faults:
+            grips = control in (Control.GRIP, Control.FLEXIBLE_GRIP)
+            if not (self._busy and (grips or self.properties.busy_ignores == "all")):
+                self._start(control)
+
+    def _start(self, control: Control) -> None:
+        self._control = control
+        self._busy = True
+        self._contact = self._reached = False
+        self._building = 0.0
+        self.axis.max_effort = (
+            min(_APPROACH_FORCE, self._force()) if self._grips else _APPROACH_FORCE
+        )
+        self.axis.target = min(
+            max(self._targets[1] * 1e-4, self.properties.smallest), self.properties.largest
+        )
+        self.moves += 1
+        self.begun = self._targets[0]
+
+    @property
+    def _grips(self) -> bool:
+        return self._control in (Control.GRIP, Control.FLEXIBLE_GRIP)
+
+    def _force(self) -> float:
+        most = _FLEXIBLE_FORCE if self._control is Control.FLEXIBLE_GRIP else self.properties.force
+        return min(self._targets[0], 1000) / 1000 * most
+
+    def _advance(self, now: float) -> None:
+        dt = 0.0 if self._now is None else max(0.0, now - self._now)
+        self._now = now
+        self._advance_by(dt * self.properties.haste)
+
+    def _advance_by(self, dt: float) -> None:
+        if dt <= 0.0:
+            return
+        self.axis.advance(dt)
+        if not self._busy or self.axis.velocity != 0.0:
+            return
+        there = abs(self.axis.target - self.axis.position) < 2e-4
+        if there or not self._grips or self.axis.stuck:
+            self._busy = False
+            return
+        self._contact = True
+        self._building += dt
+        part = min(self._building / max(self.properties.force_time, 1e-6), 1.0)
+        low = min(_APPROACH_FORCE, self._force())
+        self.axis.max_effort = low + (self._force() - low) * part
+        if part >= 1.0:
+            self._reached = True
+            self._busy = False
