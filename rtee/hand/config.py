@@ -97,7 +97,7 @@ class Grasp(_Section):
 class Loop(_Section):
     """The control loop."""
 
-    rate: Annotated[float, Field(gt=0, le=10_000)] = 1000.0
+    rate: Annotated[float, Field(ge=1, le=2000)] = 1000.0
     """Rate of the loop [Hz]."""
     goal_timeout: Positive = 10.0
     """Longest time a goal may take [s]."""
@@ -133,7 +133,8 @@ class Safety(_Section):
     on_error: Reaction = "stop"
     """When the loop itself fails."""
     max_step: Positive | None = None
-    """Largest change of a reference within one tick [rad | m]; beyond it the loop stops."""
+    """Largest change of a reference within one tick [rad | m]; unless given, what the velocity
+    limit allows."""
 
 
 class Thermal(_Section):
@@ -142,7 +143,7 @@ class Thermal(_Section):
     warn: float = 60.0
     """From here on a warning is given."""
     derate: float = 70.0
-    """From here on the effort is lowered."""
+    """From here on the effort limit falls, to nothing at ``release``."""
     release: float = 80.0
     """From here on the actuator is released."""
 
@@ -167,7 +168,8 @@ class Log(_Section):
     max_total_size: Positive = 2e10
     """The oldest recordings are deleted beyond this size of all [bytes]."""
     flight_recorder: NotNegative = 60.0
-    """Without a recording, this much is kept in memory and written when something fails [s]."""
+    """Without a recording, this much is kept in memory and written when something fails [s];
+    0: nothing."""
 
 
 class Remote(_Section):

@@ -3,18 +3,21 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
 
 from hand.models import GRIPPER, SRDF
 from rtee.errors import ConfigError, ModelError
+from rtee.hand.config import HandConfig
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.meshes import check_meshes
 from rtee.hand.model import Hand
 from rtee.hand.scaffold import make_hand
-from rtee.hand.schema import SCHEMA_FILE, schema_text
+from rtee.hand.schema import SCHEMA_FILE, field_tables, schema_text
 from rtee.hand.srdf import read_srdf
+from rtee.hand.yamlfile import parse_yaml
 
 
 def facts(hand: Hand) -> object:
@@ -143,6 +146,14 @@ def test_nothing_is_left_when_the_folder_cannot_be_filled(
 
 def test_the_schema_in_the_repository_is_current(repository: Path) -> None:
     assert (repository / "config" / SCHEMA_FILE).read_text() == schema_text()
+
+
+def test_the_documented_fields_are_current(repository: Path) -> None:
+    page = (repository / "docs" / "reference" / "hand-yaml.md").read_text()
+    assert page.endswith(field_tables())
+    example = page.split("A fuller one:\n\n")[1].split("\n\nThe first line")[0]
+    document = parse_yaml(textwrap.dedent(example), Path("hand.yaml"), "hand.yaml")
+    assert HandConfig.model_validate(document.data).devices["hand"].driver == "schunk_svh"
 
 
 def test_command_new(tmp_path: Path) -> None:
