@@ -116,7 +116,7 @@ class Robotiq2FDriver(Driver):
             best_rate=best_rate,
             homing=True,
             recoverable=True,
-            identity={"model": self.scale.model.name, "unit": str(self.options.unit)},
+            identity={"model": self.scale.model.name, "unit": f"unit {self.options.unit}"},
         )
 
     # --- life --------------------------------------------------------------------------------
@@ -129,7 +129,11 @@ class Robotiq2FDriver(Driver):
             options.port,
             owner=owner_of(self.spec),
             baudrate=options.baudrate,
-            emulator=emulator_of(self.spec),
+            # Found active, as after an earlier run, unless it is to be homed on connecting.
+            emulator=emulator_of(
+                self.spec,
+                emulator={"activated": options.home == "on_demand", **options.emulator},
+            ),
         )
         base = options.register_base
         self._blocks = Blocks(

@@ -86,7 +86,7 @@ class Robotiq3FDriver(Driver):
             recoverable=True,
             identity={
                 "model": "Robotiq 3-Finger",
-                "unit": str(self.options.unit),
+                "unit": f"unit {self.options.unit}",
                 "mode": self.options.mode,
             },
         )
@@ -101,7 +101,11 @@ class Robotiq3FDriver(Driver):
             options.port,
             owner=owner_of(self.spec),
             baudrate=options.baudrate,
-            emulator=emulator_of(self.spec),
+            # Found active, as after an earlier run, unless it is to be homed on connecting.
+            emulator=emulator_of(
+                self.spec,
+                emulator={"activated": options.home == "on_demand", **options.emulator},
+            ),
         )
         network = options.port.startswith("tcp://")
         base = options.register_base

@@ -133,7 +133,7 @@ async def test_a_held_object_stays_held_when_asked_to_stay() -> None:
 
 
 async def test_an_inactive_gripper_is_activated_only_when_allowed() -> None:
-    options = {**RTU.options, "home": "on_demand"}
+    options = {**RTU.options, "home": "on_demand", "emulator": {"activated": False, "haste": 9.0}}
     async with Session(replace(RTU, options=options)) as session:
         await session.driver.configure()
         with pytest.raises(DeviceFault, match="not activated") as caught:

@@ -78,7 +78,8 @@ async def test_a_mode_is_taken_at_activation_where_that_is_allowed(mode: str) ->
 
 
 async def test_nothing_moves_before_it_is_asked_for() -> None:
-    options = {**CASE.options, "home": "on_demand", "mode": "wide"}
+    emulator = {"activated": False, "haste": 9.0}
+    options = {**CASE.options, "home": "on_demand", "mode": "wide", "emulator": emulator}
     async with Session(replace(CASE, actuators=(FINGERS,), options=options)) as session:
         await session.driver.configure()
         with pytest.raises(DeviceFault, match="not activated") as caught:
