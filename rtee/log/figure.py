@@ -208,8 +208,8 @@ def figure(
     for title, names in groups.items():
         positions: list[Line] = []
         forces: list[Line] = []
-        for index, name in enumerate(names):
-            colour = COLOURS[index % len(COLOURS)]
+        for name in names:
+            colour = COLOURS[chosen.index(name) % len(COLOURS)]
             column = states.index(name)
             positions += _position_lines(recording, name, colour, begin, until)
             if efforts is not None:

@@ -52,7 +52,13 @@ def write_html(figure: Figure, path: Path) -> None:
     drawing.update_xaxes(title_text="time [s]", row=count)
     drawing.update_yaxes(gridcolor="#e5e5e5", title_font_size=11)
     drawing.update_layout(
-        title=html.escape(figure.title),
+        title={
+            "text": html.escape(figure.title),
+            "yref": "container",
+            "y": 1.0,
+            "yanchor": "top",
+            "pad": {"t": 14},
+        },
         height=head + _ROW_HEIGHT * count,
         margin={"t": head, "l": 70, "r": 20, "b": 50},
         plot_bgcolor="white",

@@ -98,7 +98,9 @@ async def test_references_come_out_again(
 
 async def test_rotated_files_are_checked_as_one(small: Hand, tmp_path: Path) -> None:
     chosen = LoopSettings(rate=1000.0)
-    recorder = Recorder(small, settings(tmp_path, max_file_size=60_000), rate=1000.0, loop=chosen)
+    recorder = Recorder(
+        small, settings(tmp_path, max_file_size=30_000, chunk_time=0.02), rate=1000.0, loop=chosen
+    )
     async with recording(small, tmp_path, chosen, recorder) as rig:
         await rig.do("Trig", "index")
         await rig.do("drill")

@@ -1,0 +1,324 @@
+"""Info, tables, export, plots, playback, and the command line around them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from typer.testing import CliRunner
+
+from log.samples import BEGIN, RATE, Log, recorded, settings, tick
+from rtee.cli.log import app
+from rtee.errors import LogError
+from rtee.hand.load import load_hand
+from rtee.hand.model import Hand
+from rtee.log import Recording, read
+from rtee.log.contents import REPLAY, Replayable
+from rtee.log.export import Format, export
+from rtee.log.figure import MOST_POINTS, By, figure, thinned
+from rtee.log.info import info
+from rtee.log.plain import to_json
+from rtee.log.playback import fingers, states, write_hand
+from rtee.log.plot_html import write_html
+from rtee.log.plot_png import write_png
+from rtee.log.tables import TABLES, tables
+from rtee.loop.settings import LoopSettings
+
+
+@pytest.fixture(scope="module")
+def recording(story: Path) -> Recording:
+    return read(story)
+
+
+# --- info ----------------------------------------------------------------------------------------
+
+
+def test_info_counts_what_is_there(story: Path) -> None:
+    found = info([story])
+    counts = {each.topic: each.messages for each in found.topics}
+    assert counts["/claw/joint_states"] == 200
+    assert counts["/claw/goals"] == 2
+    assert found.size == story.stat().st_size
+    assert found.statistics is not None
+    assert found.statistics.ticks == 100
+    assert [name for name, _ in found.attachments] == ["claw.urdf", "hand.yaml"]
+    document = json.loads(json.dumps(found.as_dict()))
+    assert document["hand"] == "claw"
+    assert document["start"] == "2023-11-14T22:13:20.000+00:00"
+    assert [goal["outcome"] for goal in document["goals"]] == ["reached", "grasped"]
+    assert document["events"][0]["text"] == "look here"
+
+
+def test_info_of_a_cut_off_file_says_so(story: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(story.read_bytes()[:-300])
+    assert any("not closed" in note for note in info([path]).recording.notes)
+
+
+# --- tables and export ---------------------------------------------------------------------------
+
+
+def test_every_topic_is_a_table(recording: Recording) -> None:
+    found = tables(recording)
+    assert set(found) == set(TABLES)
+    for table in found.values():
+        assert len({len(column) for column in table.values()}) == 1
+    states_table = found["actuator_states"]
+    assert states_table["position.second"][30] == tick(30).position[1]
+    assert states_table["tick"].tolist() == list(range(200))
+    assert found["results"]["outcome"].tolist() == ["reached", "grasped"]
+    assert np.isnan(found["goals"]["timeout"][0])
+    assert found["goals"]["effort"].tolist() == ["first=1.5", ""]
+    with pytest.raises(LogError, match="did you mean 'results'"):
+        tables(recording, ["result"])
+
+
+def test_csv_holds_every_number_exactly(recording: Recording, tmp_path: Path) -> None:
+    written = export(recording, tmp_path / "out", Format.CSV)
+    assert sorted(path.name for path in written) == sorted(f"{name}.csv" for name in TABLES)
+    with (tmp_path / "out" / "actuator_states.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 200
+    assert float(rows[30]["position.first"]) == tick(30).position[0]
+    assert rows[30]["effort.second"] == "nan"
+    assert rows[30]["fresh.first"] == "True"
+    assert [path.name for path in (tmp_path / "out").iterdir() if path.name.startswith(".")] == []
+
+
+def test_parquet_holds_every_number_exactly(recording: Recording, tmp_path: Path) -> None:
+    (path,) = export(recording, tmp_path, Format.PARQUET, ["reference"])
+    table = pyarrow.parquet.read_table(path)
+    assert table["position.first"].to_pylist() == recording.reference.position[:, 0].tolist()
+
+
+def test_npz_needs_no_pickle(recording: Recording, tmp_path: Path) -> None:
+    (path,) = export(recording, tmp_path / "all.npz", Format.NPZ)
+    with np.load(path, allow_pickle=False) as found:
+        assert found["joint_states/t"].tolist() == recording.joint_states.t.tolist()
+        assert found["events/text"].tolist() == ["look here"]
+
+
+def test_what_cannot_be_exported_is_said(recording: Recording, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="nothing that could be exported"):
+        export(replace(recording, goals=()), tmp_path, Format.CSV, ["goals"])
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(LogError, match="cannot be written"):
+        export(recording, tmp_path / "file" / "x.npz", Format.NPZ)
+
+
+# --- plots ---------------------------------------------------------------------------------------
+
+
+def test_a_plot_shows_states_references_efforts_spans_and_marks(recording: Recording) -> None:
+    drawing = figure(recording)
+    assert [row.title for row in drawing.rows] == ["first", "second"]
+    measured, reference = drawing.rows[0].positions
+    assert (measured.dashed, reference.dashed) == (False, True)
+    assert reference.values[7] == tick(7).reference_position[0]
+    assert drawing.rows[0].efforts[0].values[7] == tick(7).effort[0]
+    assert drawing.effort_label.startswith("effort")
+    assert [band.text for band in drawing.bands] == [
+        "Trig one",
+        "drill (grasped)",
+        "close",
+        "pull (grasped)",
+    ]
+    assert [label.text for label in drawing.labels][-1] == "look here"
+    assert len(drawing.marks) == 1
+
+
+def test_labels_do_not_overlap(recording: Recording) -> None:
+    span = recording.spans[0]
+    many = [replace(span, start=i / 50, end=i / 50 + 0.02) for i in range(90)]
+    object.__setattr__(crowded := replace(recording), "spans", many)
+    labels = figure(crowded).labels
+    assert 3 <= len(labels) < 90
+    places = [(label.t, label.lane) for label in labels]
+    assert len(places) == len(set(places))
+
+
+def test_currents_stand_in_for_efforts(recording: Recording) -> None:
+    actuators = replace(
+        recording.actuator_states, effort=np.full_like(recording.actuator_states.effort, np.nan)
+    )
+    only_current = replace(recording, actuator_states=actuators)
+    assert figure(only_current).effort_label == "current [A]"
+    nothing = replace(actuators, current=actuators.effort)
+    assert figure(replace(recording, actuator_states=nothing)).rows[0].efforts == ()
+
+
+def test_a_part_and_some_actuators(recording: Recording) -> None:
+    drawing = figure(recording, actuators=["second"], start=0.3, end=0.5)
+    assert [row.title for row in drawing.rows] == ["second"]
+    assert drawing.rows[0].positions[0].t[0] >= 0.3
+    assert [band.span.name for band in drawing.bands] == ["Trig one"]
+    with pytest.raises(LogError, match="no states in that time"):
+        figure(recording, start=100.0)
+    with pytest.raises(LogError, match="'third' is not in the recording"):
+        figure(recording, actuators=["third"])
+
+
+def test_rows_by_finger(recording: Recording) -> None:
+    by_finger = figure(
+        recording, by=By.FINGER, fingers={"one": ("first",), "two": ("first", "second")}
+    )
+    assert [row.title for row in by_finger.rows] == ["two", "several fingers"]
+
+
+def test_thinning_keeps_every_peak() -> None:
+    t = np.arange(100_000.0)
+    values = np.sin(t / 500)
+    values[44_444] = 9.0
+    values[55_555] = -9.0
+    values[70_000:71_000] = np.nan
+    few_t, few = thinned(t, values)
+    assert len(few) <= MOST_POINTS + 2
+    assert np.nanmax(few) == 9.0
+    assert np.nanmin(few) == -9.0
+    assert few_t[0] == 0
+    assert few_t[-1] == t[-1]
+    assert (np.diff(few_t) > 0).all()
+
+
+def test_pictures_and_pages_stand_alone(recording: Recording, tmp_path: Path) -> None:
+    drawing = figure(recording)
+    write_png(drawing, tmp_path / "plot.png")
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+    hostile = replace(drawing, title="<script>alert(1)</script>")
+    write_html(hostile, tmp_path / "plot.html")
+    page = (tmp_path / "plot.html").read_text()
+    assert "drill (grasped)" in page
+    assert "<script>alert(1)" not in page
+    assert not re.findall(r'<(?:script|link)[^>]+(?:src|href)="http', page)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plot.html", "plot.png"]
+
+
+# --- playback ------------------------------------------------------------------------------------
+
+
+def test_states_come_out_as_the_loop_told_them(recording: Recording) -> None:
+    for number, record in enumerate(states(recording)):
+        told = tick(number)
+        assert record.tick == told.tick
+        assert record.stamp == told.stamp
+        for name in ("position", "effort", "reference_position", "reference_effort", "grasped"):
+            assert getattr(record, name).tobytes() == getattr(told, name).tobytes()
+
+
+def test_the_hand_of_a_recording_can_be_run(recording: Recording, tmp_path: Path) -> None:
+    hostile = {"actions/generic/../../../evil.yaml": b"", "/actions/x/y.yaml": b"", "z.srdf": b""}
+    srdf = (
+        b'<robot name="claw"><group name="one">'
+        b'<chain base_link="palm" tip_link="a2"/></group></robot>'
+    )
+    actions = {"actions/generic/fist.yaml": b"name: fist\n"}
+    attached = {"claw.srdf": srdf, **recording.attachments, **actions, **hostile}
+    home = write_hand(replace(recording, attachments=attached), tmp_path / "hands")
+    hand = load_hand(home)
+    assert hand.name == "claw"
+    assert hand.actuator_names == ("first", "second")
+    files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert files == {
+        "hands/claw/hand.urdf",
+        "hands/claw/hand.srdf",
+        "hands/claw/hand.yaml",
+        "hands/claw/actions/generic/fist.yaml",
+    }
+    with pytest.raises(LogError, match="no URDF"):
+        write_hand(replace(recording, urdf=""), tmp_path)
+
+
+def test_fingers_are_those_of_the_recorded_actuators(recording: Recording, claw: Hand) -> None:
+    assert fingers(recording) == {}
+    text = to_json(Replayable(LoopSettings(), claw.actuators)).encode()
+    found = fingers(replace(recording, attachments={REPLAY: text}))
+    assert set(found) <= {"one", "two"}
+    assert {name for names in found.values() for name in names} <= {"first", "second"}
+
+
+# --- the command line ----------------------------------------------------------------------------
+
+
+def run(*arguments: object) -> tuple[int, str]:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.output
+
+
+def test_log_info(story: Path) -> None:
+    status, out = run("info", story)
+    assert status == 0
+    assert "hand claw, 100 Hz" in out
+    assert "/claw/joint_states" in out
+    assert "grasped" in out
+    assert "mark: look here" in out
+    status, out = run("info", story, "--json")
+    assert json.loads(out)["hand"] == "claw"
+
+
+def test_log_plot_and_export(story: Path, tmp_path: Path) -> None:
+    _, out = run("plot", story, "--out", tmp_path / "p", "--no-png", "--by", "actuator")
+    assert out.split() == [str(tmp_path / "p.html")]
+    _, out = run("plot", story, "--out", tmp_path / "p.1", "--no-html", "--from", 0.5)
+    assert out.split() == [str(tmp_path / "p.1.png")]
+    _, out = run("export", story, tmp_path / "o.npz")
+    assert out.split() == [str(tmp_path / "o.npz")]
+    _, out = run("export", story, tmp_path / "o", "--topic", "goals", "--topic", "events")
+    assert len(out.split()) == 2
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "missing.mcap"),
+        ("plot", "missing.mcap"),
+        ("export", "missing.mcap", "out"),
+        ("replay", "missing.mcap", "--check"),
+        ("replay", "missing.mcap"),
+        ("recover", "missing.mcap"),
+    ],
+)
+def test_a_missing_file_is_one_sentence(arguments: tuple[str, ...]) -> None:
+    with pytest.raises(LogError, match=r"^missing\.mcap: cannot be read: No such file") as caught:
+        run(*arguments)
+    assert caught.value.exit_status == 2
+
+
+def test_wrong_options_are_said(story: Path, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="--by should be"):
+        run("plot", story, "--by", "joint")
+    with pytest.raises(LogError, match="--format should be"):
+        run("export", story, tmp_path, "--format", "xls")
+    with pytest.raises(LogError, match="one file only"):
+        run("recover", story, story, "--out", tmp_path / "x")
+    with pytest.raises(LogError, match="no settings of the loop"):
+        run("replay", story, "--check")
+
+
+def test_log_recover(story: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(story.read_bytes()[:-400])
+    status, out = run("recover", path, story)
+    assert status == 0
+    assert "recovered" in out
+    assert "is whole" in out
+
+
+def test_info_of_a_series(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path, max_file_size=40_000))
+    log.run(0, 400)
+    log.writer.close()
+    paths = recorded(tmp_path)
+    _, one = run("info", paths[1], "--json")
+    _, all_parts = run("info", paths[1], "--series", "--json")
+    assert json.loads(one)["duration"] < 3.0
+    assert len(json.loads(all_parts)["files"]) == len(paths)
+    assert json.loads(all_parts)["duration"] == pytest.approx(399 / RATE)
+    assert read(paths).actuator_states.time[0] == BEGIN

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from log.samples import Log, recorded, settings
+from rtee.errors import LogError
+from rtee.hand.model import Hand
+from rtee.log import read
+from rtee.log.recover import recover
+from rtee.log.survey import survey
+from rtee.messages.typestore import typestore
+
+
+def opens_elsewhere(path: Path) -> int:
+    """Count the messages that other software finds in a file."""
+    with path.open("rb") as stream:
+        found = sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())
+    with AnyReader([path], default_typestore=typestore()) as reader:
+        assert sum(1 for _ in reader.messages()) == found
+    return found
+
+
+def test_a_cut_off_file_becomes_whole(story: Path, tmp_path: Path) -> None:
+    whole = story.read_bytes()
+    for share in (0.3, 0.5, 0.7, 0.85, 0.97, 0.999):
+        path = tmp_path / f"{share}.mcap"
+        path.write_bytes(whole[: int(share * len(whole))])
+        before = read(path)
+        done = recover(path)
+        after = read(path)
+        assert not done.untouched
+        assert not before.finished
+        assert after.finished
+        assert after.notes == ()
+        assert after.actuator_states.tick.tolist() == before.actuator_states.tick.tolist()
+        assert [entry.value for entry in after.goals] == [entry.value for entry in before.goals]
+        assert after.attachments == before.attachments
+        assert after.metadata == before.metadata
+        assert opens_elsewhere(path) == done.messages
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
+        f"{share}.mcap" for share in (0.3, 0.5, 0.7, 0.85, 0.97, 0.999)
+    )
+
+
+def test_a_whole_file_is_left_as_it_is(story: Path, tmp_path: Path) -> None:
+    path = tmp_path / "whole.mcap"
+    path.write_bytes(story.read_bytes())
+    done = recover(path)
+    assert done.untouched
+    assert path.read_bytes() == story.read_bytes()
+    copy = tmp_path / "copy.mcap"
+    assert recover(path, copy).path == copy
+    assert copy.read_bytes() == story.read_bytes()
+
+
+def test_a_damaged_chunk_is_left_out_and_the_rest_kept(story: Path, tmp_path: Path) -> None:
+    data = bytearray(story.read_bytes())
+    data[survey(story).chunks[2].record.offset + 60] ^= 0xFF
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(data)
+    output = tmp_path / "sound.mcap"
+    done = recover(path, output)
+    assert done.damaged == 1
+    assert path.read_bytes() == data
+    ticks = read(output).actuator_states.tick.tolist()
+    assert 0 < len(ticks) < 200
+    assert ticks[0] == 0
+    assert ticks[-1] == 199
+    assert opens_elsewhere(output) == done.messages
+
+
+def test_a_file_that_is_being_written_is_left_alone(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 100)
+    (path,) = recorded(tmp_path)
+    with pytest.raises(LogError, match="is being written"):
+        recover(path)
+    log.run(100, 200)
+    log.writer.close()
+    assert len(read(path).reference) == 200
+
+
+@pytest.mark.parametrize("content", [b"", b"nonsense", None])
+def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "file.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LogError):
+        recover(path)
+    assert [p.name for p in tmp_path.iterdir()] == ([] if content is None else ["file.mcap"])
+
+
+def test_a_place_that_cannot_be_written_is_said(story: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(story.read_bytes()[:-100])
+    with pytest.raises(LogError, match="cannot be recovered"):
+        recover(path, tmp_path / "missing" / "out.mcap")
+
+
+CHILD = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from log.samples import make_hand, settings, tick
+from rtee.log import Recorder
+folder = Path(sys.argv[2])
+hand = make_hand(folder)
+begin, number = time.monotonic(), 0
+with Recorder(hand, settings(folder), rate=100.0) as recorder:
+    while True:
+        recorder.on_tick(tick(number, begin=begin, wall=time.time_ns()))
+        print(number, flush=True)
+        number += 1
+        time.sleep(max(0.0, begin + number / 100.0 - time.monotonic()))
+"""
+
+
+@pytest.mark.parametrize("after", [0.2, 0.9, 1.4])
+def test_a_killed_process_loses_at_most_a_second(tmp_path: Path, after: float) -> None:
+    tests = str(Path(__file__).resolve().parents[1])
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD, tests, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    with child, child.stdout:
+        assert child.stdout.readline() == "0\n"
+        time.sleep(after)
+        os.kill(child.pid, signal.SIGKILL)
+        last = int(child.stdout.read().split()[-1])
+    (path,) = recorded(tmp_path)
+    recover(path)
+    recording = read(path)
+    assert recording.finished
+    ticks = recording.actuator_states.tick
+    assert ticks.tolist() == list(range(len(ticks)))
+    assert last + 1 - len(ticks) <= 100
+    if len(ticks):
+        assert np.isfinite(recording.reference.position).all()
+        opens_elsewhere(path)
