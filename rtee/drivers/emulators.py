@@ -66,19 +66,19 @@ def make_emulator(name: str, options: Mapping[str, Any]) -> Emulator:
 
 
 def emulator_of(
-    spec: DeviceSpec, emulator: type[Emulator] | None = None, **options: Any
+    spec: DeviceSpec, kind: type[Emulator] | None = None, /, **options: Any
 ) -> EmulatorFactory | None:
     """Return what a driver gives to the pool beside its address: ``None`` for a real device.
 
     Args:
         spec: The device.
-        emulator: The family's emulator; by default the one registered for ``spec.driver``.
-        options: Added to the options that the emulator is made from.
+        kind: The family's emulator; by default the one registered for ``spec.driver``.
+        options: Replace options that the emulator is made from.
     """
     if not spec.emulated:
         return None
-    kind = emulator or find_emulator(spec.driver)
-    return lambda: kind.from_options({**spec.options, **options})
+    made = kind or find_emulator(spec.driver)
+    return lambda: made.from_options({**spec.options, **options})
 
 
 def owner_of(spec: DeviceSpec) -> str:

@@ -32,6 +32,7 @@ from rtee.drivers.onrobot_3fg.codec import (
     metres,
     serial_number,
 )
+from rtee.drivers.onrobot_3fg.emulator import OnRobot3FGEmulator
 from rtee.drivers.onrobot_3fg.options import OnRobot3FGOptions
 from rtee.drivers.options import read_options
 from rtee.drivers.robotiq import Blocks
@@ -114,7 +115,7 @@ class OnRobot3FGDriver(Driver):
             owner=owner_of(self.spec),
             baudrate=options.baudrate,
             parity="E",
-            emulator=emulator_of(self.spec, port=options.address),
+            emulator=emulator_of(self.spec, OnRobot3FGEmulator, port=options.address),
         )
         self._blocks = Blocks(
             bus,

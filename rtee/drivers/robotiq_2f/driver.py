@@ -29,6 +29,7 @@ from rtee.drivers.robotiq_2f.codec import (
     Scale,
     Status,
 )
+from rtee.drivers.robotiq_2f.emulator import Robotiq2FEmulator
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -132,6 +133,7 @@ class Robotiq2FDriver(Driver):
             # Found active, as after an earlier run, unless it is to be homed on connecting.
             emulator=emulator_of(
                 self.spec,
+                Robotiq2FEmulator,
                 emulator={"activated": options.home == "on_demand", **options.emulator},
             ),
         )

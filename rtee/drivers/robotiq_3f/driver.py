@@ -32,6 +32,7 @@ from rtee.drivers.robotiq_3f.codec import (
     Scale,
     Status,
 )
+from rtee.drivers.robotiq_3f.emulator import Robotiq3FEmulator
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
 from rtee.errors import (
     BusError,
@@ -104,6 +105,7 @@ class Robotiq3FDriver(Driver):
             # Found active, as after an earlier run, unless it is to be homed on connecting.
             emulator=emulator_of(
                 self.spec,
+                Robotiq3FEmulator,
                 emulator={"activated": options.home == "on_demand", **options.emulator},
             ),
         )
