@@ -139,7 +139,9 @@ class ContactWatch:
                 watched.anchor, watched.since = position, stamp
             watched.seen = stamp
             slow = self._stall.speed * self._actuators[i].velocity * self._stall.time
-            behind = abs(reference[i] - position) > watched.tolerance
+            # Pushed the other way (a grip that is being opened), it has not come to its motion yet.
+            ahead = 1.0 if watched.target >= position else -1.0
+            behind = (reference[i] - position) * ahead > watched.tolerance
             if not abs(position - watched.anchor) <= slow or not behind:
                 watched.anchor, watched.since = position, stamp
                 watched.blocked_at = math.nan

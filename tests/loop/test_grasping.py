@@ -1,0 +1,274 @@
+"""Stalled, grasped, lost; less effort after a while; heat."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.errors import GoalRejected
+from rtee.hand.model import Hand
+from rtee.loop.settings import GraspSettings, LoopSettings, ThermalSettings
+from rtee.loop.thermal import Level, Thermal
+from rtee.types import ActuatorState, Goal, Lifecycle
+
+from .hands import device, running
+
+pytestmark = pytest.mark.anyio
+INDEX = ("index_base", "index_tip")
+
+
+async def test_an_object_gives_stalled_and_grasped_in_less_than_a_second(hand: Hand) -> None:
+    async with running(hand, objects={"index": 0.4}) as rig:
+        result = await rig.do("Trig", "index")
+        assert result.stalled
+        assert result.grasped
+        assert result.succeeded
+        assert not result.reached
+        assert result.grasped_fingers == ("index",)
+        assert result.duration < 1.0
+        assert result.position["index_base"] == pytest.approx(0.6)
+
+
+async def test_no_object_gives_reached_and_not_grasped(hand: Hand) -> None:
+    async with running(hand) as rig:
+        result = await rig.do("PinchTight", "index", "thumb")
+        assert (result.reached, result.stalled, result.grasped) == (True, False, False)
+        assert result.grasped_fingers == ()
+
+
+async def test_one_finger_may_hold_while_the_other_arrives(hand: Hand) -> None:
+    async with running(hand, objects={"thumb_base": 0.5}) as rig:
+        result = await rig.do("PinchTight", "index", "thumb")
+        assert result.stalled
+        assert result.grasped_fingers == ("thumb",)
+        assert result.position["index_base"] == pytest.approx(1.0, abs=0.01)
+
+
+async def test_blocked_without_effort_is_stalled_but_not_grasped(hand: Hand) -> None:
+    settings = LoopSettings(grasp=GraspSettings(effort=0.95))
+    async with running(hand, settings, objects={"index": 0.9}, full_effort_at=1.0) as rig:
+        result = await rig.do("Trig", "index")
+        assert (result.stalled, result.grasped) == (True, False)
+
+
+async def test_slow_motion_is_no_stall(hand: Hand) -> None:
+    async with running(hand, LoopSettings(rate=100.0, goal_timeout=100.0)) as rig:
+        rig.loop.submit(Goal("Trig", ("index",), speed=0.01))
+        result = await rig.result(within=90)
+        assert result.reached
+        assert not result.stalled
+
+
+async def test_closing_on_an_object_completes_every_step_of_a_timed_action(hand: Hand) -> None:
+    async with running(hand, objects={"index": 0.4, "thumb_base": 0.5}) as rig:
+        result = await rig.do("drill")
+        assert result.stalled
+        assert result.grasped
+        assert not result.timed_out
+        assert "index" in result.grasped_fingers
+        assert "let_go" in {f.inner for f in rig.watcher.feedback}
+
+
+async def test_losing_the_object_is_told_within_200_ms(hand: Hand) -> None:
+    async with running(hand, objects={"index": 0.4}) as rig:
+        assert (await rig.do("Trig", "index")).grasped
+        await rig.run(1.0)
+        assert "grasp_lost" not in rig.watcher.kinds()
+        rig.driver.take_away("index")
+        await rig.run(0.2)
+        lost = [e for e in rig.watcher.events if e.kind == "grasp_lost"]
+        assert lost
+        assert lost[0].source == "index"
+        told = len(lost)
+        await rig.run(1.0)
+        assert rig.watcher.kinds().count("grasp_lost") <= max(told, len(INDEX))
+
+
+async def test_losing_it_is_told_though_the_effort_was_reduced_meanwhile(hand: Hand) -> None:
+    async with running(hand, objects={"index": 0.4}) as rig:
+        await rig.do("Trig", "index")
+        await rig.run(4.0)
+        assert "grasp_lost" not in rig.watcher.kinds()
+        rig.driver.take_away()
+        await rig.run(0.2)
+        assert "grasp_lost" in rig.watcher.kinds()
+
+
+async def test_opening_is_no_loss(hand: Hand) -> None:
+    async with running(hand, objects={"index": 0.4}) as rig:
+        await rig.do("Trig", "index")
+        assert (await rig.do("open")).reached
+        await rig.run(0.5)
+        assert "grasp_lost" not in rig.watcher.kinds()
+
+
+async def test_effort_steps_down_to_the_holding_effort(hand: Hand) -> None:
+    settings = LoopSettings(grasp=GraspSettings(holding_effort=0.3, holding_after=1.0))
+    async with running(hand, settings, objects={"index": 0.4}) as rig:
+        await rig.do("Trig", "index")
+        assert rig.driver.plants[0].max_effort == 2.0
+        await rig.run(0.9)
+        assert rig.driver.plants[0].max_effort == 2.0
+        await rig.run(0.3)
+        assert rig.driver.plants[0].max_effort == pytest.approx(0.6)
+        assert rig.driver.plants[0].effort == pytest.approx(0.6)
+        assert rig.driver.plants[2].max_effort == 3.0
+        await rig.do("open")
+        assert rig.driver.plants[0].max_effort == 2.0
+
+
+async def test_a_device_without_effort_limits_is_eased_off_by_its_position(hand: Hand) -> None:
+    class NoEffort(KinematicDriver):
+        def __init__(self, *arguments: object) -> None:
+            super().__init__(*arguments)  # type: ignore[arg-type]
+            accepts = frozenset({"position"})
+            self.capabilities = replace(self.capabilities, accepts=accepts)
+
+    settings = LoopSettings(grasp=GraspSettings(holding_effort=0.4, holding_after=0.5))
+    one = device(hand, objects={"index": 0.4})
+    async with running(hand, settings, [(one, NoEffort(one.spec, BusPool()))]) as rig:
+        with pytest.raises(GoalRejected, match="takes no effort limit"):
+            rig.loop.submit(Goal("Trig", ("index",), effort={"index_base": 1.0}))
+        await rig.do("Trig", "index")
+        await rig.run(0.2)
+        assert rig.driver.plants[0].target == 1.5
+        await rig.run(1.5)
+        assert rig.driver.plants[0].target == pytest.approx(0.6 + 0.4 * 0.9, abs=0.01)
+        assert rig.driver.plants[0].position == pytest.approx(0.6)
+
+
+async def test_effort_limits_of_a_goal_are_sent_with_its_first_set_point(hand: Hand) -> None:
+    async with running(hand, objects={"index": 0.4}) as rig:
+        rig.loop.submit(Goal("Trig", ("index",), effort={"index_base": 0.5}))
+        rig.loop.tick(rig.clock.next())
+        await rig.clock.settle()
+        assert rig.driver.plants[0].max_effort == 0.5
+        assert rig.driver.plants[1].max_effort == 2.0
+        result = await rig.result()
+        assert result.grasped
+        assert rig.driver.plants[0].effort == 0.5
+        record = rig.loop.snapshot()
+        assert record.reference_effort.tolist() == [0.5, 2.0, 3.0, 40.0]
+        await rig.do("Trig", "index", intensity=0.1)
+        assert rig.driver.plants[0].max_effort == 2.0
+
+
+class OwnWord(KinematicDriver):
+    """Says by itself whether it holds something, and measures no effort."""
+
+    word: int | None = None
+
+    async def sense(self) -> ActuatorState:
+        state = await super().sense()
+        words = tuple(None if self.word is None else bool(self.word) for _ in state.position)
+        return replace(state, effort=state.effort * math.nan, grasped=words)
+
+
+async def test_the_devices_own_word_counts_short_of_the_end(hand: Hand) -> None:
+    one = device(hand, objects={"index": 0.4})
+    driver = OwnWord(one.spec, BusPool())
+    async with running(hand, None, [(one, driver)]) as rig:
+        rig.loop.submit(Goal("Trig", ("index",)))
+        await rig.run(0.35)
+        driver.word = 1
+        result = await rig.result()
+        assert result.grasped
+        assert result.duration < 0.45
+        driver.word = 0
+        await rig.run(0.2)
+        assert "grasp_lost" in rig.watcher.kinds()
+
+
+async def test_the_devices_own_word_does_not_count_at_the_end_of_the_range(hand: Hand) -> None:
+    one = device(hand)
+    driver = OwnWord(one.spec, BusPool())
+    async with running(hand, None, [(one, driver)]) as rig:
+        rig.loop.submit(Goal("Trig", ("index",)))
+        await rig.run(0.9)
+        driver.word = 1
+        result = await rig.result()
+        assert (result.reached, result.grasped) == (True, False)
+
+
+async def test_ten_minutes_on_a_rigid_object_stay_cool_and_hold(hand: Hand) -> None:
+    settings = LoopSettings(rate=20.0, grasp=GraspSettings(holding_effort=0.4))
+    options = {"temperatures": True, "heating": 90.0, "thermal_time": 60.0}
+    async with running(hand, settings, objects={"index": 0.4}, **options) as rig:
+        assert (await rig.do("Trig", "index", intensity=1.0)).grasped
+        await rig.run(600.0)
+        assert max(rig.loop.snapshot().temperature) < settings.thermal.warn
+        assert rig.driver.plants[0].position == pytest.approx(0.6)
+        assert rig.driver.plants[0].effort == pytest.approx(0.8)
+        assert "thermal" not in rig.watcher.kinds()
+
+
+async def test_heat_warns_then_derates_then_releases(hand: Hand) -> None:
+    settings = LoopSettings(
+        rate=50.0,
+        grasp=GraspSettings(holding_after=1e6),
+        thermal=ThermalSettings(warn=50.0, derate=60.0, release=70.0),
+    )
+    options = {"temperatures": True, "heating": 5000.0, "thermal_time": 400.0}
+    async with running(hand, settings, objects={"index_base": 0.4}, **options) as rig:
+        await rig.do("Trig", "index")
+        efforts: list[float] = []
+        for k in range(400):
+            await rig.run(0.2)
+            if k == 300:
+                rig.driver.plants[0].temperature = 85.0  # heat from elsewhere
+            efforts.append(rig.loop.snapshot().reference_effort[0])
+            if rig.loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE:
+                break
+        thermal = [e for e in rig.watcher.events if e.kind == "thermal"]
+        assert [e.severity for e in thermal] == ["warning", "warning", "error"]
+        assert "less effort" in thermal[1].text
+        assert "released" in thermal[2].text
+        assert efforts[0] == 2.0
+        assert min(efforts) < 1.0
+        assert rig.driver.plants[0].effort == 0.0
+        await rig.run(1.0)
+        with pytest.raises(GoalRejected, match="not active"):
+            rig.loop.submit(Goal("open"))
+
+
+def test_a_broken_sensor_is_invalid_and_trips_nothing() -> None:
+    thermal = Thermal(ThermalSettings(60, 70, 80), 2)
+    levels = []
+    for k in range(100):
+        changes = thermal.step(k * 0.1, [-886.0 if k > 10 else 30.0, math.nan])
+        levels += [change.level for change in changes]
+    assert levels == [Level.INVALID]
+    assert thermal.factor == [1.0, 1.0]
+    levels += [c.level for k in range(100, 120) for c in thermal.step(k * 0.1, [40.0, math.nan])]
+    assert levels == [Level.INVALID, Level.OK]
+
+
+def test_a_single_spike_changes_nothing() -> None:
+    thermal = Thermal(ThermalSettings(60, 70, 80), 1)
+    for k in range(100):
+        assert not thermal.step(k * 0.1, [95.0 if k % 5 == 0 else 40.0])
+
+
+def test_levels_are_left_with_hysteresis() -> None:
+    thermal = Thermal(ThermalSettings(60, 70, 80), 1)
+    for k in range(10):
+        thermal.step(k * 0.1, [61.0])
+    assert thermal.level == [Level.WARN]
+    for k in range(10, 30):
+        assert not thermal.step(k * 0.1, [59.0])
+    changes = [c for k in range(30, 50) for c in thermal.step(k * 0.1, [57.0])]
+    assert [c.level for c in changes] == [Level.OK]
+    assert changes[0].event("index", 3.0).text == "index is cool again: 57 °C"
+
+
+def test_derating_is_linear_and_never_quite_nothing() -> None:
+    thermal = Thermal(ThermalSettings(60, 70, 80), 1)
+    for k in range(10):
+        thermal.step(k * 0.1, [75.0])
+    assert thermal.factor[0] == pytest.approx(0.5)
+    thermal.step(1.1, [79.9])
+    assert thermal.factor[0] == pytest.approx(0.1)
