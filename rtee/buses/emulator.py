@@ -41,12 +41,14 @@ class Emulator(ABC):
             position does not follow) and ``wrong_device`` (another model answers).
         turnaround: Time between a request's last byte and the answer's first [s].
         period: How often `step` wants to be called without traffic [s]; 0: only with traffic.
+        baudrate: Rate of its line [baud], for programs that ask for none.
         faults: Faults injected at present.
     """
 
     FAULTS: ClassVar[frozenset[str]] = frozenset({"stuck", "wrong_device"})
     turnaround: float = 0.0
     period: float = 0.0
+    baudrate: int = 115200
 
     def __init__(self) -> None:
         self.faults: set[str] = set()

@@ -66,6 +66,7 @@ class ModbusEmulator(Emulator):
         super().__init__()
         self.functions = frozenset(self.FUNCTIONS if functions is None else functions)
         self.unit = unit
+        self.baudrate = baudrate
         self.framing = framing
         self.any_unit = framing == "tcp"
         self.turnaround = silence(baudrate) if framing == "rtu" else 0.0
@@ -79,6 +80,15 @@ class ModbusEmulator(Emulator):
     @abstractmethod
     def write(self, address: int, values: Sequence[int], now: float) -> None:
         """Set registers; raises `Refused`."""
+
+    @abstractmethod
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
+
+    def step(self, now: float) -> list[bytes]:
+        """Let time pass; a slave never sends unasked."""
+        self.advance(now)
+        return []
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Take bytes and return the answers."""

@@ -102,5 +102,8 @@ class Registers(ModbusEmulator):
             raise Refused(ILLEGAL_ADDRESS)
         self.values[address : address + len(values)] = values
 
+    def advance(self, now: float) -> None:
+        pass
+
     def power_cycle(self, now: float) -> None:
         self.values = [0] * 100

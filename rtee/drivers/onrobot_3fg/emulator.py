@@ -148,7 +148,7 @@ class OnRobot3FGEmulator(ModbusEmulator):
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
         """Return registers; those inside a block that no document names are 0."""
         self._reachable()
-        self._advance(now)
+        self.advance(now)
         if not any(low <= address and address + count - 1 <= high for low, high in _READABLE):
             raise Refused(ILLEGAL_ADDRESS)
         known = self._registers()
@@ -160,7 +160,7 @@ class OnRobot3FGEmulator(ModbusEmulator):
         last = address + len(values) - 1
         if not any(low <= address and last <= high for low, high in _WRITABLE):
             raise Refused(ILLEGAL_ADDRESS)
-        self._advance(now)
+        self.advance(now)
         if address >= 0x0401:
             start = address - 0x0401
             settings = [*self._settings]
@@ -249,7 +249,8 @@ class OnRobot3FGEmulator(ModbusEmulator):
         most = _FLEXIBLE_FORCE if self._control is Control.FLEXIBLE_GRIP else self.properties.force
         return min(self._targets[0], 1000) / 1000 * most
 
-    def _advance(self, now: float) -> None:
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
         dt = 0.0 if self._now is None else max(0.0, now - self._now)
         self._now = now
         self._advance_by(dt * self.properties.haste)

@@ -170,7 +170,7 @@ class Robotiq2FEmulator(ModbusEmulator):
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
         """Return input registers, or the output ones where their address is read."""
         self._heard_from_host(now)
-        self._advance(now)
+        self.advance(now)
         if self.properties.input <= address and address + count <= self.properties.input + _BLOCK:
             values = [*self.status().to_registers(), *[0] * (_BLOCK - 3)]
             if "wrong_device" in self.faults:
@@ -189,7 +189,7 @@ class Robotiq2FEmulator(ModbusEmulator):
         start = address - self.properties.output
         if start < 0 or start + len(values) > _BLOCK:
             raise Refused(ILLEGAL_ADDRESS)
-        self._advance(now)
+        self.advance(now)
         self.output[start : start + len(values)] = values
         self._apply(Command.from_registers(self.output))
 
@@ -288,7 +288,8 @@ class Robotiq2FEmulator(ModbusEmulator):
         self._set(0, 0)
         self.axis.target = self.axis.lower if opens else self.axis.upper
 
-    def _advance(self, now: float) -> None:
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
         dt = 0.0 if self._now is None else max(0.0, now - self._now)
         self._now = now
         if dt > 0.0:

@@ -154,7 +154,7 @@ class Robotiq3FEmulator(ModbusEmulator):
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
         """Return registers: the input block at 07D0, at 0 by function 4; else the output block."""
-        self._advance(now)
+        self.advance(now)
         sources = [(INPUT, True), (OUTPUT, False), (0, function == READ_INPUT)]
         for base, wanted in sources:
             if base <= address and address + count <= base + COUNT:
@@ -169,7 +169,7 @@ class Robotiq3FEmulator(ModbusEmulator):
         for base in (OUTPUT, 0):
             start = address - base
             if start >= 0 and start + len(values) <= COUNT:
-                self._advance(now)
+                self.advance(now)
                 self.output[start : start + len(values)] = values
                 self._apply(Command.from_registers(self.output))
                 return
@@ -301,7 +301,8 @@ class Robotiq3FEmulator(ModbusEmulator):
         self.axes[3].max_velocity = 300.0 / max(self.properties.mode_time, 1e-3)
         self.axes[3].target = _SCISSOR_OF[mode]
 
-    def _advance(self, now: float) -> None:
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
         dt = 0.0 if self._now is None else max(0.0, now - self._now) * self.properties.haste
         self._now = now
         if dt > 0.0:

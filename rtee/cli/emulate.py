@@ -1,0 +1,99 @@
+"""`rtee emulate`: play a device for other software."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rtee.drivers.play import Player
+
+app = typer.Typer()
+
+
+def _complete_device(incomplete: str) -> list[str]:
+    from rtee.drivers.emulators import emulator_names
+
+    return [name for name in emulator_names() if name.startswith(incomplete)]
+
+
+def _properties(values: list[str]) -> dict[str, Any]:
+    from rtee.errors import ConfigError
+    from rtee.hand.yamlfile import parse_yaml
+
+    found: dict[str, Any] = {}
+    for value in values:
+        name, equals, text = value.partition("=")
+        if not (name and equals):
+            raise ConfigError(f"--set {value}: should be NAME=VALUE")
+        found |= parse_yaml(f"{name}: {text}\n", Path("--set"), "the property").data
+    return found
+
+
+@app.command()
+def emulate(
+    device: Annotated[
+        str,
+        typer.Argument(metavar="DEVICE", help="Name of a driver.", autocompletion=_complete_device),
+    ],
+    link: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="Make the port a link at this path.")
+    ] = None,
+    tcp: Annotated[
+        int | None, typer.Option(metavar="PORT", min=0, max=65535, help="Listen at a TCP port.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
+    raw: Annotated[
+        bool, typer.Option("--raw", help="The TCP port carries a serial line's bytes.")
+    ] = False,
+    can: Annotated[
+        str | None, typer.Option(metavar="CHANNEL", help="Be a node on a CAN channel.")
+    ] = None,
+    interface: Annotated[
+        str, typer.Option(help="python-can interface of the channel.")
+    ] = "udp_multicast",
+    baudrate: Annotated[int | None, typer.Option(help="Bits per second.")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="A property of the emulated device."),
+    ] = None,
+    fault: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A fault it has from the start.")
+    ] = None,
+) -> None:
+    """Play a device for other software until Ctrl-C; lines typed meanwhile make faults."""
+    from rtee.drivers.play import Player
+
+    player = Player(
+        device,
+        _properties(set_ or []),
+        link=link,
+        tcp=tcp,
+        raw=raw,
+        host=host,
+        can=can,
+        interface=interface,
+        baudrate=baudrate,
+    )
+    for name in fault or []:
+        player.emulator.inject(name)
+    with player:
+        print(f"{device} at {player.address}", flush=True)
+        _converse(player)
+
+
+def _converse(player: Player) -> None:
+    """Obey lines typed; without anybody who types, wait for Ctrl-C."""
+    import signal
+    import sys
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    for line in sys.stdin:
+        if line.strip() in ("quit", "exit"):
+            return
+        answer = player.command(line)
+        if answer:
+            print(answer, flush=True)
+    signal.pause()

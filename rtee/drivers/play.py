@@ -1,0 +1,157 @@
+"""Play an emulated device for other software: on a pty, a TCP port or a CAN channel."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rtee.buses.emulator import Emulator
+from rtee.buses.faults import Faults
+from rtee.buses.link import Line
+from rtee.buses.simulated import SimulatedCan, SimulatedLine, Simulation
+from rtee.drivers.emulators import make_emulator
+from rtee.errors import ConfigError, RteeError, suggestion
+
+WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
+HELP = """\
+fault NAME        put a fault into the device
+clear [NAME]      take it away, or all
+wire NAME=SHARE   let the wire drop, corrupt, duplicate, delay or split a share of what passes,
+                  or put noise before it: wire drop=0.05 noise=0.01
+unplug, replug    pull the cable, put it back
+power             cut the supply for a moment
+state             show the device
+quit              end
+"""
+
+
+class Player:
+    """An emulated device on a transport that other programs can open; a context manager.
+
+    Args:
+        name: Name of the device's driver.
+        properties: Properties of the emulated device.
+        link: Path of the pty, made as a symbolic link; by default in a temporary folder.
+        tcp: TCP port to listen at instead.
+        raw: The port carries a serial line's bytes, not Modbus TCP.
+        host: Address to listen at.
+        can: Channel of a CAN bus instead.
+        interface: Its python-can interface.
+        baudrate: Bits per second of the line or bus; by default the device's own.
+
+    Raises:
+        ConfigError: if there is no such device or property.
+        BusBroken: if the port cannot be opened.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        properties: Mapping[str, Any] | None = None,
+        *,
+        link: Path | None = None,
+        tcp: int | None = None,
+        raw: bool = False,
+        host: str = "127.0.0.1",
+        can: str | None = None,
+        interface: str = "udp_multicast",
+        baudrate: int | None = None,
+    ) -> None:
+        if sum(one is not None for one in (link, tcp, can)) > 1:
+            raise ConfigError("give one of --link, --tcp and --can")
+        modbus_tcp = tcp is not None and not raw
+        options: dict[str, Any] = {"emulator": dict(properties or {})}
+        options["port"] = "tcp://" if modbus_tcp else "/dev/emulated"
+        if baudrate is not None and can is None:
+            options["baudrate"] = baudrate
+        self.emulator: Emulator = make_emulator(name, options)
+        rate = baudrate or self.emulator.baudrate
+        self.simulation: Simulation
+        if can is not None:
+            self.simulation = SimulatedCan(
+                [self.emulator],
+                name=name,
+                channel=can,
+                interface=interface,
+                bitrate=baudrate or 1_000_000,
+            )
+        else:
+            self.simulation = SimulatedLine(
+                [self.emulator],
+                name=name,
+                tcp=tcp is not None,
+                host=host,
+                port=tcp or 0,
+                scheme="tcp" if modbus_tcp else "socket",
+                link=link,
+                line=Line(rate),
+            )
+
+    def __enter__(self) -> Player:
+        self.simulation.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.simulation.close()
+
+    @property
+    def address(self) -> str:
+        """Where other programs find it."""
+        return self.simulation.address
+
+    def command(self, text: str) -> str:
+        """Do what a line of text asks for and return what to print; `HELP` lists the commands."""
+        verb, _, rest = text.strip().partition(" ")
+        try:
+            return self._do(verb, rest.strip())
+        except RteeError as error:
+            return str(error)
+
+    def _do(self, verb: str, rest: str) -> str:
+        call = self.simulation.call
+        if verb == "fault":
+            call(lambda: self.emulator.inject(rest))
+        elif verb == "clear":
+            call(lambda: self.emulator.clear(rest or None))
+        elif verb == "wire":
+            self.simulation.faults = self._wire(rest)
+        elif verb == "unplug":
+            self.simulation.unplug()
+        elif verb == "replug":
+            self.simulation.replug()
+            return f"at {self.address}"
+        elif verb == "power":
+            self.simulation.power_cycle()
+        elif verb == "state":
+            return str(call(self._state))
+        elif verb:
+            return HELP + f"faults: {', '.join(sorted(self.emulator.FAULTS))}"
+        return ""
+
+    def _wire(self, text: str) -> Faults:
+        faults = Faults(seed=int(time.time()))
+        for part in text.split():
+            name, _, share = part.partition("=")
+            if name not in WIRE_FAULTS:
+                raise ConfigError(
+                    f"unknown fault of the wire '{name}'; {suggestion(name, WIRE_FAULTS)}"
+                )
+            try:
+                setattr(faults, name, float(share))
+            except ValueError:
+                raise ConfigError(f"'{part}' should look like {name}=0.05") from None
+        return faults
+
+    def _state(self) -> str:
+        """Return what the device would say of itself, and its faults."""
+        self.emulator.step(time.monotonic())
+        status = getattr(self.emulator, "status", None)
+        told = status() if callable(status) else None
+        text = ""
+        if told is not None and dataclasses.is_dataclass(told) and not isinstance(told, type):
+            text = ", ".join(f"{k} {v}" for k, v in dataclasses.asdict(told).items())
+        faults = ", ".join(sorted(self.emulator.faults)) or "none"
+        return f"{text}\nfaults: {faults}".strip()
