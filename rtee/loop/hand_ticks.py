@@ -97,6 +97,7 @@ class HandTicks:
         self._group: anyio.abc.TaskGroup | None = None
         self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
         self._status_at = -math.inf
+        self._told_refused: dict[str, float] = {}
         self._record: TickRecord | None = None
 
     def _check_devices(self, devices: Sequence[tuple[DeviceSettings, Driver]]) -> None:
@@ -211,9 +212,7 @@ class HandTicks:
                 self._was_active[name] = active
                 self._change(device, active)
             if device.rejected:
-                text, device.rejected = device.rejected, ""
-                self._pending.appendleft(Command("fail", text, self._names(device)))
-                self._observers.event(Event("rejected", name, text, self._now(), "warning"))
+                self._refused(device)
 
     def _change(self, device: Supervisor, active: bool) -> None:
         names = self._names(device)
@@ -227,6 +226,17 @@ class HandTicks:
         self._pending.appendleft(Command("fail", text, names))
         if any(self._was_active.values()):
             self.behave(self.settings.safety.on_link_lost, text)
+
+    def _refused(self, device: Supervisor) -> None:
+        """The device did not take a reference: begin again where it is."""
+        text, device.rejected = device.rejected, ""
+        names = self._names(device)
+        self._pending.appendleft(Command("freeze", text, names))
+        self._pending.appendleft(Command("fail", text, names))
+        now = self._now()
+        if now - self._told_refused.get(text, -math.inf) >= 1.0:
+            self._told_refused = {text: now}
+            self._observers.event(Event("rejected", device.name, text, now, "warning"))
 
     @staticmethod
     def _names(device: Supervisor) -> dict[str, float]:

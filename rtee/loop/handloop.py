@@ -31,8 +31,12 @@ class HandLoop(HandTicks):
 
     # --- goals -------------------------------------------------------------------------------
 
-    def submit(self, goal: Goal) -> None:
+    def submit(self, goal: Goal, *, partly: bool = False) -> None:
         """Take a goal; it begins at the next tick. Its result comes to the observers.
+
+        Args:
+            goal: The goal.
+            partly: Leave out the actuators whose device is not active, unless it is all of them.
 
         Raises:
             GoalRejected: if a value of it cannot be used, or a device is not active.
@@ -51,15 +55,23 @@ class HandLoop(HandTicks):
                 for index in device.indices
             },
         )
+        if partly:
+            able = {
+                index
+                for name, device in self.devices.items()
+                if self._was_active[name]
+                for index in device.indices
+            }
+            plan = plan.only(able) if able & plan.involved else plan
         self.controller.check_active(plan.involved)
         self._pending.append(plan)
 
-    async def execute(self, goal: Goal) -> Result:
+    async def execute(self, goal: Goal, *, partly: bool = False) -> Result:
         """Take a goal and wait for its result; being cancelled cancels the goal. See `submit`."""
         done, results = anyio.Event(), list[Result]()
         self._waiters[goal.goal_id] = (done, results)
         try:
-            self.submit(goal)
+            self.submit(goal, partly=partly)
             await done.wait()
         except anyio.get_cancelled_exc_class():
             self.cancel(goal.goal_id)
@@ -224,7 +236,7 @@ class HandLoop(HandTicks):
             case Behaviour.OPEN:
                 self.hold(reason)
                 try:
-                    self.submit(Goal(OPEN, client=ITSELF))
+                    self.submit(Goal(OPEN, client=ITSELF), partly=True)
                 except RteeError as error:
                     log.warning("%s cannot open: %s", self.name, error)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from rtee.actions.types import Action, Generic, Posture, Primitive, Timed
@@ -61,6 +61,15 @@ class Plan:
     effort: Mapping[int, float]
     timeout: float
     timed: bool = False
+
+    def only(self, indices: Collection[int]) -> Plan:
+        """Return what is left of it with some of its actuators, at least one in every leg."""
+        legs = [
+            replace(leg, targets={i: t for i, t in leg.targets.items() if i in indices})
+            for leg in self.legs
+        ]
+        left = tuple(leg for leg in legs if leg.targets)
+        return replace(self, legs=left, involved=self.involved.intersection(indices))
 
 
 def make_plan(

@@ -59,7 +59,7 @@ async def bring_to_rest(
 async def _open(loop: HandLoop) -> bool:
     with anyio.move_on_after(OPEN_WITHIN):
         try:
-            await loop.execute(Goal(OPEN, client=ITSELF, timeout=OPEN_WITHIN))
+            await loop.execute(Goal(OPEN, client=ITSELF, timeout=OPEN_WITHIN), partly=True)
         except RteeError as error:
             log.warning("%s cannot open: %s", loop.name, error)
             return False

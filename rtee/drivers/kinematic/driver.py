@@ -109,8 +109,10 @@ class KinematicDriver(Driver):
         self._plugged = True
 
     def fail(self, name: str) -> None:
-        """Let the device report a fault until it is recovered."""
+        """Let the device report a fault, and be without power, until it is recovered."""
+        self._advance()
         self._fault = name
+        self._powered = False
 
     def _check(self) -> None:
         if not self._plugged:
