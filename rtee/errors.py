@@ -54,11 +54,18 @@ class RteeError(Exception):
         return self.text
 
 
+def printable(text: str) -> str:
+    """Return a text with line breaks and control characters escaped, for one line of output."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 class UserError(RteeError):
     """A mistake in a file, name or value that the user gave.
 
     Attributes:
-        message: What is wrong and what would be right.
+        message: What is wrong and what would be right, in one line.
         path: The file it stands in, if any.
         line: The line in that file, counted from 1, if known.
     """
@@ -68,6 +75,7 @@ class UserError(RteeError):
     def __init__(
         self, message: str, *, path: Path | str | None = None, line: int | None = None
     ) -> None:
+        message = printable(message)
         super().__init__(message)
         self.message = message
         self.path = None if path is None else Path(path)

@@ -16,7 +16,8 @@ from rtee.hand.model import Hand, Joint, JointRole
 from rtee.hand.names import check_name, safe_name
 from rtee.hand.srdf import Srdf, read_srdf
 from rtee.hand.transmission import make_transmission
-from rtee.hand.urdf import Urdf, UrdfJoint, read_urdf
+from rtee.hand.urdf import Urdf, UrdfJoint
+from rtee.hand.urdfread import read_urdf
 from rtee.types import JointKind, readonly
 
 if TYPE_CHECKING:

@@ -42,18 +42,13 @@ class YamlDocument:
 
     def error(self, location: Location, message: str) -> ConfigError:
         """Return an error that names file, line and field."""
-        key = ".".join(_shown(str(part)) for part in location)
+        key = ".".join(str(part)[:80] for part in location)
         return ConfigError(
             f"{key}: {message}" if key else message,
             path=self.path,
             line=self.line(location),
             key=key or None,
         )
-
-
-def _shown(text: str) -> str:
-    """Return a short text without line breaks."""
-    return text[:80].encode("unicode_escape").decode() if not text.isprintable() else text[:80]
 
 
 def read_yaml(path: Path | str, what: str) -> YamlDocument:
@@ -143,7 +138,7 @@ class _Reader:
                 raise self._error(line, "a key should be a word")
             if key in data:
                 first = self.lines[(*location, key)]
-                raise self._error(line, f"'{_shown(key)}' stands twice, first in line {first}")
+                raise self._error(line, f"'{key[:80]}' stands twice, first in line {first}")
             self.lines[(*location, key)] = line
             data[key] = self.value(value_node, (*location, key))
         return data

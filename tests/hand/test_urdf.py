@@ -10,7 +10,7 @@ import pytest
 from hand.models import GRIPPER, line_of
 from rtee.errors import ModelError, UnknownLink
 from rtee.hand.model import Hand
-from rtee.hand.urdf import read_urdf
+from rtee.hand.urdfread import read_urdf
 
 Load = Callable[..., Hand]
 
@@ -132,6 +132,14 @@ def test_loop_of_joints(load: Load) -> None:
     )
     with pytest.raises(ModelError, match="joint 'left' is part of a loop"):
         load(text, None)
+
+
+def test_messages_are_one_line_whatever_stands_in_the_file(load: Load) -> None:
+    text = changed('xyz="-0.04 0 0.01"', 'xyz="&#x1b;[31m \u2028"'.replace("&#x1b;", "\u009b"))
+    with pytest.raises(ModelError, match="should be 3 numbers") as caught:
+        load(text)
+    assert r"\x9b[31m \u2028" in str(caught.value)
+    assert str(caught.value).isprintable()
 
 
 def test_no_joint_is_an_actuator(load: Load) -> None:

@@ -1,0 +1,288 @@
+"""Reading a URDF: every mistake in it is one sentence with its line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from rtee.errors import ModelError, UnknownLink
+from rtee.hand.urdf import (
+    Triple,
+    Urdf,
+    UrdfGeometry,
+    UrdfJoint,
+    UrdfJointKind,
+    UrdfLink,
+    UrdfMimic,
+)
+from rtee.hand.xmlfile import Element, read_xml
+
+_ZERO: Final[Triple] = (0.0, 0.0, 0.0)
+_KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
+_LIMITED: Final = ("revolute", "prismatic")
+
+
+def read_urdf(path: Path | str) -> Urdf:
+    """Read a URDF.
+
+    Raises:
+        ModelError: The file does not exist, is no XML or no URDF, or describes no tree of links
+            with well-defined joints; the message names file and line.
+    """
+    root, text = read_xml(path, "URDF")
+    _check_root(root)
+    links = _links(root)
+    joints = _joints(root, links)
+    base, joint_to, below = _tree(root, links, joints)
+    return Urdf(
+        name=root.attributes.get("name", "").strip() or Path(path).stem,
+        path=Path(path),
+        text=text,
+        links=MappingProxyType(links),
+        joints=MappingProxyType(_in_tree_order(base, below)),
+        root=base,
+        joint_to=MappingProxyType(joint_to),
+        joints_below=MappingProxyType(below),
+    )
+
+
+def _check_root(root: Element) -> None:
+    if root.tag != "robot":
+        other = {"sdf": "an SDF", "mujoco": "a MuJoCo model", "COLLADA": "a COLLADA mesh"}
+        what = other.get(root.tag, f"<{root.tag}>")
+        raise root.error(f"is {what}, not a URDF, whose root element is <robot>")
+    macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
+    if macro is not None:
+        raise macro.error("is a xacro file; expand it first: xacro FILE > hand.urdf")
+
+
+def _links(root: Element) -> dict[str, UrdfLink]:
+    links: dict[str, UrdfLink] = {}
+    for element in root.all("link"):
+        name = element.required("name")
+        if name in links:
+            raise element.error(f"link '{name}' is defined twice, first in line {links[name].line}")
+        inertial = element.first("inertial")
+        mass = inertial.first("mass") if inertial else None
+        links[name] = UrdfLink(
+            name=name,
+            line=element.line,
+            collisions=tuple(_geometry(shape, name) for shape in element.all("collision")),
+            visuals=tuple(_geometry(shape, name) for shape in element.all("visual")),
+            has_inertial=inertial is not None,
+            mass=mass.number("value") if mass else 0.0,
+        )
+    if not links:
+        raise root.error("has no links")
+    return links
+
+
+def _geometry(element: Element, link: str) -> UrdfGeometry:
+    geometry = element.first("geometry")
+    shape = geometry.children[0] if geometry and geometry.children else None
+    if shape is None:
+        raise element.error(f"<{element.tag}> of link '{link}' has no geometry")
+    xyz, rpy = _origin(element)
+    match shape.tag:
+        case "mesh":
+            return UrdfGeometry(
+                "mesh", mesh=shape.required("filename"), scale=_scale(shape), xyz=xyz, rpy=rpy,
+                line=shape.line,
+            )  # fmt: skip
+        case "box":
+            size = _triple(shape.numbers("size", 3))
+            _positive(shape, min(size))
+            return UrdfGeometry("box", size=size, xyz=xyz, rpy=rpy, line=shape.line)
+        case "sphere":
+            radius = _positive(shape, shape.number("radius"))
+            return UrdfGeometry("sphere", radius=radius, xyz=xyz, rpy=rpy, line=shape.line)
+        case "cylinder":
+            radius = _positive(shape, shape.number("radius"))
+            length = _positive(shape, shape.number("length"))
+            return UrdfGeometry(
+                "cylinder", radius=radius, length=length, xyz=xyz, rpy=rpy, line=shape.line
+            )
+        case other:
+            raise shape.error(
+                f"unknown geometry <{other}> of link '{link}'; there are mesh, box, sphere and "
+                "cylinder"
+            )
+
+
+def _positive(shape: Element, value: float) -> float:
+    if value <= 0:
+        raise shape.error(f"<{shape.tag}> has a dimension that is not positive")
+    return value
+
+
+def _scale(shape: Element) -> Triple:
+    scale = _triple(shape.numbers("scale", 3, (1.0, 1.0, 1.0)))
+    if 0.0 in scale:
+        raise shape.error("the mesh's scale is zero")
+    return scale
+
+
+def _origin(element: Element) -> tuple[Triple, Triple]:
+    origin = element.first("origin")
+    if origin is None:
+        return _ZERO, _ZERO
+    return _triple(origin.numbers("xyz", 3, _ZERO)), _triple(origin.numbers("rpy", 3, _ZERO))
+
+
+def _triple(values: tuple[float, ...]) -> Triple:
+    x, y, z = values
+    return x, y, z
+
+
+def _joints(root: Element, links: Mapping[str, UrdfLink]) -> dict[str, UrdfJoint]:
+    joints: dict[str, UrdfJoint] = {}
+    for element in root.all("joint"):
+        joint = _joint(element, links)
+        if joint.name in joints:
+            first = joints[joint.name].line
+            raise element.error(f"joint '{joint.name}' is defined twice, first in line {first}")
+        joints[joint.name] = joint
+    return joints
+
+
+def _joint(element: Element, links: Mapping[str, UrdfLink]) -> UrdfJoint:
+    name = element.required("name")
+    kind = _kind(element, name)
+    lower, upper, velocity, effort = _limits(element, name, kind)
+    xyz, rpy = _origin(element)
+    return UrdfJoint(
+        name=name,
+        kind=kind,
+        parent=_link_of(element, "parent", name, links),
+        child=_link_of(element, "child", name, links),
+        xyz=xyz,
+        rpy=rpy,
+        axis=_axis(element, name) if kind != "fixed" else (1.0, 0.0, 0.0),
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        effort=effort,
+        mimic=_mimic(element) if kind != "fixed" else None,
+        line=element.line,
+    )
+
+
+def _kind(element: Element, name: str) -> UrdfJointKind:
+    kind = element.required("type")
+    for known in _KINDS:
+        if kind == known:
+            return known
+    raise element.error(
+        f"joint '{name}' has the type '{kind[:40]}'; a hand may have {', '.join(_KINDS)}"
+    )
+
+
+def _link_of(element: Element, end: str, joint: str, links: Mapping[str, UrdfLink]) -> str:
+    child = element.first(end)
+    if child is None:
+        raise element.error(f"joint '{joint}' has no <{end}>")
+    link = child.required("link")
+    if link not in links:
+        raise UnknownLink(link, tuple(links), path=child.path, line=child.line)
+    return link
+
+
+def _axis(element: Element, name: str) -> Triple:
+    axis = element.first("axis")
+    if axis is None:
+        return (1.0, 0.0, 0.0)
+    x, y, z = axis.numbers("xyz", 3, (1.0, 0.0, 0.0))
+    norm = math.hypot(x, y, z)
+    if norm < 1e-9:
+        raise axis.error(f"the axis of joint '{name}' is zero")
+    return x / norm, y / norm, z / norm
+
+
+def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, float, float, float]:
+    """Return lower, upper, velocity and effort limits."""
+    limit = element.first("limit")
+    if limit is None:
+        if kind in _LIMITED:
+            raise element.error(f"joint '{name}' is {kind} but has no <limit>")
+        return (-math.inf, math.inf, 0.0, 0.0) if kind == "continuous" else (0.0, 0.0, 0.0, 0.0)
+    velocity, effort = limit.number("velocity", 0.0), limit.number("effort", 0.0)
+    if velocity < 0 or effort < 0:
+        raise limit.error(f"joint '{name}' has a negative velocity or effort limit")
+    if kind == "continuous":
+        return -math.inf, math.inf, velocity, effort
+    if kind == "fixed":
+        return 0.0, 0.0, velocity, effort
+    lower, upper = limit.number("lower", 0.0), limit.number("upper", 0.0)
+    if lower > upper:
+        raise limit.error(f"joint '{name}' has its lower limit {lower:g} above its upper {upper:g}")
+    return lower, upper, velocity, effort
+
+
+def _mimic(element: Element) -> UrdfMimic | None:
+    mimic = element.first("mimic")
+    if mimic is None:
+        return None
+    return UrdfMimic(
+        of=mimic.required("joint"),
+        multiplier=mimic.number("multiplier", 1.0),
+        offset=mimic.number("offset", 0.0),
+        expression=mimic.attributes.get("nlFunPos"),
+        line=mimic.line,
+    )
+
+
+def _tree(
+    root: Element, links: Mapping[str, UrdfLink], joints: Mapping[str, UrdfJoint]
+) -> tuple[str, dict[str, UrdfJoint], dict[str, tuple[UrdfJoint, ...]]]:
+    """Return the root link, the joint above each link and the joints below each link."""
+    joint_to: dict[str, UrdfJoint] = {}
+    below: dict[str, list[UrdfJoint]] = {link: [] for link in links}
+    for joint in joints.values():
+        if joint.child in joint_to:
+            other = joint_to[joint.child].name
+            raise ModelError(
+                f"link '{joint.child}' hangs on two joints, '{other}' and '{joint.name}'; "
+                "a URDF is a tree",
+                path=root.path,
+                line=joint.line,
+            )
+        joint_to[joint.child] = joint
+        below[joint.parent].append(joint)
+    roots = [link for link in links if link not in joint_to]
+    if len(roots) > 1:
+        line = links[roots[1]].line
+        raise ModelError(
+            f"links '{roots[0]}' and '{roots[1]}' both have no parent; a URDF has one root",
+            path=root.path,
+            line=line,
+        )
+    if not roots or len(_in_tree_order(roots[0], below)) != len(joints):
+        loop = next(iter(joints.values())) if not roots else _unreached(roots[0], below, joints)
+        raise ModelError(
+            f"joint '{loop.name}' is part of a loop; a URDF is a tree",
+            path=root.path,
+            line=loop.line,
+        )
+    return roots[0], joint_to, {link: tuple(found) for link, found in below.items()}
+
+
+def _in_tree_order(
+    base: str, below: Mapping[str, list[UrdfJoint] | tuple[UrdfJoint, ...]]
+) -> dict[str, UrdfJoint]:
+    ordered: dict[str, UrdfJoint] = {}
+    pending = list(reversed(below[base]))
+    while pending:
+        joint = pending.pop()
+        ordered[joint.name] = joint
+        pending.extend(reversed(below[joint.child]))
+    return ordered
+
+
+def _unreached(
+    base: str, below: Mapping[str, list[UrdfJoint]], joints: Mapping[str, UrdfJoint]
+) -> UrdfJoint:
+    reached = _in_tree_order(base, below)
+    return next(joint for name, joint in joints.items() if name not in reached)
