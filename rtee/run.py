@@ -7,10 +7,10 @@ import logging
 import signal
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager, AsyncExitStack
+from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import anyio
 
@@ -31,6 +31,7 @@ from rtee.loop.report import Tally, start_line, statistics_line
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings, RealtimeSettings
 from rtee.loop.stopping import bring_to_rest
 from rtee.loop.ticker import drive
+from rtee.remote.server import Server
 from rtee.types import Event
 
 log = logging.getLogger(__name__)
@@ -72,15 +73,6 @@ class RunOptions:
     trace: bool = False
     companions: tuple[tuple[str, ...], ...] = ()
     config_dirs: tuple[Path, ...] = ()
-
-
-class Serve(Protocol):
-    """Makes the network server of a hand."""
-
-    def __call__(
-        self, loop: HandLoop, hand: Hand, config: HandConfig
-    ) -> AbstractAsyncContextManager[object]:
-        """Return the server; entered when the hand runs, left before it ends."""
 
 
 @dataclass(frozen=True)
@@ -163,14 +155,14 @@ class _Running:
     loop: HandLoop
     recorder: Recorder
     tally: Tally
-    server: object = None
+    server: Server | None = None
 
 
 async def run_hands(
     names: Sequence[str],
     options: RunOptions | None = None,
     *,
-    serve: Serve | None = None,
+    serve: Callable[[HandLoop, Hand, HandConfig], Server] | None = Server,
     say: Callable[[str], None] = print,
     until: anyio.Event | None = None,
 ) -> int:
@@ -179,7 +171,7 @@ async def run_hands(
     Args:
         names: The hands, by name or folder.
         options: What the command line overrides.
-        serve: Makes the network server of each; ``None``: the hands are not on the network.
+        serve: Makes the network server of each; ``None``: they are not on the network.
         say: Prints a line.
         until: Set from outside to end the run.
 
@@ -206,6 +198,7 @@ async def run_hands(
         for one in running:
             if serve is not None:
                 server = serve(one.loop, one.prepared.hand, one.prepared.config)
+                server.recording = partial(_path_of, one.recorder)
                 one.server = await stack.enter_async_context(server)
             say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
         for warning in set_up(realtime):
@@ -396,8 +389,12 @@ def _log_words(recorder: Recorder) -> str:
     return str(status.path) if status.path else f"not written: {status.problem}"
 
 
-def _network_words(server: object) -> str:
-    return "off" if server is None else str(getattr(server, "endpoint", "on"))
+def _path_of(recorder: Recorder) -> str:
+    return str(recorder.status().path or "")
+
+
+def _network_words(server: Server | None) -> str:
+    return "off" if server is None else server.endpoint
 
 
 def _summary(running: Sequence[_Running]) -> list[str]:
