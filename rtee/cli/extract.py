@@ -58,6 +58,9 @@ def extract(
     save: Annotated[
         bool, typer.Option("--save", help="Write the primitives to the hand's own actions.")
     ] = False,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a page with a picture of every action (HTML).")
+    ] = None,
     as_json: JsonOption = False,
     jobs: Annotated[
         int, typer.Option(min=0, help="Processes to use; 0 means one per processor.")
@@ -85,14 +88,25 @@ def extract(
         from rtee.actions.store import write_primitives
 
         write_primitives(target, model, found.primitives)
+    if report is not None:
+        _report(report, model, found, folder, jobs)
     if as_json:
         from rtee.actions.describe import describe
 
         print(json.dumps(describe(model, found.primitives, found.seconds), indent=2))
         return
     _show(model, found)
-    for target in targets:
+    for target in [*targets, *([report] if report else [])]:
         print(f"written to {target}")
+
+
+def _report(path: Path, hand: HandModel, found: Extraction, folder: Path | None, jobs: int) -> None:
+    from rtee.actions.library import ActionLibrary
+    from rtee.extract.report import write_report
+
+    custom = ActionLibrary.load(hand, folder / "actions") if folder is not None else None
+    with _progress("taking pictures") as progress:
+        write_report(path, hand, found, custom, jobs=jobs, progress=progress)
 
 
 def _load(
@@ -107,7 +121,7 @@ def _load(
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[int, int], None] | None]:
+def _progress(what: str = "searching pinches") -> Iterator[Callable[[int, int], None] | None]:
     """Give what shows progress on a terminal, once it takes longer than a second."""
     if not sys.stderr.isatty():
         yield None
@@ -124,7 +138,7 @@ def _progress() -> Iterator[Callable[[int, int], None] | None]:
 
             bar = Progress(console=Console(stderr=True), transient=True)
             bar.start()
-            task = bar.add_task("searching pinches", total=total)
+            task = bar.add_task(what, total=total)
         if bar is not None:
             bar.update(task, completed=done, total=total)
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-import rtee
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.names import check_name
 
@@ -23,7 +22,7 @@ def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     """
     candidates = [Path(folder) for folder in extra]
     candidates += [Path(p) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
-    package = Path(rtee.__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     candidates += [Path("config"), package / "_config"]
     if (package.parent / "pyproject.toml").is_file():
         candidates.append(package.parent / "config")
