@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import LogError
-from rtee.log.recording import JointSeries, Recording, Span
+from rtee.log.labels import Band, Label, bands_of, labels_of
+from rtee.log.recording import JointSeries, Recording
 from rtee.types import FloatArray
 
 MOST_POINTS = 4000
@@ -28,13 +29,6 @@ COLOURS = (
     "#7f7f7f",
     "#bcbd22",
 )
-SPAN_COLOURS = ("#4c78a8", "#f58518", "#54a24b", "#b279a2", "#b8860b", "#439894", "#e45756")
-MARK_COLOUR = "#444444"
-_CHARACTER = 0.0098
-"""Width of a character of a label, as a share of the left panels'."""
-_LONGEST = 40
-_LANES = 3
-
 TOLD = frozenset(
     {"mark", "grasp_lost", "device_fault", "device_lost", "stop", "thermal", "log_resumed"}
 )
@@ -82,45 +76,6 @@ class Row:
     title: str
     positions: tuple[Line, ...]
     efforts: tuple[Line, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Band:
-    """A span as it is drawn.
-
-    Attributes:
-        span: The span.
-        colour: Its colour.
-        inner: It is the inner action of a timed one.
-    """
-
-    span: Span
-    colour: str
-    inner: bool
-
-    @property
-    def text(self) -> str:
-        """Its name with how it ended, unless it was simply reached."""
-        if self.span.outcome in ("reached", "ended"):
-            return self.span.name
-        return f"{self.span.name} ({self.span.outcome.replace('_', ' ')})"
-
-
-@dataclass(frozen=True, slots=True)
-class Label:
-    """A text above the first row.
-
-    Attributes:
-        t: Where it begins [s].
-        lane: Its height, counted from below.
-        text: What it says.
-        colour: Its colour.
-    """
-
-    t: float
-    lane: int
-    text: str
-    colour: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +171,7 @@ def figure(
                 t, values = thinned(states.t[within], efforts[within, column])
                 forces.append(Line(name, t, values, colour, dashed=False, group=name))
         rows.append(Row(title, tuple(positions), tuple(forces)))
-    bands = _bands(recording.spans, begin, until)
+    bands = bands_of(recording.spans, begin, until)
     marks = [
         (entry.t, entry.value.text if entry.value.kind == "mark" else entry.value.kind)
         for entry in recording.events
@@ -227,7 +182,7 @@ def figure(
         rows=tuple(rows),
         bands=bands,
         marks=tuple(t for t, _ in marks),
-        labels=tuple(_labels(bands, marks, begin, until)),
+        labels=tuple(labels_of(bands, marks, begin, until)),
         effort_label=label,
         start=begin,
         end=until,
@@ -286,51 +241,3 @@ def _efforts(recording: Recording, within: NDArray[np.bool_]) -> tuple[FloatArra
     if not np.isnan(states.current[within]).all():
         return states.current, "current [A]"
     return None, "effort"
-
-
-def _bands(spans: Sequence[Span], start: float, end: float) -> tuple[Band, ...]:
-    """Return the spans that are visible, with colours by name."""
-    bands: list[Band] = []
-    colours: dict[str, str] = {}
-
-    def colour(name: str) -> str:
-        return colours.setdefault(name, SPAN_COLOURS[len(colours) % len(SPAN_COLOURS)])
-
-    for span in spans:
-        if span.end < start or span.start > end:
-            continue
-        bands.append(Band(span, colour(span.name), inner=False))
-        bands += [
-            Band(inner, colour(span.name), inner=True)
-            for inner in span.inner
-            if inner.end >= start and inner.start <= end
-        ]
-    return tuple(bands)
-
-
-def _labels(
-    bands: Sequence[Band], marks: Sequence[tuple[float, str]], start: float, end: float
-) -> Iterator[Label]:
-    """Lay out the names: inner actions below, actions above them, marks on top.
-
-    Each kind has a few lanes; a name for which there is no room in any of them is left out.
-    """
-    duration = max(end - start, 1e-9)
-    kinds = (
-        [(max(b.span.start, start), b.text, b.colour) for b in bands if b.inner],
-        [(max(b.span.start, start), b.text, b.colour) for b in bands if not b.inner],
-        [(t, text, MARK_COLOUR) for t, text in marks],
-    )
-    base = 0
-    for texts in kinds:
-        free: list[float] = []
-        for t, text, colour in sorted(texts):
-            shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
-            width = (len(shown) + 1) * _CHARACTER * duration
-            at = max(start, min(t, end - width))
-            lane = next((k for k, until in enumerate(free) if until <= at), len(free))
-            if lane == _LANES:
-                continue
-            free[lane:] = [at + width, *free[lane + 1 :]]
-            yield Label(at, base + lane, shown, colour)
-        base += len(free)

@@ -10,7 +10,8 @@ import numpy as np
 
 from rtee.errors import LogError
 from rtee.log.export import replacing
-from rtee.log.figure import MARK_COLOUR, Figure, Line
+from rtee.log.figure import Figure, Line
+from rtee.log.labels import MARK_COLOUR
 
 _ROW_HEIGHT = 210
 _LANE_HEIGHT = 18

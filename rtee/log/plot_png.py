@@ -7,7 +7,8 @@ from typing import Any
 
 from rtee.errors import LogError
 from rtee.log.export import replacing
-from rtee.log.figure import MARK_COLOUR, Figure, Row
+from rtee.log.figure import Figure, Row
+from rtee.log.labels import MARK_COLOUR
 
 _WIDTH = 14.0
 _ROW_HEIGHT = 1.9

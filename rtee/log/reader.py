@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtee.errors import LogError, MessageError
 from rtee.log import rows
+from rtee.log.ahead import chunks_ahead
 from rtee.log.chunks import MESSAGE
 from rtee.log.plans import plan_of
 from rtee.log.recording import ActuatorSeries, Channel, Entry, JointSeries, Recording
 from rtee.log.rotation import parts_of, recordings
-from rtee.log.scan import DamagedRecordError, messages_of
+from rtee.log.scan import DamagedRecordError
 from rtee.log.sink import reason
 from rtee.log.survey import ChunkPlace, Survey, survey
 from rtee.loop.plan import Plan
@@ -126,23 +126,29 @@ class _Collector:
             if not channels and not file.values:
                 raise LogError("holds no recording of a hand", path=file.path)
             try:
-                with file.path.open("rb") as stream:
-                    for chunk in file.chunks:
-                        self._chunk(chunk, stream, channels)
+                self._file(file, channels)
             except OSError as error:
                 raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
         return self._recording()
 
-    def _chunk(self, place: ChunkPlace, stream: BinaryIO, channels: Mapping[int, str]) -> None:
-        if place.indexes and not channels.keys() & place.indexes.keys():
-            return
-        try:
-            data, _ = messages_of(place.record.read(stream))
-        except DamagedRecordError as error:
-            self._notes.append(str(error))
-            return
+    def _file(self, file: Survey, channels: Mapping[int, str]) -> None:
+        wanted = [
+            place
+            for place in file.chunks
+            if not place.indexes or channels.keys() & place.indexes.keys()
+        ]
+        with file.path.open("rb") as stream:
+            for place, data in chunks_ahead(file.path, wanted):
+                if isinstance(data, DamagedRecordError):
+                    self._notes.append(str(data))
+                else:
+                    self._chunk(place, data, stream, channels)
+
+    def _chunk(
+        self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, str]
+    ) -> None:
         array = np.frombuffer(data, dtype=np.uint8)
-        starts = _starts(place, stream, array, channels)
+        starts = rows.starts_of(place, stream, array, channels)
         if starts is None:
             walked = rows.walk(data)
             starts = {k: np.array(v, dtype=np.int64) for k, v in walked.items() if k in channels}
@@ -224,7 +230,7 @@ class _Collector:
 
     def _series(self, name: str, start: int) -> JointSeries:
         table = self._rows[name]
-        order = _order(table.times)
+        order = rows.order_of(table.times)
         wall = table.times[order]
         return JointSeries(
             t=(wall - start) / _SECOND,
@@ -235,7 +241,7 @@ class _Collector:
 
     def _actuators(self, start: int) -> ActuatorSeries:
         table = self._rows[topics.ACTUATOR_STATES]
-        order = _order(table.times)
+        order = rows.order_of(table.times)
         wall = table.times[order]
         wide = ["position", "velocity", "effort", "current", "temperature", "grasped", "fresh"]
         return ActuatorSeries(
@@ -258,35 +264,6 @@ class _Collector:
             stamp = float(fields.get("time", 0.0))
             entries.append(Entry((time - start) / _SECOND, time, stamp, value, number))
         return sorted(entries, key=lambda entry: entry.wall)
-
-
-def _starts(
-    place: ChunkPlace, stream: BinaryIO, data: rows.Bytes, channels: Mapping[int, str]
-) -> dict[int, rows.Offsets] | None:
-    """Return where the messages of the channels begin; ``None`` if the index cannot be trusted."""
-    if not place.indexes:
-        return None
-    found: dict[int, rows.Offsets] = {}
-    for number in channels:
-        index = place.indexes.get(number)
-        if index is None:
-            continue
-        try:
-            entries = np.frombuffer(index.read(stream)[6:], dtype="<u8").reshape(-1, 2)
-        except (DamagedRecordError, ValueError):
-            return None
-        starts = entries[:, 1].astype(np.int64)
-        if not rows.valid(data, starts, number):
-            return None
-        found[number] = starts
-    return found
-
-
-def _order(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
-    """Return what sorts by time; nothing is copied when the times are sorted already."""
-    if times.size < 2 or bool((times[1:] >= times[:-1]).all()):
-        return slice(None)
-    return np.argsort(times, kind="stable")
 
 
 def _channels_of(messages: Sequence[Message], start: int) -> dict[str, Channel]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import struct
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import MessageError
 from rtee.log.chunks import MESSAGE
+from rtee.log.scan import DamagedRecordError
+from rtee.log.survey import ChunkPlace
 from rtee.messages.cdr import DTYPES
 from rtee.messages.layout import offsets
 from rtee.messages.schema import MessageType
@@ -77,6 +80,35 @@ def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
         return False
     sizes = lengths(data, starts)
     return bool((sizes >= 0).all() and (starts + MESSAGE.size + sizes <= data.size).all())
+
+
+def starts_of(
+    place: ChunkPlace, stream: BinaryIO, data: Bytes, channels: Mapping[int, str]
+) -> dict[int, Offsets] | None:
+    """Return where the messages of the channels begin; ``None`` if the index cannot be trusted."""
+    if not place.indexes:
+        return None
+    found: dict[int, Offsets] = {}
+    for number in channels:
+        index = place.indexes.get(number)
+        if index is None:
+            continue
+        try:
+            entries = np.frombuffer(index.read(stream)[6:], dtype="<u8").reshape(-1, 2)
+        except (DamagedRecordError, ValueError):
+            return None
+        starts = entries[:, 1].astype(np.int64)
+        if not valid(data, starts, number):
+            return None
+        found[number] = starts
+    return found
+
+
+def order_of(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
+    """Return what sorts by time; nothing is copied when the times are sorted already."""
+    if times.size < 2 or bool((times[1:] >= times[:-1]).all()):
+        return slice(None)
+    return np.argsort(times, kind="stable")
 
 
 class Rows:

@@ -1,0 +1,102 @@
+"""Spans and marks of a plot, and their names above it, laid out so that they do not overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rtee.log.recording import Span
+
+SPAN_COLOURS = ("#4c78a8", "#f58518", "#54a24b", "#b279a2", "#b8860b", "#439894", "#e45756")
+MARK_COLOUR = "#444444"
+_CHARACTER = 0.0098
+"""Width of a character of a label, as a share of the left panels'."""
+_LONGEST = 40
+_LANES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A span as it is drawn.
+
+    Attributes:
+        span: The span.
+        colour: Its colour.
+        inner: It is the inner action of a timed one.
+    """
+
+    span: Span
+    colour: str
+    inner: bool
+
+    @property
+    def text(self) -> str:
+        """Its name with how it ended, unless it was simply reached."""
+        if self.span.outcome in ("reached", "ended"):
+            return self.span.name
+        return f"{self.span.name} ({self.span.outcome.replace('_', ' ')})"
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A text above the first row.
+
+    Attributes:
+        t: Where it begins [s].
+        lane: Its height, counted from below.
+        text: What it says.
+        colour: Its colour.
+    """
+
+    t: float
+    lane: int
+    text: str
+    colour: str
+
+
+def bands_of(spans: Sequence[Span], start: float, end: float) -> tuple[Band, ...]:
+    """Return the spans that are visible, with colours by name."""
+    bands: list[Band] = []
+    colours: dict[str, str] = {}
+
+    def colour(name: str) -> str:
+        return colours.setdefault(name, SPAN_COLOURS[len(colours) % len(SPAN_COLOURS)])
+
+    for span in spans:
+        if span.end < start or span.start > end:
+            continue
+        bands.append(Band(span, colour(span.name), inner=False))
+        bands += [
+            Band(inner, colour(span.name), inner=True)
+            for inner in span.inner
+            if inner.end >= start and inner.start <= end
+        ]
+    return tuple(bands)
+
+
+def labels_of(
+    bands: Sequence[Band], marks: Sequence[tuple[float, str]], start: float, end: float
+) -> Iterator[Label]:
+    """Lay out the names: inner actions below, actions above them, marks on top.
+
+    Each kind has a few lanes; a name for which there is no room in any of them is left out.
+    """
+    duration = max(end - start, 1e-9)
+    kinds = (
+        [(max(b.span.start, start), b.text, b.colour) for b in bands if b.inner],
+        [(max(b.span.start, start), b.text, b.colour) for b in bands if not b.inner],
+        [(t, text, MARK_COLOUR) for t, text in marks],
+    )
+    base = 0
+    for texts in kinds:
+        free: list[float] = []
+        for t, text, colour in sorted(texts):
+            shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+            width = (len(shown) + 1) * _CHARACTER * duration
+            at = max(start, min(t, end - width))
+            lane = next((k for k, until in enumerate(free) if until <= at), len(free))
+            if lane == _LANES:
+                continue
+            free[lane:] = [at + width, *free[lane + 1 :]]
+            yield Label(at, base + lane, shown, colour)
+        base += len(free)
