@@ -1,4 +1,4 @@
-"""The deepest pose of two tips at which nothing else collides, nor on the way there."""
+"""The best pose at which nothing else collides, nor on the way there."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from rtee.extract.collisions import Blocked, Watch, bisect
 from rtee.extract.descent import Minimum, Objective, descend
+from rtee.extract.goals import Goal
 from rtee.extract.motion import Motion, Way
 from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.search import distinct
@@ -52,20 +53,20 @@ class Constraint:
 
 
 class ClearSearch:
-    """Pushes poses of two tips out of their other collisions.
+    """Pushes poses out of the collisions that are not wanted.
 
     The convex parts of two links stand in for the links: they overlap before the links collide, by
     an allowance that is measured where the links first touch. Poses are improved under the
     constraints known so far, with an exact penalty; then the pose is checked exactly, and what
     collides there becomes a constraint, or a tighter one. A pose that is clear is refined: the
-    allowances are measured there, and it moves on as long as it gets deeper and stays clear.
+    allowances are measured there, and it moves on as long as it gets better and stays clear.
     """
 
     def __init__(
         self,
         scene: Scene,
         motion: Motion,
-        tips: LinkPair,
+        goal: Goal,
         space: Space,
         watch: Watch,
     ) -> None:
@@ -74,24 +75,25 @@ class ClearSearch:
         Args:
             scene: The hand's links.
             motion: Bounds on their motion.
-            tips: The tips to press together.
+            goal: What to press together.
             space: Where to search.
             watch: The links that may not collide.
         """
         self._scene = scene
         self._motion = motion
-        self._tips = tips
+        self._goal = goal
         self._space = space
-        self._varying = frozenset(space.index.tolist())
+        self._index = [int(i) for i in space.index]
+        self._varying = frozenset(self._index)
         self._low, self._high = np.zeros(space.size), np.ones(space.size)
         self._watch = watch
         self._constraints: list[Constraint] = []
 
     def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return clear poses, the deepest one whose way is clear first, if there is any.
+        """Return clear poses, the best one whose way is clear first, if there is any.
 
         Args:
-            starts: Coordinates ``(k,)`` of deep poses, the deepest first.
+            starts: Coordinates ``(k,)`` of good poses, the best first.
 
         Returns:
             Coordinates ``(k,)`` of clear poses; if no clear way was found, of poses behind
@@ -100,7 +102,7 @@ class ClearSearch:
         poses = [self._push_out(starts[0])]
         again = [self._descend(y, _QUICK) for y in starts]
         poses += [self._push_out(minimum.y) for minimum in distinct(again)[:_TRIED]]
-        found = sorted((y for y in poses if y is not None), key=self._depth)
+        found = sorted((y for y in poses if y is not None), key=self._value)
         behind: list[FloatArray] = []
         for _ in range(_WAYS):
             if not found:
@@ -113,11 +115,11 @@ class ClearSearch:
             self._learn_way(blocked, worst)
             better = self._push_out(self._descend(worst, _EVALUATIONS).y)
             if better is not None:
-                found = sorted([*found, better], key=self._depth)
+                found = sorted([*found, better], key=self._value)
         return [*found, *behind]
 
     def _push_out(self, y: FloatArray) -> FloatArray | None:
-        """Return a clear pose reached from a deep one."""
+        """Return a clear pose reached from a good one."""
         for _ in range(_ROUNDS):
             hits = self._colliding(y)
             if not hits:
@@ -125,19 +127,19 @@ class ClearSearch:
             for pair in hits:
                 self._learn(pair, y)
             y = self._descend(y, _EVALUATIONS).y
-            if self._depth(y) > 0.0:
+            if not self._reached(y):
                 return None
         return None
 
     def _refine(self, y: FloatArray) -> FloatArray:
-        """Return a deeper clear pose near a clear one."""
-        best = self._depth(y)
+        """Return a better clear pose near a clear one."""
+        best = self._value(y)
         for _ in range(_REFINEMENTS):
             self._calibrate(y)
             step = self._descend(y, _EVALUATIONS).y - y
             for share in (1.0, 0.5, 0.25, 0.125):
                 trial = y + share * step
-                value = self._depth(trial)
+                value = self._value(trial)
                 if value >= best - _CLOSE:
                     continue
                 hits = self._colliding(trial)
@@ -213,7 +215,7 @@ class ClearSearch:
             return False
         share = max(0.0, blocked.at - _SAFE)
         goal[actuator] = goal[actuator] * share + self._scene.hand.rest[actuator] * (1.0 - share)
-        i = self._space.index.tolist().index(actuator)
+        i = self._index.index(actuator)
         limit, rest = self._space.coordinates(goal)[i], self._space.rest[i]
         if limit >= rest and y[i] > rest:
             self._high[i] = min(self._high[i], limit)
@@ -224,9 +226,13 @@ class ClearSearch:
     def _way(self, y: FloatArray) -> Way:
         return self._motion.way(self._space.posture(y))
 
-    def _depth(self, y: FloatArray) -> float:
+    def _value(self, y: FloatArray) -> float:
         self._scene.place(self._space.posture(y))
-        return self._scene.distance(self._tips)
+        return self._goal.value()
+
+    def _reached(self, y: FloatArray) -> bool:
+        self._scene.place(self._space.posture(y))
+        return self._goal.reached()
 
     def _overlap(self, pair: LinkPair, way: Way, at: float) -> float:
         self._scene.place(way.at(at))
@@ -237,14 +243,14 @@ class ClearSearch:
         return descend(self._objective(), y, evaluations=evaluations, bounds=bounds)
 
     def _objective(self) -> Objective:
-        """Return the tips' signed distance with a penalty for overlaps beyond the allowances."""
-        scene, space, tips, rest = self._scene, self._space, self._tips, self._scene.hand.rest
+        """Return the goal with a penalty for overlaps beyond the allowances."""
+        scene, space, goal, rest = self._scene, self._space, self._goal, self._scene.hand.rest
         constraints = sorted(self._constraints, key=lambda c: -c.at)
 
         def function(y: FloatArray) -> tuple[float, FloatArray]:
             u = space.posture(y)
             scene.place(u)
-            value, slope = scene.slope(tips, space)
+            value, slope = goal.slope(space)
             at = 1.0
             for c in constraints:
                 if c.at != at:

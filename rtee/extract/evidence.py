@@ -10,6 +10,7 @@ import numpy as np
 
 from rtee.actions.types import Evidence, Posture
 from rtee.extract.collisions import Collisions, Watch, first_contact
+from rtee.extract.goals import Link, linked
 from rtee.extract.motion import Motion
 from rtee.extract.opposition import opposition
 from rtee.extract.scene import LinkPair, Scene
@@ -80,6 +81,53 @@ class Inspector:
             contact_at=None if contact_at is None else _round(contact_at),
             opposition=opposed,
         )
+
+    def multi_pinch(
+        self, u: FloatArray, names: Sequence[str], links: Sequence[Link], watch: Watch
+    ) -> Evidence:
+        """Return the evidence of a multi-pinch.
+
+        Args:
+            u: The posture as stored ``(n,)``.
+            names: The fingers.
+            links: The pairs of tips that may touch.
+            watch: The links that must not collide.
+        """
+        scene = self.scene
+        way = self.motion.way(u)
+        colliding = watch.at(u)
+        free = not colliding and watch.along(u) is None
+        scene.place(u)
+        touching = [link for link in links if scene.touching(link.tips)]
+        found = [(link, scene.witness(link.tips)) for link in touching]
+        depths = [max(0.0, -witness.distance) for _, witness in found]
+        middles = [(witness.first + witness.second) / 2.0 for _, witness in found]
+        firsts = [
+            (link.ends, first_contact(scene, link.tips, way, self.motion.speed(link.tips, way)))
+            for link in touching
+        ]
+        contact_at = _linked_at(len(names), firsts)
+        return Evidence(
+            depth=_round(sum(depths)),
+            point=_triple(np.mean(middles, axis=0)) if middles else None,
+            clear=not colliding,
+            path_clear=free,
+            colliding=tuple(pair.links for pair in colliding),
+            contact_at=None if contact_at is None else _round(contact_at),
+            pairs=tuple(
+                (names[link.ends[0]], names[link.ends[1]], _round(depth))
+                for (link, _), depth in zip(found, depths, strict=True)
+            ),
+        )
+
+
+def _linked_at(size: int, firsts: Sequence[tuple[tuple[int, int], float | None]]) -> float | None:
+    """Return the least intensity up to which contacts have linked all tips."""
+    known = sorted((at, edge) for edge, at in firsts if at is not None)
+    for i, (at, _) in enumerate(known):
+        if linked(size, [edge for _, edge in known[: i + 1]]):
+            return at
+    return None
 
 
 def posture_of(hand: Hand, u: FloatArray, involved: Sequence[str]) -> Posture:

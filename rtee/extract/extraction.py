@@ -7,12 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
-from rtee.actions.types import Primitive
+from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.evidence import Inspector
 from rtee.extract.kinematic import kinematic_primitives
+from rtee.extract.multi import find_multi
 from rtee.extract.pinch import find_pinch
 from rtee.extract.ranking import Rank
 from rtee.hand.model import Hand
+
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ def extract(
     *,
     jobs: int = 1,
     rank: Rank = "depth",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Extraction:
     """Find all primitive grasping actions of a hand.
 
@@ -53,8 +56,15 @@ def extract(
     begun = time.perf_counter()
     found = kinematic_primitives(hand)
     inspector = Inspector.of(hand)
-    for first, second in combinations([f for f in hand.fingers if f.tip], 2):
-        pinch = find_pinch(inspector, first, second, rank)
-        if pinch:
-            found.append(pinch)
+    fingers = [finger for finger in hand.fingers if finger.tip]
+    pinches = [find_pinch(inspector, a, b, rank) for a, b in combinations(fingers, 2)]
+    found += [pinch for pinch in pinches if pinch is not None]
+    tight = {frozenset(p.elements): p for p in found if p.kind is PrimitiveKind.PINCH_TIGHT}
+    for size in range(3, len(fingers) + 1):
+        for group in combinations(fingers, size):
+            multi = find_multi(inspector, group, tight, rank)
+            if multi is not None:
+                found.append(multi)
+    order = list(PrimitiveKind)
+    found.sort(key=lambda p: (order.index(p.kind), p.tips))
     return Extraction(tuple(found), time.perf_counter() - begun)

@@ -80,8 +80,8 @@ class Motion:
         Returns:
             The sum of the greatest displacements up to each station ``(s,)`` [m].
         """
-        scene, shapes = self._scene, self._scene.geometry.shapes
-        first, second = (scene.geometry.of_link(link) for link in pair.links)
+        scene, shapes = self._scene, self._scene.shapes
+        first, second = pair.shapes
         couples = [(a, b) for i in first for j in second for a, b in ((i, j), (j, i))]
         total, last = [0.0], []
         for t in stations:
@@ -102,8 +102,8 @@ class Motion:
         """Return the longest lever of every joint on the pair ``(m,)``: metres, 1 if prismatic."""
         scene = self._scene
         levers = np.zeros(len(scene.hand.joints))
-        for link, body in zip(pair.links, pair.bodies, strict=True):
-            reach = max(self._radius[i] for i in scene.geometry.of_link(link))
+        for shapes, body in zip(pair.shapes, pair.bodies, strict=True):
+            reach = max(self._radius[i] for i in shapes)
             while body:
                 if pair.moved_by[body - 1] != 0.0:
                     joint = scene.hand.joints[body - 1]
@@ -129,7 +129,7 @@ class Motion:
     def _radius(self) -> list[float]:
         """Distance of the farthest point of every shape from its joint's frame [m]."""
         radii = []
-        for shape in self._scene.geometry.shapes:
+        for shape in self._scene.shapes:
             placement = shape.placement
             points = shape.points @ placement.rotation.T + placement.translation
             radii.append(float(np.linalg.norm(points, axis=1).max()))

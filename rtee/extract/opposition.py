@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import coal
@@ -65,7 +66,7 @@ def opposition(
     angles = [_angle(line, normal) for line, normal in zip(lines, outward, strict=True)]
     centre = (witness.first + witness.second) / 2.0
     contacts = [
-        _meet(scene, link, line, centre) for link, line in zip(tips.links, lines, strict=True)
+        _meet(scene, shapes, line, centre) for shapes, line in zip(tips.shapes, lines, strict=True)
     ]
     closed = all(c is not None for c in contacts) and force_closure(
         [c for c in contacts if c is not None], centre, FRICTION
@@ -89,30 +90,32 @@ def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: floa
     return _angle(line, inward[0]) <= half and _angle(-line, inward[1]) <= half
 
 
-def _meet(scene: Scene, link: str, line: FloatArray, centre: FloatArray) -> FloatArray | None:
+def _meet(
+    scene: Scene, shapes: Sequence[int], line: FloatArray, centre: FloatArray
+) -> FloatArray | None:
     """Return where a tip that closes along a line first touches the ball, on the ball [m]."""
     ball = coal.Sphere(BALL)
-    gap, towards = _gap(scene, link, ball, centre)
+    gap, towards = _gap(scene, shapes, ball, centre)
     if gap > 0.0:
         drawn_back = 0.0
         while gap > _TOUCH:
             drawn_back -= gap
             if drawn_back < -_FAR:
                 return None
-            gap, towards = _gap(scene, link, ball, centre + drawn_back * line)
+            gap, towards = _gap(scene, shapes, ball, centre + drawn_back * line)
         return _on_ball(centre, towards)
     low, high = 0.0, BALL
-    while _gap(scene, link, ball, centre + high * line)[0] <= 0.0:
+    while _gap(scene, shapes, ball, centre + high * line)[0] <= 0.0:
         low, high = high, 2.0 * high
         if high > _FAR:
             return None
     while high - low > _TOUCH:
         middle = (low + high) / 2.0
-        if _gap(scene, link, ball, centre + middle * line)[0] <= 0.0:
+        if _gap(scene, shapes, ball, centre + middle * line)[0] <= 0.0:
             low = middle
         else:
             high = middle
-    return _on_ball(centre, _gap(scene, link, ball, centre + high * line)[1])
+    return _on_ball(centre, _gap(scene, shapes, ball, centre + high * line)[1])
 
 
 def _on_ball(centre: FloatArray, towards: FloatArray) -> FloatArray:
@@ -121,7 +124,7 @@ def _on_ball(centre: FloatArray, towards: FloatArray) -> FloatArray:
 
 
 def _gap(
-    scene: Scene, link: str, ball: coal.Sphere, centre: FloatArray
+    scene: Scene, shapes: Sequence[int], ball: coal.Sphere, centre: FloatArray
 ) -> tuple[float, FloatArray]:
     """Return the signed distance of a link from a ball and the direction from it to the link.
 
@@ -129,11 +132,11 @@ def _gap(
     """
     request, least, towards = coal.DistanceRequest(), math.inf, np.zeros(3)
     at = coal.Transform3s(np.eye(3), centre)
-    for i in scene.geometry.of_link(link):
+    for i in shapes:
         pose = scene.shape_pose(i)
         result = coal.DistanceResult()
         there = coal.Transform3s(pose.rotation, pose.translation)
-        shape = scene.geometry.shapes[i].convex
+        shape = scene.shapes[i].convex
         distance = coal.distance(ball, at, shape, there, request, result)
         if distance < least:
             least, towards = distance, np.array(result.normal)

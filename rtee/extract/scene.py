@@ -9,12 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.extract.couplings import Couplings
+from rtee.extract.hinge import Jaw, clip_jaws
 from rtee.extract.space import Space
 from rtee.extract.surface import encloses
-from rtee.hand.geometry import HandGeometry
+from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.types import FloatArray, JointKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +25,7 @@ class LinkPair:
     Attributes:
         links: The links' names.
         bodies: The joints that carry them, 0 for the base.
+        shapes: Indices of the shapes of the first and of the second link in the scene.
         pairs: Indices of the shapes' pairs in the scene.
         moved_by: 1 for joints that move the second link, -1 the first; 0 for none or both ``(m,)``.
         actuators: The actuators that move the links against each other.
@@ -32,6 +34,7 @@ class LinkPair:
 
     links: tuple[str, str]
     bodies: tuple[int, int]
+    shapes: tuple[tuple[int, ...], tuple[int, ...]]
     pairs: tuple[int, ...]
     moved_by: FloatArray
     actuators: frozenset[int]
@@ -42,6 +45,7 @@ class LinkPair:
         return LinkPair(
             self.links[::-1],
             self.bodies[::-1],
+            self.shapes[::-1],
             self.pairs,
             -self.moved_by,
             self.actuators,
@@ -82,8 +86,10 @@ class Scene:
         hand: The hand.
         geometry: Its collision geometry.
         couplings: Its transmission.
+        shapes: All collision shapes, and the clipped ones of joined tips.
         pairs: All pairs of links that have geometry and move against each other, by names in the
             order of the URDF's tree.
+        tips: The pairs of fingertips that actuators move against each other, in the fingers' order.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -95,42 +101,92 @@ class Scene:
         self.hand = hand
         self.kinematics = Kinematics(hand)
         self.geometry = HandGeometry(hand, self.kinematics)
-        everything = tuple(range(len(self.geometry.shapes)))
-        self._convex = self.geometry.model(everything, convex=True)
-        self._exact = self.geometry.model(everything, convex=False)
+        self.couplings = Couplings(hand)
+        self.shapes: list[Shape] = list(self.geometry.shapes)
         self.pairs: dict[tuple[str, str], LinkPair] = {}
-        self._shapes: list[tuple[int, int]] = []
-        links = list(dict.fromkeys(shape.link for shape in self.geometry.shapes))
+        self._couples: list[tuple[int, int]] = []
+        links = list(dict.fromkeys(shape.link for shape in self.shapes))
         for first, second in combinations(links, 2):
-            self._add_pair(first, second)
+            shapes = (self.geometry.of_link(first), self.geometry.of_link(second))
+            pair = self._couple((first, second), shapes)
+            if pair is not None:
+                self.pairs[first, second] = pair
         self._model = self.kinematics.model
         self._data = self.kinematics.data
-        self._convex_data = self._convex.createData()
-        self._exact_data = self._exact.createData()
-        self.couplings = Couplings(hand)
-        self._slope = self.couplings.slope(hand.rest)
         self._row = np.empty(6)
-        self._exact_placed = False
+        self._build()
+        self.tips = self._tip_pairs()
 
-    def _add_pair(self, first: str, second: str) -> None:
-        bodies = (self.kinematics.body(first), self.kinematics.body(second))
+    def _couple(
+        self, links: tuple[str, str], shapes: tuple[tuple[int, ...], tuple[int, ...]]
+    ) -> LinkPair | None:
+        bodies = (self.kinematics.body(links[0]), self.kinematics.body(links[1]))
         if bodies[0] == bodies[1]:
-            return
+            return None
+        begin = len(self._couples)
+        self._couples += [(i, j) for i in shapes[0] for j in shapes[1]]
         support = self.kinematics.support
         moved_by = support(bodies[1]) - support(bodies[0])
-        indices = []
-        for i in self.geometry.of_link(first):
-            for j in self.geometry.of_link(second):
-                k = len(self._shapes)
-                indices.append(k)
-                self._shapes.append((i, j))
-                self._convex.addCollisionPair(pin.CollisionPair(i, j))
-                self._exact.addCollisionPair(pin.CollisionPair(i, j))
         moves = [self.hand.transmission.moves(j) for j in np.flatnonzero(moved_by).tolist()]
         actuators = frozenset(i for i in moves if i is not None)
-        self.pairs[first, second] = LinkPair(
-            (first, second), bodies, tuple(indices), moved_by, actuators
+        couples = tuple(range(begin, len(self._couples)))
+        return LinkPair(links, bodies, shapes, couples, moved_by, actuators)
+
+    def _build(self) -> None:
+        """Make Pinocchio's models of all shapes and of all couples of them."""
+        self._convex, self._exact = pin.GeometryModel(), pin.GeometryModel()
+        for i, shape in enumerate(self.shapes):
+            for model, form in ((self._convex, shape.convex), (self._exact, shape.exact)):
+                placed = pin.GeometryObject(str(i), shape.body, shape.placement, form)
+                model.addGeometryObject(placed)
+        for i, j in self._couples:
+            self._convex.addCollisionPair(pin.CollisionPair(i, j))
+            self._exact.addCollisionPair(pin.CollisionPair(i, j))
+        self._convex_data = self._convex.createData()
+        self._exact_data = self._exact.createData()
+        self._slope = self.couplings.slope(self.hand.rest)
+        self.place(self.hand.rest)
+
+    def _tip_pairs(self) -> dict[tuple[str, str], LinkPair]:
+        """Return the pairs of fingertips; of joined ones, only what can show a pinch."""
+        tips = [finger.tip for finger in self.hand.fingers if finger.tip]
+        found: dict[tuple[str, str], LinkPair] = {}
+        clipped = False
+        for first, second in combinations(dict.fromkeys(tips), 2):
+            pair = self.pair(first, second)
+            if pair is not None and self._joined(pair) and self.touching(pair):
+                pair = self._clipped(pair)
+                clipped = True
+            if pair is not None and pair.actuators:
+                found[first, second] = pair
+        if clipped:
+            self._build()
+        return found
+
+    def _joined(self, pair: LinkPair) -> bool:
+        first, second = pair.bodies
+        parents = self._model.parents
+        return parents[first] == second or parents[second] == first
+
+    def _clipped(self, pair: LinkPair) -> LinkPair | None:
+        moving = max(pair.bodies)
+        if self.hand.joints[moving - 1].kind is JointKind.PRISMATIC:
+            return None
+        placement = self._data.oMi[moving]
+        spec = self.hand.urdf.joints[self.hand.joints[moving - 1].name]
+        origin, axis = np.array(placement.translation), placement.rotation @ spec.axis
+        first, second = (
+            [Jaw(self.shapes[i], self.shape_pose(i).copy(), origin, axis) for i in tip]
+            for tip in pair.shapes
         )
+        parts = clip_jaws(first, second)
+        if not parts[0] or not parts[1]:
+            return None
+        begin = len(self.shapes)
+        self.shapes += [*parts[0], *parts[1]]
+        middle, end = begin + len(parts[0]), len(self.shapes)
+        shapes = (tuple(range(begin, middle)), tuple(range(middle, end)))
+        return self._couple(pair.links, shapes)
 
     def pair(self, first: str, second: str) -> LinkPair | None:
         """Return a pair of links in the order asked for; ``None`` if they never move apart."""
@@ -209,11 +265,11 @@ class Scene:
         overlap = -pin.computeDistance(self._convex, self._convex_data, k).min_distance
         if overlap < 0.0:
             return False
-        i, j = self._shapes[k]
+        i, j = self._couples[k]
         self._place_exact()
         if pin.computeCollision(self._exact, self._exact_data, k):
             return True
-        a, b = self.geometry.shapes[i], self.geometry.shapes[j]
+        a, b = self.shapes[i], self.shapes[j]
         if overlap < min(a.least_width, b.least_width):
             return False
         to_a = self._exact_data.oMg[i].actInv(self._exact_data.oMg[j])

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.descent import Minimum, descend
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.goals import Placed
 from rtee.extract.space import Space, halton
 from rtee.types import FloatArray
 
@@ -22,43 +22,8 @@ _LINE: Final = 257
 _LINE_PRECISION: Final = 1e-8
 
 
-class SignedDistance:
-    """The signed distance of two links as a function of the coordinates of a space.
-
-    Calling it gives the value with its derivative, `value` the value alone.
-
-    Attributes:
-        space: The space.
-    """
-
-    def __init__(self, scene: Scene, pair: LinkPair, space: Space, *, exact: bool = False) -> None:
-        """Prepare for a pair of links.
-
-        Args:
-            scene: The hand's links.
-            pair: The links.
-            space: The space.
-            exact: Take the distance of the geometry as given, 0 where it touches, instead of that
-                of the convex parts.
-        """
-        self._scene = scene
-        self._pair = pair
-        self._slope = scene.exact_slope if exact else scene.slope
-        self.space = space
-
-    def __call__(self, y: FloatArray) -> tuple[float, FloatArray]:
-        """Return the distance [m] and its derivative ``(k,)`` at coordinates ``(k,)``."""
-        self._scene.place(self.space.posture(y))
-        return self._slope(self._pair, self.space)
-
-    def value(self, y: FloatArray) -> float:
-        """Return the distance [m] at coordinates ``(k,)``."""
-        self._scene.place(self.space.posture(y))
-        return self._scene.distance(self._pair)
-
-
 def minima(
-    function: SignedDistance,
+    function: Placed,
     warm: Sequence[FloatArray] = (),
     starts: int = STARTS,
 ) -> list[Minimum]:
@@ -99,7 +64,7 @@ def distinct(found: Sequence[Minimum]) -> list[Minimum]:
     return kept
 
 
-def on_a_line(function: SignedDistance, low: float = 0.0, high: float = 1.0) -> list[Minimum]:
+def on_a_line(function: Placed, low: float = 0.0, high: float = 1.0) -> list[Minimum]:
     """Return all local minima over one coordinate, by a fine grid and golden sections.
 
     Args:
@@ -119,9 +84,7 @@ def on_a_line(function: SignedDistance, low: float = 0.0, high: float = 1.0) -> 
     return sorted(found, key=lambda m: m.value)
 
 
-def _golden(
-    function: SignedDistance, bracket: tuple[float, float], at: float, least: float
-) -> Minimum:
+def _golden(function: Placed, bracket: tuple[float, float], at: float, least: float) -> Minimum:
     """Return the minimum in a bracket; Kiefer (1953)."""
     low, high = bracket
     ratio = (np.sqrt(5.0) - 1.0) / 2.0

@@ -17,10 +17,12 @@ from rtee.hand.meshes import check_mesh
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
-from rtee.types import FloatArray
+from rtee.types import BoolArray, FloatArray
 
 _FLAT: Final = 1e-4
 """A mesh flatter than this part of its extent has no proper convex hull and is thickened."""
+
+_ROUNDING: Final = 1e-9
 
 _THICKNESS: Final = 1e-5
 """Half the thickness that a flat mesh gets [m]."""
@@ -32,6 +34,7 @@ class Shape:
     Attributes:
         link: The link's name.
         body: The joint that carries it, 0 for the base.
+        of_link: The link's pose in that joint's frame.
         placement: Its pose in that joint's frame.
         in_link: Its pose in the link's frame.
         exact: The shape as given: a solid primitive, or the triangles of a mesh.
@@ -48,6 +51,7 @@ class Shape:
     ) -> None:
         self.link = link
         self.body = body
+        self.of_link = of_link
         self.in_link = pose(source.xyz, source.rpy)
         self.placement = of_link * self.in_link
         self.exact = exact
@@ -77,6 +81,21 @@ class Shape:
         corners = (self.exact.tri_indices(i) for i in range(self.exact.num_tris))
         faces = [(c[0], c[1], c[2]) for c in corners]
         return np.array(self.exact.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
+
+    def contains(self, points: FloatArray) -> BoolArray:
+        """Return which points ``(k, 3)`` in the shape's own frame lie in its convex part."""
+        source = self.source
+        if source.kind == "box":
+            inside: BoolArray = (np.abs(points) <= np.array(source.size) / 2).all(axis=1)
+        elif source.kind == "sphere":
+            inside = np.linalg.norm(points, axis=1) <= source.radius
+        elif source.kind == "cylinder":
+            across = np.linalg.norm(points[:, :2], axis=1) <= source.radius
+            inside = across & (np.abs(points[:, 2]) <= source.length / 2)
+        else:
+            normals, offsets = np.array(self.convex.normals()), np.array(self.convex.offsets())
+            inside = (points @ normals.T + offsets <= _ROUNDING).all(axis=1)
+        return inside
 
     @property
     def box(self) -> tuple[FloatArray, FloatArray]:
@@ -245,15 +264,31 @@ def _exact(source: UrdfGeometry, meshes: _Meshes) -> coal.CollisionGeometry:
     return meshes.load(source)
 
 
+def hull_of(points: FloatArray) -> coal.ConvexBase:
+    """Return the convex hull of points ``(k, 3)`` [m]; flat ones are first thickened by 10 µm."""
+    if not _is_flat(points):
+        return coal.Convex.convexHull(_vector(points), True, "Qt")
+    corners = np.array(np.meshgrid(*[(-_THICKNESS, _THICKNESS)] * 3)).T.reshape(-1, 1, 3)
+    return coal.Convex.convexHull(_vector((corners + points).reshape(-1, 3)), True, "Qt")
+
+
 def _hull(mesh: coal.BVHModelBase) -> coal.ConvexBase:
-    """Return the convex hull of a mesh; a flat or thin one is first thickened by 10 µm."""
     vertices = mesh.vertices()
-    spread = np.linalg.eigvalsh(np.cov(vertices.T))
-    if len(vertices) >= 4 and spread[0] > _FLAT**2 * spread[-1]:
-        mesh.buildConvexHull(True, "Qt")
-        return mesh.convex
-    points = coal.StdVec_Vec3s()
-    for corner in np.array(np.meshgrid(*[(-_THICKNESS, _THICKNESS)] * 3)).T.reshape(-1, 3):
-        for vertex in vertices:
-            points.append(vertex + corner)
-    return coal.Convex.convexHull(points, True, "Qt")
+    if _is_flat(vertices):
+        return hull_of(vertices)
+    mesh.buildConvexHull(True, "Qt")
+    return mesh.convex
+
+
+def _is_flat(points: FloatArray) -> bool:
+    if len(points) < 4:
+        return True
+    spread = np.linalg.eigvalsh(np.cov(points.T))
+    return bool(spread[0] <= _FLAT**2 * spread[-1])
+
+
+def _vector(points: FloatArray) -> coal.StdVec_Vec3s:
+    vector = coal.StdVec_Vec3s()
+    for point in points:
+        vector.append(point)
+    return vector

@@ -1,0 +1,219 @@
+"""What a search presses together: two tips, or more of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final, Protocol
+
+import numpy as np
+
+from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.space import Space
+from rtee.types import FloatArray
+
+_MARGIN: Final = 2e-4
+"""By how much the convex parts of linked tips are to overlap [m]."""
+
+_PULL: Final = 5.0
+"""How much more a gap between tips that should be linked counts than a depth."""
+
+
+class Goal(Protocol):
+    """Something to minimise at the posture where the scene is placed."""
+
+    def value(self) -> float:
+        """Return the value [m]; the lower the better."""
+
+    def slope(self, space: Space) -> tuple[float, FloatArray]:
+        """Return the value [m] and its derivative by the coordinates of the space ``(k,)``."""
+
+    def reached(self) -> bool:
+        """Return whether the convex parts of the tips overlap as wanted."""
+
+    def touching(self) -> bool:
+        """Return whether the tips touch as wanted, in their geometry as given."""
+
+
+class Placed:
+    """A goal as a function of the coordinates of a space.
+
+    Attributes:
+        space: The space.
+    """
+
+    def __init__(self, scene: Scene, goal: Goal, space: Space) -> None:
+        self._scene = scene
+        self._goal = goal
+        self.space = space
+
+    def __call__(self, y: FloatArray) -> tuple[float, FloatArray]:
+        """Return the value [m] and its derivative ``(k,)`` at coordinates ``(k,)``."""
+        self._scene.place(self.space.posture(y))
+        return self._goal.slope(self.space)
+
+    def value(self, y: FloatArray) -> float:
+        """Return the value [m] at coordinates ``(k,)``."""
+        self._scene.place(self.space.posture(y))
+        return self._goal.value()
+
+
+class Pinch:
+    """Two tips: the signed distance of their convex parts."""
+
+    def __init__(self, scene: Scene, tips: LinkPair) -> None:
+        self._scene = scene
+        self._tips = tips
+
+    def value(self) -> float:
+        """Return the signed distance [m]."""
+        return self._scene.distance(self._tips)
+
+    def slope(self, space: Space) -> tuple[float, FloatArray]:
+        """Return the signed distance [m] and its derivative ``(k,)``."""
+        return self._scene.slope(self._tips, space)
+
+    def reached(self) -> bool:
+        """Return whether the convex parts overlap."""
+        return self.value() <= 0.0
+
+    def touching(self) -> bool:
+        """Return whether the tips touch exactly."""
+        return self._scene.touching(self._tips)
+
+
+class Gap(Pinch):
+    """Two tips: the distance of their geometry as given, 0 where it touches."""
+
+    def value(self) -> float:
+        """Return the distance [m]."""
+        return self._scene.exact_distance(self._tips)
+
+    def slope(self, space: Space) -> tuple[float, FloatArray]:
+        """Return the distance [m] and its derivative ``(k,)``."""
+        return self._scene.exact_slope(self._tips, space)
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """Two tips of several that can touch each other.
+
+    Attributes:
+        ends: Their numbers.
+        tips: The tips.
+    """
+
+    ends: tuple[int, int]
+    tips: LinkPair
+
+
+class MultiPinch:
+    """Three tips or more, linked by contacts.
+
+    The value is minus the sum of all depths, plus a pull on the gaps of the shortest spanning tree,
+    so that the tips stay or become linked, plus a push on contacts with tips that take no part.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        size: int,
+        links: Sequence[Link],
+        strangers: Sequence[LinkPair],
+    ) -> None:
+        """Prepare a goal.
+
+        Args:
+            scene: The hand's links.
+            size: Number of tips.
+            links: The pairs of them that can touch.
+            strangers: Pairs of tips of which one takes no part or both.
+        """
+        self._scene = scene
+        self._size = size
+        self._links = links
+        self._strangers = strangers
+
+    def value(self) -> float:
+        """Return the value [m]."""
+        gaps = [self._scene.distance(link.tips) for link in self._links]
+        tree = spanning_tree(self._size, [link.ends for link in self._links], gaps)
+        value = sum(min(gap, 0.0) for gap in gaps)
+        value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in tree)
+        for pair in self._strangers:
+            value += _PULL * max(0.0, -self._scene.distance(pair))
+        return value
+
+    def slope(self, space: Space) -> tuple[float, FloatArray]:
+        """Return the value [m] and its derivative ``(k,)``."""
+        scene = self._scene
+        found = [scene.slope(link.tips, space) for link in self._links]
+        gaps = [gap for gap, _ in found]
+        tree = set(spanning_tree(self._size, [link.ends for link in self._links], gaps))
+        value, slope = 0.0, np.zeros(space.size)
+        for i, (gap, rise) in enumerate(found):
+            if gap < 0.0:
+                value += gap
+                slope += rise
+            if i in tree and gap > -_MARGIN:
+                value += _PULL * (gap + _MARGIN)
+                slope += _PULL * rise
+        for pair in self._strangers:
+            if scene.distance(pair) < 0.0:
+                gap, rise = scene.slope(pair, space)
+                value -= _PULL * gap
+                slope -= _PULL * rise
+        return value, slope
+
+    def reached(self) -> bool:
+        """Return whether the tips are linked by overlaps of their convex parts."""
+        overlaps = [x.ends for x in self._links if self._scene.distance(x.tips) <= 0.0]
+        return linked(self._size, overlaps)
+
+    def touching(self) -> bool:
+        """Return whether exactly these tips touch, linked by contacts."""
+        contacts = [x.ends for x in self._links if self._scene.touching(x.tips)]
+        return linked(self._size, contacts) and not any(
+            self._scene.touching(pair) for pair in self._strangers
+        )
+
+
+def spanning_tree(
+    size: int, edges: Sequence[tuple[int, int]], lengths: Sequence[float]
+) -> list[int]:
+    """Return the edges, by number, of the shortest spanning tree (Kruskal, 1956).
+
+    Args:
+        size: Number of nodes.
+        edges: Pairs of nodes.
+        lengths: Length of each edge.
+    """
+    parent = list(range(size))
+
+    def root(node: int) -> int:
+        while parent[node] != node:
+            node = parent[node]
+        return node
+
+    tree = []
+    for i in sorted(range(len(edges)), key=lambda i: lengths[i]):
+        a, b = root(edges[i][0]), root(edges[i][1])
+        if a != b:
+            parent[a] = b
+            tree.append(i)
+    return tree
+
+
+def linked(size: int, edges: Sequence[tuple[int, int]]) -> bool:
+    """Return whether edges connect all nodes."""
+    return len(spanning_tree(size, edges, [0.0] * len(edges))) == size - 1
+
+
+def trees(size: int, edges: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
+    """Return all spanning trees as edges by number; for few nodes only."""
+    return [
+        chosen
+        for chosen in combinations(range(len(edges)), size - 1)
+        if linked(size, [edges[i] for i in chosen])
+    ]

@@ -1,0 +1,170 @@
+"""Tips that are joined to each other by a joint: which part of them can show a pinch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from rtee.hand.geometry import Shape, hull_of
+from rtee.types import FloatArray
+
+OUTER: Final = 0.5
+"""From where on a jaw counts, between the reach of its contact at rest (0) and its end (1)."""
+
+_EDGE: Final = 0.006
+"""Longest edge of the triangles along which a mesh is cut [m]."""
+
+_HALVINGS: Final = 8
+
+
+class ClippedShape(Shape):
+    """The part of a shape that lies beyond a distance from an axis.
+
+    Its convex part is the hull of that part. Its exact geometry are the triangles beyond the
+    distance, or the convex part of a primitive.
+    """
+
+    def __init__(self, whole: Shape, corners: FloatArray) -> None:
+        """Take a part of a shape.
+
+        Args:
+            whole: The shape.
+            corners: The triangles that remain ``(t, 3, 3)`` in the shape's own frame [m].
+        """
+        points = corners.reshape(-1, 3)
+        hull = hull_of(np.unique(np.round(points, 7), axis=0))
+        exact = _mesh(corners) if whole.is_mesh else hull
+        super().__init__(whole.link, whole.body, whole.of_link, exact, whole.source)
+        faces = np.arange(len(points), dtype=np.int64).reshape(-1, 3)
+        self.convex = hull
+        self.triangles = (points, faces)
+        self.points = np.array(hull.points())
+        self.surface = points
+
+
+@dataclass(frozen=True)
+class Jaw:
+    """A shape of a tip, as seen from the joint's axis.
+
+    Attributes:
+        shape: The shape.
+        pose: Its pose at rest in the base frame.
+        origin: A point of the axis in the base frame [m].
+        axis: The axis, a unit vector in the base frame.
+    """
+
+    shape: Shape
+    pose: pin.SE3
+    origin: FloatArray
+    axis: FloatArray
+
+    def arms(self, points: FloatArray) -> FloatArray:
+        """Return the distances of points ``(..., 3)`` in the shape's frame from the axis [m]."""
+        there = points @ self.pose.rotation.T + self.pose.translation
+        distances: FloatArray = np.linalg.norm(np.cross(there - self.origin, self.axis), axis=-1)
+        return distances
+
+    def reach(self) -> float:
+        """Return the distance of the farthest point from the axis [m]."""
+        return float(self.arms(self.shape.triangles[0]).max())
+
+    def outline(self, limit: float) -> FloatArray:
+        """Return points ``(k, 3)`` whose hull holds what is beyond a distance from the axis."""
+        vertices, faces = self.shape.triangles
+        arms = self.arms(vertices)
+        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        near, far = np.minimum(arms[edges[:, 0]], arms[edges[:, 1]]), arms[edges].max(axis=1)
+        crossing = edges[(near < limit) & (far > limit)]
+        a, b = crossing[:, 0], crossing[:, 1]
+        share = ((limit - arms[a]) / (arms[b] - arms[a]))[:, None]
+        cuts = vertices[a] + share * (vertices[b] - vertices[a])
+        return np.concatenate([vertices[arms > limit], cuts])
+
+    def beyond(self, limit: float) -> FloatArray:
+        """Return the triangles ``(t, 3, 3)`` that are beyond a distance from the axis."""
+        vertices, faces = self.shape.triangles
+        outside = (self.arms(vertices) > limit)[faces]
+        whole = outside.all(axis=1)
+        pieces = _fine(vertices[faces[~whole]])
+        kept = pieces[(self.arms(pieces) > limit).all(axis=1)]
+        return np.concatenate([vertices[faces[whole]], kept])
+
+
+def clip_jaws(
+    first: Sequence[Jaw], second: Sequence[Jaw]
+) -> tuple[list[ClippedShape], list[ClippedShape]]:
+    """Return the parts of two joined tips whose contact shows a pinch.
+
+    Tips that a joint joins may touch near it at every configuration, which shows nothing. The least
+    distance from the joint's axis beyond which they do not touch at rest tells how far that
+    reaches. What counts are the outer parts of the tips: those farther from the axis than the
+    middle between that reach and the end of the shorter tip.
+
+    Args:
+        first: The shapes of one tip.
+        second: The shapes of the other one.
+
+    Returns:
+        The clipped shapes of both tips; empty where nothing is left.
+    """
+    end = min(max(jaw.reach() for jaw in tip) for tip in (first, second))
+    low, high = 0.0, end
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2.0
+        if _overlap(first, second, middle):
+            low = middle
+        else:
+            high = middle
+    limit = high + OUTER * (end - high)
+    parts = []
+    for tip in (first, second):
+        cut = [(jaw.shape, jaw.beyond(limit)) for jaw in tip]
+        parts.append([ClippedShape(shape, corners) for shape, corners in cut if len(corners)])
+    return parts[0], parts[1]
+
+
+def _overlap(first: Sequence[Jaw], second: Sequence[Jaw], limit: float) -> bool:
+    """Return whether the convex parts beyond a distance from the axis overlap at rest."""
+    hulls = []
+    for tip in (first, second):
+        outlines = [(jaw.pose, jaw.outline(limit)) for jaw in tip]
+        hulls.append([(pose, hull_of(points)) for pose, points in outlines if len(points)])
+    request = coal.CollisionRequest()
+    return any(
+        coal.collide(a, _transform(at_a), b, _transform(at_b), request, coal.CollisionResult())
+        for at_a, a in hulls[0]
+        for at_b, b in hulls[1]
+    )
+
+
+def _transform(pose: pin.SE3) -> coal.Transform3s:
+    return coal.Transform3s(pose.rotation, pose.translation)
+
+
+def _fine(corners: FloatArray) -> FloatArray:
+    """Return triangles ``(t, 3, 3)`` with short edges, longer ones halved."""
+    while True:
+        lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+        long = lengths.max(axis=1, initial=0.0) > _EDGE
+        if not long.any():
+            return corners
+        halved, longest = corners[long], lengths[long].argmax(axis=1)
+        rows = np.arange(len(halved))
+        a, b, c = (halved[rows, (longest + i) % 3] for i in range(3))
+        middle = (a + b) / 2.0
+        parts = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
+        corners = np.concatenate([corners[~long], *parts])
+
+
+def _mesh(corners: FloatArray) -> coal.BVHModelOBBRSS:
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(corners), 3 * len(corners))
+    mesh.addVertices(corners.reshape(-1, 3))
+    mesh.addTriangles(np.arange(3 * len(corners), dtype=np.uint64).reshape(-1, 3))
+    mesh.endModel()
+    return mesh
