@@ -218,12 +218,12 @@ class HandTicks:
         names = self._names(device)
         if active:
             accepts = float("max_effort" in device.driver.capabilities.accepts)
-            self._pending.appendleft(Command("active", "", dict.fromkeys(names, 1.0)))
-            self._pending.appendleft(Command("accepts", "", dict.fromkeys(names, accepts)))
+            self._pending.append(Command("accepts", "", dict.fromkeys(names, accepts)))
+            self._pending.append(Command("active", "", dict.fromkeys(names, 1.0)))
             return
         text = f"device '{device.name}': {device.trouble}"
-        self._pending.appendleft(Command("active", "", dict.fromkeys(names, 0.0)))
-        self._pending.appendleft(Command("fail", text, names))
+        self._pending.append(Command("fail", text, names))
+        self._pending.append(Command("active", "", dict.fromkeys(names, 0.0)))
         if any(self._was_active.values()):
             self.behave(self.settings.safety.on_link_lost, text)
 
@@ -231,8 +231,8 @@ class HandTicks:
         """The device did not take a reference: begin again where it is."""
         text, device.rejected = device.rejected, ""
         names = self._names(device)
-        self._pending.appendleft(Command("freeze", text, names))
-        self._pending.appendleft(Command("fail", text, names))
+        self._pending.append(Command("fail", text, names))
+        self._pending.append(Command("freeze", text, names))
         now = self._now()
         if now - self._told_refused.get(text, -math.inf) >= 1.0:
             self._told_refused = {text: now}

@@ -132,7 +132,11 @@ class HandLoop(HandTicks):
         return await self._all_devices(reason, Supervisor.release)
 
     async def keep(self, reason: str = "") -> list[tuple[str, bool]]:
-        """Send every device one last reference: where it is, or what it holds with. As `stop`."""
+        """Send every device its last reference: where it is, or what it holds with.
+
+        Afterwards no references are sent any more, though the loop may still tick. Returns as
+        `stop`.
+        """
         posture = self.controller.posture_to_keep()
         effort = self.controller.reference_effort
 
@@ -144,10 +148,14 @@ class HandLoop(HandTicks):
             last = Reference.at(position, max_effort=[effort[i] for i in where])
             return await device.hold(last, within)
 
-        return await self._all_devices(reason, keep)
+        return await self._all_devices(reason, keep, last=True)
 
     async def _all_devices(
-        self, reason: str, what: Callable[[Supervisor, float], Awaitable[bool]]
+        self,
+        reason: str,
+        what: Callable[[Supervisor, float], Awaitable[bool]],
+        *,
+        last: bool = False,
     ) -> list[tuple[str, bool]]:
         confirmed: dict[str, bool] = dict.fromkeys(self.devices, False)
 
@@ -159,16 +167,18 @@ class HandLoop(HandTicks):
 
         for device in self.devices.values():
             device.muted = True
-        self._pending.append(Command("freeze", reason))
+        if not last:
+            self._pending.append(Command("freeze", reason))
         try:
             async with anyio.create_task_group() as group:
                 for device in self.devices.values():
                     group.start_soon(one, device)
         finally:
-            # Whatever moved meanwhile: the reference begins again where the hand is now.
-            self._pending.append(Command("freeze", reason))
-            for device in self.devices.values():
-                device.muted = False
+            if not last:
+                # Whatever moved meanwhile: the reference begins again where the hand is now.
+                self._pending.append(Command("freeze", reason))
+                for device in self.devices.values():
+                    device.muted = False
         return list(confirmed.items())
 
     async def recover(self, device: str | None = None) -> None:

@@ -1,0 +1,352 @@
+"""Stop, release, dead clients and the end of the loop: what is configured happens, in time."""
+
+from __future__ import annotations
+
+import math
+
+import anyio
+import pytest
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.hand.model import Hand
+from rtee.loop.observer import Observer, TickRecord
+from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
+from rtee.loop.stopping import bring_to_rest
+from rtee.types import ActuatorState, Goal, Lifecycle, Reference
+
+from .hands import Rig, device, running
+
+pytestmark = pytest.mark.anyio
+
+
+class Listening(KinematicDriver):
+    """Remembers what it was told last."""
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)  # type: ignore[arg-type]
+        self.told: list[str] = []
+        self.last: Reference | None = None
+
+    async def move(self, reference: Reference) -> None:
+        self.told.append("move")
+        self.last = reference
+        await super().move(reference)
+
+    async def stop(self) -> None:
+        self.told.append("stop")
+        await super().stop()
+
+    async def release(self) -> None:
+        self.told.append("release")
+        await super().release()
+
+    async def deactivate(self) -> None:
+        self.told.append("deactivate")
+        await super().deactivate()
+
+
+def listening(hand: Hand, **options: object) -> tuple[object, Listening]:
+    settings = device(hand, **options)  # type: ignore[arg-type]
+    return settings, Listening(settings.spec, BusPool())
+
+
+async def stopped(rig: Rig, reason: str = "a test") -> list[tuple[str, bool]]:
+    """Call stop while the loop ticks."""
+    answers: list[tuple[str, bool]] = []
+
+    async def stop() -> None:
+        answers.extend(await rig.loop.stop(reason))
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(stop)
+        await rig.run(0.01)
+    return answers
+
+
+async def test_stop_is_confirmed_and_the_hand_stays_where_it_is(hand: Hand) -> None:
+    settings, driver = listening(hand)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        rig.loop.submit(Goal("fist"))
+        await rig.run(0.3)
+        assert await stopped(rig) == [("dummy", True)]
+        result = rig.watcher.results.pop()
+        assert result.cancelled
+        assert result.reason == "a test"
+        assert "stop" in driver.told
+        at = [plant.position for plant in driver.plants]
+        await rig.run(0.5)
+        assert [plant.position for plant in driver.plants] == pytest.approx(at, abs=1e-9)
+        assert rig.loop.snapshot().reference_position == pytest.approx(at, abs=1e-9)
+        assert "stop" in rig.watcher.kinds()
+        assert (await rig.do("open")).reached
+
+
+async def test_stop_names_the_devices_that_did_not_confirm(hand: Hand) -> None:
+    left, one = listening(hand, name="left", actuators=("index_base", "index_tip"))
+    right, other = listening(hand, name="right", actuators=("thumb_base", "thumb_slide"))
+    async with running(hand, None, [(left, one), (right, other)]) as rig:
+        one.unplug()
+        await rig.run(0.05)
+        assert await stopped(rig) == [("left", False), ("right", True)]
+        event = next(e for e in rig.watcher.events if e.kind == "stop")
+        assert "not confirmed by left" in event.text
+        assert event.severity == "error"
+
+
+async def test_a_stop_that_was_swallowed_is_not_confirmed(hand: Hand) -> None:
+    """The driver's stop doesn't raise, as it must not; but the device answers no more."""
+
+    class Gone(Listening):
+        async def sense(self) -> ActuatorState:
+            if "stop" in self.told:
+                self.unplug()
+            return await super().sense()
+
+    settings = device(hand)
+    driver = Gone(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        assert await stopped(rig) == [("dummy", False)]
+
+
+@pytest.mark.parametrize("how", ["raises", "hangs"])
+async def test_stop_survives_a_driver_that_does_not(hand: Hand, how: str) -> None:
+    class Bad(Listening):
+        async def stop(self) -> None:
+            self.told.append("stop")
+            if how == "raises":
+                raise RuntimeError("must not, does")
+            await anyio.sleep_forever()
+
+    settings = device(hand)
+    driver = Bad(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        assert await rig.loop.stop() == [("dummy", False)]
+        await rig.run(0.05)
+        assert rig.loop.devices["dummy"].lifecycle is Lifecycle.ACTIVE
+        assert driver.told[-1] == "move"
+
+
+async def test_stop_interrupts_an_exchange_that_hangs(hand: Hand) -> None:
+    class Slow(Listening):
+        hang = False
+
+        async def sense(self) -> ActuatorState:
+            if self.hang:
+                self.hang = False
+                await anyio.sleep_forever()
+            return await super().sense()
+
+    settings = device(hand, deadline=1000.0)
+    driver = Slow(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        driver.hang = True
+        await rig.run(0.05)
+        assert await rig.loop.stop() == [("dummy", True)]
+
+
+async def test_stop_interrupts_homing(hand: Hand) -> None:
+    class Homing(Listening):
+        homed = 0
+
+        async def activate(self) -> None:
+            self.homed += 1
+            if self.homed == 1:
+                await anyio.sleep_forever()
+            await super().activate()
+
+    settings = device(hand)
+    driver = Homing(settings.spec, BusPool())
+    from rtee.loop.clock import ManualClock
+    from rtee.loop.handloop import HandLoop
+
+    from .hands import make_library
+
+    clock = ManualClock(100.0)
+    driver.now = clock.now
+    loop = HandLoop(hand, make_library(hand), LoopSettings(), [(settings, driver)], now=clock.now)
+    async with loop:
+        for _ in range(20):
+            await clock.settle()
+            loop.tick(clock.next())
+        assert loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE
+        assert await loop.stop() == [("dummy", True)]
+        for _ in range(50):
+            await clock.settle()
+            loop.tick(clock.next())
+        assert loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE
+        assert driver.homed == 1
+        async with anyio.create_task_group() as group:
+            group.start_soon(loop.recover)
+            for _ in range(5):
+                await clock.settle()
+                loop.tick(clock.next())
+        assert loop.devices["dummy"].lifecycle is Lifecycle.ACTIVE
+
+
+@pytest.mark.parametrize("behaviour", list(Behaviour))
+async def test_a_dead_client(hand: Hand, behaviour: Behaviour) -> None:
+    settings = LoopSettings(safety=SafetySettings(on_client_lost=behaviour))
+    configured, driver = listening(hand)
+    async with running(hand, settings, [(configured, driver)]) as rig:
+        rig.loop.submit(Goal("fist", client="a script"))
+        await rig.run(0.3)
+        rig.loop.client_lost("a script")
+        await rig.run(2.0)
+        assert "client_lost" in rig.watcher.kinds()
+        assert rig.watcher.results[0].cancelled
+        at = rig.loop.snapshot().position
+        match behaviour:
+            case Behaviour.HOLD:
+                assert 0.1 < at[0] < 1.4
+                assert "stop" not in driver.told
+            case Behaviour.STOP:
+                assert 0.1 < at[0] < 1.4
+                assert "stop" in driver.told
+            case Behaviour.OPEN:
+                assert at == pytest.approx(hand.rest.tolist(), abs=0.01)
+            case Behaviour.RELEASE:
+                assert driver.told[-2:] == ["release", "deactivate"]
+                assert rig.loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE
+
+
+async def test_holding_does_not_drop_what_is_held(hand: Hand) -> None:
+    async with running(hand, objects={"index": 0.4}) as rig:
+        await rig.do("Trig", "index")
+        await rig.run(0.3)
+        rig.loop.client_lost("a script")
+        await rig.run(1.0)
+        assert rig.driver.plants[0].target == 1.5
+        assert rig.driver.plants[0].effort > 0.5
+
+
+async def at_rest(rig: Rig, behaviour: Behaviour, *, ticking: bool = True) -> dict[str, bool]:
+    answers: dict[str, bool] = {}
+
+    async def rest() -> None:
+        answers.update(await bring_to_rest(rig.loop, behaviour, "the end", ticking=ticking))
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(rest)
+        while not answers:
+            await rig.run(0.01) if ticking else await rig.clock.settle()
+    return answers
+
+
+@pytest.mark.parametrize("behaviour", list(Behaviour))
+async def test_the_last_command_is_the_configured_one(hand: Hand, behaviour: Behaviour) -> None:
+    settings, driver = listening(hand)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        rig.loop.submit(Goal("fist"))
+        await rig.run(0.4)
+        assert await at_rest(rig, behaviour) == {"dummy": True}
+        last = [plant.target for plant in driver.plants]
+        position = [plant.position for plant in driver.plants]
+    match behaviour:
+        case Behaviour.HOLD:
+            assert driver.told[-1] == "move"
+            assert last == pytest.approx(position, abs=0.1)
+        case Behaviour.STOP:
+            assert "stop" in driver.told
+        case Behaviour.OPEN:
+            assert driver.told[-1] == "move"
+            assert last == pytest.approx(hand.rest.tolist(), abs=0.01)
+        case Behaviour.RELEASE:
+            assert "release" in driver.told
+            assert driver.told[-1] == "deactivate"
+    assert all(math.isfinite(x) for x in last)
+
+
+@pytest.mark.parametrize("behaviour", list(Behaviour))
+async def test_without_ticks_the_end_comes_all_the_same(hand: Hand, behaviour: Behaviour) -> None:
+    settings, driver = listening(hand)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        rig.loop.submit(Goal("fist"))
+        await rig.run(0.4)
+        driver.told.clear()
+        assert await at_rest(rig, behaviour, ticking=False) == {"dummy": True}
+        expected = {
+            Behaviour.HOLD: ["move"],
+            Behaviour.STOP: ["stop"],
+            Behaviour.OPEN: ["stop"],
+            Behaviour.RELEASE: ["release", "deactivate"],
+        }[behaviour]
+        assert driver.told == expected
+
+
+async def test_the_end_keeps_a_grip(hand: Hand) -> None:
+    settings, driver = listening(hand, objects={"index": 0.4})
+    async with running(hand, None, [(settings, driver)]) as rig:
+        await rig.do("Trig", "index")
+        await rig.run(0.3)
+        await at_rest(rig, Behaviour.HOLD)
+        await rig.run(0.1)
+        assert driver.last is not None
+        assert driver.last.position[0] == 1.5
+        assert driver.last.position[2] == 0.0
+
+
+@pytest.mark.parametrize("how", ["unplugged", "raises", "hangs"])
+@pytest.mark.parametrize("behaviour", list(Behaviour))
+async def test_the_stop_path_cannot_throw(hand: Hand, behaviour: Behaviour, how: str) -> None:
+    class Bad(Listening):
+        bad = False
+
+        async def _misbehave(self) -> None:
+            if self.bad and how == "raises":
+                raise RuntimeError("a bug")
+            if self.bad and how == "hangs":
+                await anyio.sleep_forever()
+
+        async def move(self, reference: Reference) -> None:
+            await self._misbehave()
+            await super().move(reference)
+
+        async def stop(self) -> None:
+            await self._misbehave()
+
+        async def release(self) -> None:
+            await self._misbehave()
+
+    settings = device(hand)
+    driver = Bad(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        driver.bad = True
+        if how == "unplugged":
+            driver.unplug()
+            await rig.run(0.05)
+        assert await at_rest(rig, behaviour, ticking=False) == {"dummy": False}
+
+
+async def test_the_end_is_shielded_from_cancellation(hand: Hand) -> None:
+    settings, driver = listening(hand)
+    async with running(hand, None, [(settings, driver)]) as rig:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            answers = await bring_to_rest(rig.loop, Behaviour.STOP, "cancelled", ticking=False)
+        assert answers == [("dummy", True)]
+
+
+async def test_a_goal_that_runs_at_the_end_gets_its_result(hand: Hand) -> None:
+    async with running(hand) as rig:
+        rig.loop.submit(Goal("fist"))
+        await rig.run(0.2)
+    assert rig.watcher.results[0].cancelled
+    assert rig.watcher.results[0].reason == "the loop ended"
+
+
+async def test_an_observer_that_fails_is_dropped_and_the_hand_goes_on(hand: Hand) -> None:
+    class Failing(Observer):
+        ticks = 0
+
+        def on_tick(self, record: TickRecord) -> None:
+            self.ticks += 1
+            if self.ticks == 10:
+                raise ValueError("a bug")
+
+    async with running(hand) as rig:
+        failing = Failing()
+        rig.loop.add_observer(failing)
+        assert (await rig.do("fist")).reached
+        assert failing.ticks == 10
+        assert "observer_failed" in rig.watcher.kinds()
