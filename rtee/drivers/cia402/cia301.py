@@ -1,0 +1,199 @@
+"""CANopen's frames (CiA 301): identifiers, NMT, SDO, heartbeat, emergency. No I/O."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Self
+
+from rtee.buses.emulator import CanFrame
+
+SYNC = 0x080
+EMERGENCY = 0x080
+NMT = 0x000
+HEARTBEAT = 0x700
+SDO_ANSWER = 0x580
+SDO_REQUEST = 0x600
+TPDO = (0x180, 0x280, 0x380, 0x480)
+RPDO = (0x200, 0x300, 0x400, 0x500)
+DISABLED = 0x8000_0000
+"""Bit of a PDO's COB-ID: it does not exist."""
+
+
+class CanopenFrameError(ValueError):
+    """A frame whose data does not fit its purpose."""
+
+
+class NmtCommand(IntEnum):
+    """What a node is told to become."""
+
+    START = 0x01
+    STOP = 0x02
+    PRE_OPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
+
+
+class NmtState(IntEnum):
+    """What a node says it is, in its heartbeat."""
+
+    BOOT = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+def nmt(command: NmtCommand, node: int = 0) -> CanFrame:
+    """Return the frame that commands a node, or all (0)."""
+    return CanFrame(NMT, bytes([command, node]))
+
+
+def heartbeat(node: int, state: NmtState) -> CanFrame:
+    """Return a node's heartbeat; `NmtState.BOOT` announces that it has started."""
+    return CanFrame(HEARTBEAT + node, bytes([state]))
+
+
+def read_heartbeat(data: bytes) -> NmtState:
+    """Return the state in a heartbeat; raises `CanopenFrameError`."""
+    try:
+        return NmtState(data[0] & 0x7F)
+    except (IndexError, ValueError) as error:
+        raise CanopenFrameError("this is no heartbeat") from error
+
+
+@dataclass(frozen=True, slots=True)
+class Emergency:
+    """An emergency message.
+
+    Attributes:
+        code: The error, 0 when it is over.
+        register: The error register.
+        vendor: Five bytes of the manufacturer's.
+    """
+
+    code: int
+    register: int = 0
+    vendor: bytes = bytes(5)
+
+    def to_frame(self, node: int) -> CanFrame:
+        """Return the frame a node sends."""
+        data = struct.pack("<HB", self.code, self.register) + self.vendor
+        return CanFrame(EMERGENCY + node, data)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read it; raises `CanopenFrameError`."""
+        if len(data) != 8:
+            raise CanopenFrameError("an emergency message has eight bytes")
+        code, register = struct.unpack_from("<HB", data)
+        return cls(code, register, data[3:])
+
+
+class Abort(IntEnum):
+    """Why an SDO transfer is refused."""
+
+    TOGGLE = 0x0503_0000
+    COMMAND = 0x0504_0001
+    UNSUPPORTED = 0x0601_0000
+    WRITE_ONLY = 0x0601_0001
+    READ_ONLY = 0x0601_0002
+    NO_OBJECT = 0x0602_0000
+    NOT_MAPPABLE = 0x0604_0041
+    PDO_LENGTH = 0x0604_0042
+    LENGTH = 0x0607_0010
+    NO_SUBINDEX = 0x0609_0011
+    RANGE = 0x0609_0030
+    GENERAL = 0x0800_0000
+    STATE = 0x0800_0022
+
+
+@dataclass(frozen=True, slots=True)
+class Sdo:
+    """One SDO frame's data: command, object, and four bytes.
+
+    Attributes:
+        command: Its first byte.
+        index: The object.
+        subindex: Its part.
+        data: Four bytes: the value, the length or the abort code.
+    """
+
+    command: int
+    index: int
+    subindex: int
+    data: bytes = bytes(4)
+
+    def to_bytes(self) -> bytes:
+        """Return the eight bytes."""
+        return struct.pack("<BHB", self.command, self.index, self.subindex) + self.data[:4].ljust(
+            4, b"\x00"
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read the eight bytes; raises `CanopenFrameError`."""
+        if len(data) != 8:
+            raise CanopenFrameError("an SDO frame has eight bytes")
+        command, index, subindex = struct.unpack_from("<BHB", data)
+        return cls(command, index, subindex, data[4:])
+
+    @property
+    def size(self) -> int:
+        """Bytes of an expedited transfer's value."""
+        return 4 - (self.command >> 2 & 0x3) if self.command & 0x1 else 4
+
+    @classmethod
+    def upload(cls, index: int, subindex: int = 0) -> Self:
+        """Return the request that reads an object."""
+        return cls(0x40, index, subindex)
+
+    @classmethod
+    def download(cls, index: int, subindex: int, value: bytes) -> Self:
+        """Return the request that writes up to four bytes to an object."""
+        return cls(0x23 | (4 - len(value)) << 2, index, subindex, value)
+
+    @classmethod
+    def uploaded(cls, index: int, subindex: int, value: bytes) -> Self:
+        """Return the answer to a read of up to four bytes."""
+        return cls(0x43 | (4 - len(value)) << 2, index, subindex, value)
+
+    @classmethod
+    def downloaded(cls, index: int, subindex: int) -> Self:
+        """Return the answer to a write."""
+        return cls(0x60, index, subindex)
+
+    @classmethod
+    def aborted(cls, index: int, subindex: int, code: int) -> Self:
+        """Return a refusal."""
+        return cls(0x80, index, subindex, struct.pack("<I", code))
+
+
+EMERGENCIES: dict[int, str] = {
+    0x2310: "overcurrent",
+    0x3210: "overvoltage",
+    0x3220: "undervoltage",
+    0x4310: "over-temperature of the drive",
+    0x5000: "hardware",
+    0x6000: "software",
+    0x7121: "motor blocked",
+    0x7300: "sensor",
+    0x8110: "CAN overrun",
+    0x8120: "CAN in error passive mode",
+    0x8130: "the host's heartbeat was lost",
+    0x8140: "recovered from bus-off",
+    0x8210: "PDO of a wrong length",
+    0x8611: "following error",
+}
+_CLASSES: dict[int, str] = {
+    0x1: "generic", 0x2: "current", 0x3: "voltage", 0x4: "temperature", 0x5: "hardware",
+    0x6: "software", 0x7: "additional modules", 0x8: "monitoring", 0x9: "external",
+    0xF: "additional functions",
+}  # fmt: skip
+
+
+def emergency_name(code: int) -> str:
+    """Return an error code in words."""
+    if code >= 0xFF00:
+        return "manufacturer's"
+    return EMERGENCIES.get(code) or _CLASSES.get(code >> 12, "unknown")

@@ -1,0 +1,255 @@
+"""The driver's side of one drive: its set-up by SDO, its process data, what it reports."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from rtee.buses.canopen import CanopenBus
+from rtee.buses.emulator import CanFrame
+from rtee.drivers.cia402 import cia301, codec
+from rtee.drivers.cia402.cia301 import RPDO, TPDO, CanopenFrameError, Emergency, NmtState
+from rtee.drivers.cia402.codec import Command, Limits, Mode, Motion, Object, State, Status
+from rtee.drivers.cia402.options import NodeOptions
+from rtee.errors import BusBroken, BusTimeout, DriverError
+
+_SYNCHRONOUS = 1
+
+
+@dataclass
+class DriveLink:
+    """One drive.
+
+    Attributes:
+        bus: The network.
+        options: Its options.
+        name: The actuator it drives.
+        scale: Its units.
+        status: Its newest status, ``None`` before the first.
+        motion: Its newest velocity, torque and error.
+        stamp: When the status came [s].
+        nmt: Its newest NMT state.
+        booted: It has started anew since `clear`.
+        emergency: Its newest emergency that is not over.
+        controlword: What it is told next.
+        target: Where it is told to go next [counts].
+        pending: A set-point that the drive has not acknowledged yet is under way.
+    """
+
+    bus: CanopenBus
+    options: NodeOptions
+    name: str
+    scale: codec.Scale = field(default_factory=lambda: codec.Scale(1.0))
+    status: Status | None = None
+    motion: Motion = field(default_factory=lambda: Motion(0, 0, 0))
+    stamp: float = 0.0
+    nmt: NmtState | None = None
+    booted: bool = False
+    emergency: Emergency | None = None
+    controlword: int = codec.Control.DISABLE_VOLTAGE
+    target: int = 0
+    pending: bool = False
+    limits: Limits | None = None
+    _sent_target: int | None = None
+    _undo: list[Callable[[], None]] = field(default_factory=list)
+    _remote: Any = None
+    _told: Callable[[], None] = lambda: None
+
+    @property
+    def id(self) -> int:
+        """Its node id."""
+        return self.options.id
+
+    @property
+    def state(self) -> State:
+        """Its state, as it told last."""
+        return State.NOT_READY if self.status is None else self.status.state
+
+    # --- SDO -----------------------------------------------------------------------------------
+
+    def attach(self, timeout: float, told: Callable[[], None]) -> None:
+        """Begin to listen to it.
+
+        Args:
+            timeout: Longest time for an SDO transfer [s].
+            told: Called when its status or a restart has been heard.
+        """
+        import canopen
+
+        self._told = told
+        self._remote = canopen.RemoteNode(self.id, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
+        self.bus.network.add_node(self._remote)
+        self._remote.sdo.RESPONSE_TIMEOUT = timeout
+        for cob, take in (
+            (TPDO[0] + self.id, self._take_status),
+            (TPDO[1] + self.id, self._take_motion),
+            (cia301.HEARTBEAT + self.id, self._take_heartbeat),
+            (cia301.EMERGENCY + self.id, self._take_emergency),
+        ):
+            self._undo.append(self.bus.subscribe(take, cob))
+
+    def detach(self) -> None:
+        """Listen no more; idempotent."""
+        for undo in self._undo:
+            undo()
+        self._undo.clear()
+        if self._remote is not None:
+            self.bus.network.pop(self.id, None)
+            self._remote = None
+
+    def upload(self, index: int, subindex: int = 0) -> bytes:
+        """Read an object; in the worker thread.
+
+        Raises:
+            DriverError: if the drive refuses.
+            BusTimeout: if it does not answer.
+        """
+        return bytes(self._transfer(lambda: self._remote.sdo.upload(index, subindex), index))
+
+    def download(self, index: int, subindex: int, form: str, value: int) -> None:
+        """Write an object; in the worker thread. Raises as `upload`."""
+        data = struct.pack(f"<{form}", value)
+        self._transfer(lambda: self._remote.sdo.download(index, subindex, data), index)
+
+    def _transfer(self, transfer: Callable[[], Any], index: int) -> Any:
+        import can
+        import canopen
+
+        try:
+            return transfer()
+        except canopen.SdoAbortedError as error:
+            raise DriverError(
+                self.name, f"node {self.id} refuses object {index:04X}h: {error}"
+            ) from error
+        except canopen.SdoCommunicationError as error:
+            raise BusTimeout(self.bus.name, f"node {self.id}: {error}") from error
+        except can.CanError as error:
+            raise BusBroken(self.bus.name, f"cannot send: {error}") from error
+
+    def number(self, index: int, subindex: int = 0, *, default: int | None = None) -> int:
+        """Read an object as an unsigned integer; one it does not have is the default, if given."""
+        try:
+            return int.from_bytes(self.upload(index, subindex), "little")
+        except DriverError:
+            if default is None:
+                raise
+            return default
+
+    def text(self, index: int) -> str:
+        """Read an object as text; empty where it has none."""
+        try:
+            return self.upload(index).decode("utf-8", "replace").strip("\x00 ")
+        except DriverError:
+            return ""
+
+    def set_up(
+        self, mode: Mode, *, watch: tuple[int, float, int], beat: float, period: float
+    ) -> None:
+        """Set up heartbeats and process data, while it is pre-operational; in the worker thread.
+
+        Args:
+            mode: Mode of operation.
+            watch: The host's node id, its longest silence [s], and the reaction (object 6007).
+            beat: Period of the drive's heartbeat [s].
+            period: Period of the SYNC [s].
+        """
+        host, silence, reaction = watch
+        self.download(Object.PRODUCER_HEARTBEAT, 0, "H", max(1, round(beat * 1000.0)))
+        limit = host << 16 | round(silence * 1000.0) if silence > 0.0 else 0
+        self.download(Object.CONSUMER_HEARTBEAT, 1, "I", limit)
+        if silence > 0.0:
+            self.download(Object.ABORT_CONNECTION, 0, "h", reaction)
+        self._map(0x1400, RPDO[0], Command.MAP)
+        self._map(0x1401, RPDO[1], Limits.MAP)
+        self._map(0x1800, TPDO[0], Status.MAP)
+        self._map(0x1801, TPDO[1], Motion.MAP)
+        if mode is Mode.CYCLIC_POSITION:
+            self.download(Object.INTERPOLATION_TIME, 2, "b", -3)
+            self.download(Object.INTERPOLATION_TIME, 1, "B", min(max(round(period * 1e3), 1), 255))
+
+    def _map(self, index: int, cob: int, objects: tuple[int, ...]) -> None:
+        identifier = cob + self.id
+        self.download(index, 1, "I", cia301.DISABLED | identifier)
+        self.download(index + 0x200, 0, "B", 0)
+        for slot, mapped in enumerate(objects, start=1):
+            self.download(index + 0x200, slot, "I", mapped)
+        self.download(index + 0x200, 0, "B", len(objects))
+        self.download(index, 2, "B", _SYNCHRONOUS)
+        self.download(index, 1, "I", identifier)
+
+    # --- process data --------------------------------------------------------------------------
+
+    def send_limits(self, limits: Limits) -> None:
+        """Send limits if they have changed."""
+        if limits != self.limits:
+            self.bus.send_now(CanFrame(RPDO[1] + self.id, limits.to_bytes()))
+            self.limits = limits
+
+    def send_command(self, mode: Mode) -> None:
+        """Send controlword, target and mode; in profile mode with the handshake of a set-point.
+
+        The drive takes a set-point on the rising edge of its bit and acknowledges it; the bit
+        falls, the acknowledgement falls, and the next set-point may follow.
+        """
+        word = self.controlword
+        if mode is Mode.PROFILE_POSITION and self.state is State.ENABLED:
+            acknowledged = bool(
+                self.status is not None and self.status.statusword & codec.StatusBit.ACKNOWLEDGED
+            )
+            if self.pending and not acknowledged:
+                word |= codec.NEW_SET_POINT | codec.CHANGE_NOW
+            elif self.pending:
+                self.pending = False
+            elif not acknowledged and self.target != self._sent_target:
+                word |= codec.NEW_SET_POINT | codec.CHANGE_NOW
+                self.pending = True
+                self._sent_target = self.target
+        target = self.target if not self.pending else self._sent_target or 0
+        self.bus.send_now(CanFrame(RPDO[0] + self.id, Command(word, target, mode).to_bytes()))
+
+    def forget(self) -> None:
+        """Forget what was sent: the drive has been disabled or restarted."""
+        self.pending = False
+        self._sent_target = None
+        self.limits = None
+
+    def stand(self, counts: int) -> None:
+        """Take a position for the set-point that the drive already has."""
+        self.target = counts
+        self._sent_target = counts
+        self.pending = False
+
+    # --- what it tells -------------------------------------------------------------------------
+
+    def _take_status(self, frame: CanFrame) -> None:
+        try:
+            self.status = Status.from_bytes(frame.data)
+        except CanopenFrameError:
+            return
+        self.stamp = frame.stamp or time.monotonic()
+        self._told()
+
+    def _take_motion(self, frame: CanFrame) -> None:
+        try:
+            self.motion = Motion.from_bytes(frame.data)
+        except CanopenFrameError:
+            return
+
+    def _take_heartbeat(self, frame: CanFrame) -> None:
+        try:
+            self.nmt = cia301.read_heartbeat(frame.data)
+        except CanopenFrameError:
+            return
+        if self.nmt is NmtState.BOOT:
+            self.booted = True
+            self._told()
+
+    def _take_emergency(self, frame: CanFrame) -> None:
+        try:
+            told = Emergency.from_bytes(frame.data)
+        except CanopenFrameError:
+            return
+        self.emergency = told if told.code else None

@@ -1,0 +1,453 @@
+"""Drives grippers whose motors are CiA 402 drives: process data on SYNC, one cycle for all."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+from rtee.buses.canopen import CanopenBus
+from rtee.buses.emulator import CanFrame
+from rtee.drivers.base import Driver
+from rtee.drivers.cia402 import cia301, codec
+from rtee.drivers.cia402.cia301 import NmtCommand, NmtState, emergency_name
+from rtee.drivers.cia402.codec import Control, Limits, Mode, Object, State, StatusBit
+from rtee.drivers.cia402.drive import DriveLink
+from rtee.drivers.cia402.emulator import Cia402Emulator
+from rtee.drivers.cia402.identity import identify
+from rtee.drivers.cia402.options import Cia402Options
+from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.options import read_options
+from rtee.errors import (
+    BusError,
+    BusTimeout,
+    ConfigError,
+    DeviceFault,
+    NotConnected,
+    RteeError,
+)
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, JointKind, Reference
+
+if TYPE_CHECKING:
+    from rtee.buses.pool import BusPool
+
+_SETTING_UP = 10.0
+_DISARMING = 0.5
+_NOT_HOMED = 0x10001
+_NOT_ENABLED = 0x10002
+_HOMING_FAILED = 0x10003
+_MODES = {"profile_position": Mode.PROFILE_POSITION, "cyclic_position": Mode.CYCLIC_POSITION}
+_FRAME_BITS = 135.0
+_SYNC_BITS = 52.0
+
+
+class Cia402Driver(Driver):
+    """CiA 402 drives on one CANopen network.
+
+    A cycle is one SYNC: it makes all drives take the set-points sent before and answer with their
+    state. Drives are watched by heartbeat in both directions; theirs shows a restart, ours arms
+    their reaction to a silent host. A drive that is enabled already is not disabled and gets its
+    own position for the first target.
+
+    Attributes:
+        drives: The drives, in the order of the actuators.
+    """
+
+    Options: ClassVar[type[Cia402Options]] = Cia402Options
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = read_options(Cia402Options, spec)
+        names = [a.name for a in spec.actuators]
+        if set(names) != set(self.options.nodes):
+            absent = sorted(set(names) ^ set(self.options.nodes))
+            raise ConfigError(
+                f"device '{spec.name}': option 'nodes' must name the device's actuators, each "
+                f"once; these do not match: {', '.join(absent)}"
+            )
+        for actuator in spec.actuators:
+            prismatic = actuator.kind is JointKind.PRISMATIC
+            if prismatic and self.options.nodes[actuator.name].counts is None:
+                raise ConfigError(
+                    f"device '{spec.name}': '{actuator.name}' is prismatic, so its node needs "
+                    "'counts' per m: drives do not tell the unit of their feed"
+                )
+        self.mode = _MODES[self.options.mode]
+        self.drives: list[DriveLink] = []
+        self._bus: CanopenBus | None = None
+        self._told = asyncio.Event()
+        self._beat = -math.inf
+        self._homed: set[int] = set()
+        self._home_asked = False
+        self._active = False
+        self._operational = False
+        n = len(names)
+        bits = _SYNC_BITS + n * 3 * _FRAME_BITS
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "velocity", "effort"}),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            best_rate=self.options.bitrate / (bits * 1.2),
+            homing=any(node.homing_method is not None for node in self.options.nodes.values()),
+            watchdog=self.options.watchdog > 0.0,
+            recoverable=True,
+        )
+
+    @property
+    def _network(self) -> CanopenBus:
+        if self._bus is None:
+            raise NotConnected(self.spec.name, "is not connected")
+        return self._bus
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the network, identify the drives, set up their process data; enables nothing."""
+        await self.close()
+        options = self.options
+        bus = self._bus = await self.buses.canopen(
+            options.channel,
+            owner=owner_of(self.spec),
+            interface=options.interface,
+            bitrate=options.bitrate,
+            emulator=emulator_of(self.spec, Cia402Emulator),
+        )
+        self.drives = [DriveLink(bus, options.nodes[a.name], a.name) for a in self.spec.actuators]
+        for drive in self.drives:
+            drive.attach(options.sdo_timeout, self._told.set)
+        identities = [
+            await bus.run(
+                partial(identify, drive, self.spec.name, options.channel, self.mode), _SETTING_UP
+            )
+            for drive in self.drives
+        ]
+        self.capabilities = replace(
+            self.capabilities,
+            identity={
+                "model": ", ".join(dict.fromkeys(model for model, _ in identities)),
+                "serial": ", ".join(serial for _, serial in identities),
+            },
+        )
+        for drive in self.drives:
+            await bus.send(cia301.nmt(NmtCommand.PRE_OPERATIONAL, drive.id))
+        for drive in self.drives:
+            await bus.run(partial(self._set_up, drive), _SETTING_UP)
+        for drive in self.drives:
+            drive.booted = False
+            await bus.send(cia301.nmt(NmtCommand.START, drive.id))
+        self._operational = True
+        await self._first_answer()
+
+    def _set_up(self, drive: DriveLink) -> None:
+        options = self.options
+        every = self.spec.every or max(1, math.ceil(self.spec.rate / self.capabilities.best_rate))
+        drive.set_up(
+            self.mode,
+            watch=(options.host, options.watchdog, options.on_silence),
+            beat=options.heartbeat,
+            period=every / self.spec.rate,
+        )
+        drive.forget()
+
+    async def _first_answer(self) -> None:
+        """Wait for the drives' state without telling them anything."""
+        end = time.monotonic() + self.options.enable_timeout
+        while True:
+            try:
+                await self._synchronise()
+            except BusTimeout:
+                if time.monotonic() > end:
+                    raise
+                continue
+            break
+        for drive in self.drives:
+            enabled = drive.state is State.ENABLED
+            drive.controlword = Control.ENABLE if enabled else Control.DISABLE_VOLTAGE
+            drive.stand(self._measured(drive))
+
+    @staticmethod
+    def _measured(drive: DriveLink) -> int:
+        return 0 if drive.status is None else drive.status.position
+
+    async def close(self) -> None:
+        """Give the network back; drives that are enabled stay so, without watching for us."""
+        bus = self._bus
+        if bus is not None and bus.connected and self._operational and self.options.watchdog > 0.0:
+            with contextlib.suppress(RteeError, OSError):
+                await bus.run(self._disarm, _DISARMING)
+        self._active = self._operational = False
+        for drive in self.drives:
+            drive.detach()
+        self.drives = []
+        self._bus = None
+        if bus is not None:
+            await bus.release(owner_of(self.spec))
+
+    def _disarm(self) -> None:
+        for drive in self.drives:
+            drive.download(Object.CONSUMER_HEARTBEAT, 1, "I", 0)
+
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of the network."""
+        return {} if self._bus is None else self._bus.counters.as_mapping()
+
+    # --- the cycle ---------------------------------------------------------------------------
+
+    async def _synchronise(self) -> None:
+        """Send a SYNC and wait for the state of all drives.
+
+        Raises:
+            BusTimeout: if one does not answer.
+            NotConnected: if one has started anew.
+        """
+        bus, options = self._network, self.options
+        now = time.monotonic()
+        if options.watchdog > 0.0 and now - self._beat > options.watchdog / 4.0:
+            self._beat = now
+            bus.send_now(cia301.heartbeat(options.host, NmtState.OPERATIONAL))
+        before = [drive.stamp for drive in self.drives]
+        bus.send_now(CanFrame(cia301.SYNC))
+        bus.counters.transactions += 1
+        end = now + options.deadline
+        while True:
+            late = [d.id for d, stamp in zip(self.drives, before, strict=True) if d.stamp <= stamp]
+            restarted = [d for d in self.drives if d.booted]
+            if restarted:
+                raise NotConnected(
+                    self.spec.name, f"node {restarted[0].id} has started anew; was its supply cut?"
+                )
+            if not late:
+                return
+            self._told.clear()
+            try:
+                async with asyncio.timeout(end - time.monotonic()):
+                    await self._told.wait()
+            except TimeoutError:
+                bus.counters.timeouts += 1
+                nodes = ", ".join(str(number) for number in late)
+                raise BusTimeout(bus.name, f"no process data from node {nodes}") from None
+
+    async def _exchange(self) -> None:
+        for drive in self.drives:
+            drive.send_command(self.mode)
+        await self._synchronise()
+
+    async def sense(self) -> ActuatorState:
+        """Have the drives take their set-points and tell their state, by one SYNC."""
+        await self._synchronise()
+        if self._active:
+            self._refuse()
+        drives = self.drives
+        return ActuatorState.measured(
+            [d.scale.to_position(self._measured(d)) for d in drives],
+            min(d.stamp for d in drives),
+            velocity=[d.scale.to_velocity(d.motion.velocity) for d in drives],
+            effort=[d.scale.to_effort(d.motion.torque) for d in drives],
+            warnings=tuple(
+                f"node {d.id} ({d.name}) warns"
+                for d in drives
+                if d.status is not None and d.status.statusword & StatusBit.WARNING
+            ),
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """Send limits that have changed, then set-points; the next SYNC makes them count."""
+        for i, drive in enumerate(self.drives):
+            if reference.mask[i]:
+                effort, velocity = float(reference.max_effort[i]), float(reference.max_velocity[i])
+                drive.send_limits(self._limits(drive, effort, velocity))
+                drive.target = drive.scale.to_counts(float(reference.position[i]))
+            drive.send_command(self.mode)
+
+    def _limits(self, drive: DriveLink, effort: float, velocity: float) -> Limits:
+        torque = self.options.max_torque
+        if math.isfinite(effort) and math.isfinite(drive.scale.rated_torque):
+            torque = min(torque, drive.scale.to_permille(effort))
+        fastest = velocity
+        if not math.isfinite(fastest):
+            name = drive.name
+            fastest = next(a.velocity for a in self.spec.actuators if a.name == name)
+        counts = drive.scale.to_velocity_counts(fastest) if math.isfinite(fastest) else 2**31 - 1
+        return Limits(torque, counts)
+
+    def _refuse(self) -> None:
+        for drive in self.drives:
+            if drive.state in (State.FAULT, State.FAULT_REACTION):
+                raise self._fault(drive)
+            if drive.state is not State.ENABLED:
+                raise DeviceFault(
+                    self.spec.name,
+                    _NOT_ENABLED,
+                    f"node {drive.id} ({drive.name}) is {drive.state.name.lower()}",
+                    hint="`rtee recover` enables it again",
+                )
+
+    def _fault(self, drive: DriveLink) -> DeviceFault:
+        code = drive.motion.error or (drive.emergency.code if drive.emergency else 0)
+        name = emergency_name(code) if code else "no reason told"
+        return DeviceFault(
+            self.spec.name,
+            code,
+            f"node {drive.id} ({drive.name}): {name}",
+            hint="remove the cause, then `rtee recover`",
+        )
+
+    # --- enabling ----------------------------------------------------------------------------
+
+    async def activate(self) -> None:
+        """Enable the drives where they stand; homes first where that is needed and allowed."""
+        await self._synchronise()
+        needy = [
+            d
+            for d in self.drives
+            if d.options.homing_method is not None
+            and d.id not in self._homed
+            and d.state is not State.ENABLED
+        ]
+        if needy and self.options.home != "on_connect" and not self._home_asked:
+            raise DeviceFault(
+                self.spec.name,
+                _NOT_HOMED,
+                f"not homed: {', '.join(d.name for d in needy)}",
+                hint="`rtee recover` homes it, which moves it; or set `home: on_connect`",
+            )
+        for drive in self.drives:
+            drive.stand(self._measured(drive))
+        await self._walk(State.ENABLED)
+        for drive in needy:
+            await self._home(drive)
+        self._home_asked = False
+        for drive in self.drives:
+            drive.stand(self._measured(drive))
+        self._active = True
+
+    async def _walk(self, goal: State) -> None:
+        """Bring all drives to a state, one transition at a time.
+
+        Raises:
+            DeviceFault: if one is in fault, or does not get on in time.
+        """
+        end = time.monotonic() + self.options.enable_timeout
+        while True:
+            for drive in self.drives:
+                if drive.state in (State.FAULT, State.FAULT_REACTION):
+                    raise self._fault(drive)
+                control = next_control_to(drive.state, goal)
+                if control is not None:
+                    drive.controlword = control
+                if drive.state is not State.ENABLED:
+                    # Enabled, it would go to the target it was given: that is where it stands.
+                    drive.stand(self._measured(drive))
+            if all(d.state is goal for d in self.drives):
+                return
+            if time.monotonic() > end:
+                slow = next(d for d in self.drives if d.state is not goal)
+                raise DeviceFault(
+                    self.spec.name,
+                    _NOT_ENABLED,
+                    f"node {slow.id} ({slow.name}) stays {slow.state.name.lower()}",
+                    hint="is the motor's supply on, and no safe stop active?",
+                )
+            with contextlib.suppress(BusTimeout):
+                await self._exchange()
+
+    async def _home(self, drive: DriveLink) -> None:
+        """Let one drive look for its zero; cancelling disables it."""
+        bus, mode = self._network, self.mode
+        method = drive.options.homing_method or 0
+        await bus.run(lambda: drive.download(Object.HOMING_METHOD, 0, "b", method), _SETTING_UP)
+        end = time.monotonic() + self.options.homing_timeout
+        started = False
+        try:
+            self.mode = Mode.HOMING
+            while True:
+                word = Control.ENABLE | (codec.HOMING_START if started else 0)
+                drive.controlword = word
+                await self._exchange()
+                if drive.state is State.FAULT:
+                    raise self._fault(drive)
+                status = 0 if drive.status is None else drive.status.statusword
+                found = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
+                if started and found:
+                    break
+                if status & StatusBit.FOLLOWING_ERROR or time.monotonic() > end:
+                    raise DeviceFault(
+                        self.spec.name,
+                        _HOMING_FAILED,
+                        f"homing failed: {drive.name}",
+                        hint="is something in the way?",
+                    )
+                started = True
+        except BaseException:
+            drive.controlword = Control.DISABLE_VOLTAGE
+            with contextlib.suppress(BusError):
+                drive.send_command(self.mode)
+                bus.send_now(CanFrame(cia301.SYNC))
+            raise
+        finally:
+            self.mode = mode
+        drive.controlword = Control.ENABLE
+        self._homed.add(drive.id)
+
+    async def deactivate(self) -> None:
+        """Take the motors' power away."""
+        self._active = False
+        if self._operational:
+            for drive in self.drives:
+                drive.controlword = Control.SHUTDOWN
+                drive.forget()
+            await self._exchange()
+
+    async def stop(self) -> None:
+        """Hold the measured pose."""
+        with contextlib.suppress(RteeError, OSError):
+            await self._synchronise()
+            for drive in self.drives:
+                drive.target = self._measured(drive)
+                drive.pending = False
+            # In profile mode the drive takes the new set-point within three cycles.
+            for _ in range(3):
+                await self._exchange()
+
+    async def release(self) -> None:
+        """Take the motors' voltage away; they go limp as far as their gears let them."""
+        self._active = False
+        with contextlib.suppress(RteeError, OSError):
+            for drive in self.drives:
+                drive.controlword = Control.DISABLE_VOLTAGE
+            await self._exchange()
+
+    async def recover(self) -> None:
+        """Reset faults; the drives stay disabled until `activate`."""
+        self._active = False
+        end = time.monotonic() + self.options.enable_timeout
+        while True:
+            await self._synchronise()
+            broken = [d for d in self.drives if d.state in (State.FAULT, State.FAULT_REACTION)]
+            if not broken:
+                break
+            if time.monotonic() > end:
+                raise self._fault(broken[0])
+            for drive in broken:
+                # The reset is the rising edge of its bit.
+                edge = drive.controlword == Control.DISABLE_VOLTAGE
+                drive.controlword = Control.FAULT_RESET if edge else Control.DISABLE_VOLTAGE
+                drive.forget()
+            await self._exchange()
+        for drive in self.drives:
+            drive.emergency = None
+            drive.controlword = (
+                Control.ENABLE if drive.state is State.ENABLED else Control.DISABLE_VOLTAGE
+            )
+            if drive.nmt not in (NmtState.OPERATIONAL, None):
+                raise NotConnected(self.spec.name, f"node {drive.id} is not operational")
+        self._home_asked = True
+
+
+def next_control_to(state: State, goal: State) -> Control | None:
+    """Return the controlword that brings a drive nearer to a state, or ``None``: it is there."""
+    return None if state is goal else codec.next_control(state)

@@ -1,0 +1,286 @@
+"""An emulated CANopen node: object dictionary, SDO server, NMT, heartbeats, PDOs."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from rtee.buses.emulator import CanFrame
+from rtee.drivers.cia402 import cia301
+from rtee.drivers.cia402.cia301 import (
+    DISABLED,
+    RPDO,
+    SDO_ANSWER,
+    SDO_REQUEST,
+    TPDO,
+    Abort,
+    CanopenFrameError,
+    NmtCommand,
+    NmtState,
+    Sdo,
+)
+
+_RECEIVE, _TRANSMIT = 0x1400, 0x1800
+_MAP = 0x200
+_COUNT = 4
+
+
+@dataclass(slots=True)
+class Entry:
+    """One value of an object dictionary.
+
+    Attributes:
+        value: Its bytes.
+        writable: Whether a host may write it.
+        readable: Whether a host may read it.
+        text: Whether its length may be anything.
+        changed: Called with its value after a host has written it; may refuse by an abort code.
+    """
+
+    value: bytes
+    writable: bool = True
+    readable: bool = True
+    text: bool = False
+    changed: Callable[[int], Abort | None] | None = None
+
+
+@dataclass(slots=True)
+class _Upload:
+    data: bytes
+    toggle: int = 0
+
+
+@dataclass(slots=True)
+class Node:
+    """A node; what moves behind it reads and writes `objects`.
+
+    Attributes:
+        number: Its node id.
+        objects: Its dictionary by index and subindex.
+        state: Its NMT state.
+        on_reset: Called when it starts anew.
+        on_silence: Called when the host's heartbeat was lost.
+        inhibited: It answers nothing.
+    """
+
+    number: int
+    objects: dict[tuple[int, int], Entry] = field(default_factory=dict)
+    state: NmtState = NmtState.BOOT
+    on_reset: Callable[[], None] = lambda: None
+    on_silence: Callable[[], None] = lambda: None
+    inhibited: bool = False
+    _upload: _Upload | None = None
+    _beat_at: float = 0.0
+    _host_at: float | None = None
+    _received: dict[int, bytes] = field(default_factory=dict)
+
+    def add(self, index: int, subindex: int, form: str, value: int, **access: object) -> None:
+        """Add a value of a struct format."""
+        self.objects[index, subindex] = Entry(struct.pack(f"<{form}", value), **access)  # type: ignore[arg-type]
+
+    def get(self, index: int, subindex: int = 0, *, signed: bool = False) -> int:
+        """Return a value as an integer; 0 for one that is not there."""
+        entry = self.objects.get((index, subindex))
+        return int.from_bytes(entry.value, "little", signed=signed) if entry else 0
+
+    def set(self, index: int, value: int, subindex: int = 0) -> None:
+        """Set a value, whatever a host may do with it."""
+        entry = self.objects[index, subindex]
+        size = len(entry.value)
+        entry.value = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
+
+    def add_pdos(self) -> None:
+        """Add four receive and four transmit PDOs, all without content and disabled."""
+        for n in range(_COUNT):
+            for base, cob in ((_RECEIVE, RPDO[n]), (_TRANSMIT, TPDO[n])):
+                self.add(base + n, 0, "B", 2, writable=False)
+                self.add(base + n, 1, "I", DISABLED | cob + self.number)
+                self.add(base + n, 2, "B", 255)
+                self.add(base + _MAP + n, 0, "B", 0, changed=self._check_map(base + _MAP + n))
+                for slot in range(1, 9):
+                    self.add(base + _MAP + n, slot, "I", 0)
+
+    def _check_map(self, index: int) -> Callable[[int], Abort | None]:
+        def check(count: int) -> Abort | None:
+            size = 0
+            for slot in range(1, count + 1):
+                mapped = self.get(index, slot)
+                if (mapped >> 16, mapped >> 8 & 0xFF) not in self.objects:
+                    return Abort.NOT_MAPPABLE
+                size += mapped & 0xFF
+            return Abort.PDO_LENGTH if size > 64 else None
+
+        return check
+
+    def watch_anew(self, value: int) -> Abort | None:
+        """Begin to watch the host with its next heartbeat; called when the watch is set."""
+        self._host_at = None
+        return None
+
+    # --- time and frames -----------------------------------------------------------------------
+
+    def start(self, now: float) -> list[CanFrame]:
+        """Boot: announce it, be pre-operational."""
+        self._upload = None
+        self._received.clear()
+        self._host_at = None
+        self.state = NmtState.PRE_OPERATIONAL
+        self._beat_at = now
+        self.on_reset()
+        return [cia301.heartbeat(self.number, NmtState.BOOT)]
+
+    def step(self, now: float) -> list[CanFrame]:
+        """Let time pass; return the heartbeat when it is due."""
+        if self.inhibited:
+            return []
+        watched = self.get(0x1016, 1)
+        limit = (watched & 0xFFFF) / 1000.0
+        if self._host_at is not None and limit and now - self._host_at > limit:
+            self._host_at = None
+            self.on_silence()
+        period = self.get(0x1017) / 1000.0
+        if not period or now - self._beat_at < period:
+            return []
+        self._beat_at = max(self._beat_at + period, now - period)
+        return [cia301.heartbeat(self.number, self.state)]
+
+    def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Take a frame and return what the node sends at once."""
+        if frame.extended or frame.remote or self.inhibited:
+            return []
+        if frame.id == cia301.NMT and len(frame.data) == 2:
+            return self._command(frame.data, now)
+        watched = self.get(0x1016, 1)
+        if frame.id == cia301.HEARTBEAT + (watched >> 16 & 0x7F) and watched & 0xFFFF:
+            self._host_at = now
+        if frame.id == SDO_REQUEST + self.number and self.state is not NmtState.STOPPED:
+            try:
+                answer = self._serve(Sdo.from_bytes(frame.data), frame.data)
+            except CanopenFrameError:
+                return []
+            return [CanFrame(SDO_ANSWER + self.number, answer)]
+        if self.state is NmtState.OPERATIONAL:
+            self._receive(frame)
+        return []
+
+    def _command(self, data: bytes, now: float) -> list[CanFrame]:
+        if data[1] not in (0, self.number):
+            return []
+        match data[0]:
+            case NmtCommand.START:
+                self.state = NmtState.OPERATIONAL
+            case NmtCommand.STOP:
+                self.state = NmtState.STOPPED
+            case NmtCommand.PRE_OPERATIONAL:
+                self.state = NmtState.PRE_OPERATIONAL
+            case NmtCommand.RESET_NODE | NmtCommand.RESET_COMMUNICATION:
+                return self.start(now)
+        return []
+
+    # --- SDO -----------------------------------------------------------------------------------
+
+    def _serve(self, request: Sdo, raw: bytes) -> bytes:
+        key = (request.index, request.subindex)
+        kind = request.command >> 5
+        if kind == 3:
+            return self._next_segment(request)
+        if kind == 4:
+            self._upload = None
+            return Sdo.aborted(*key, Abort.GENERAL).to_bytes()
+        entry = self.objects.get(key)
+        if entry is None:
+            known = any(index == request.index for index, _ in self.objects)
+            return Sdo.aborted(*key, Abort.NO_SUBINDEX if known else Abort.NO_OBJECT).to_bytes()
+        if kind == 2:
+            return self._read(key, entry)
+        if kind == 1:
+            return self._write(key, entry, request)
+        return Sdo.aborted(*key, Abort.COMMAND).to_bytes()
+
+    def _read(self, key: tuple[int, int], entry: Entry) -> bytes:
+        if not entry.readable:
+            return Sdo.aborted(*key, Abort.WRITE_ONLY).to_bytes()
+        if 0 < len(entry.value) <= 4:
+            return Sdo.uploaded(*key, entry.value).to_bytes()
+        self._upload = _Upload(entry.value)
+        return Sdo(0x41, *key, struct.pack("<I", len(entry.value))).to_bytes()
+
+    def _next_segment(self, request: Sdo) -> bytes:
+        upload = self._upload
+        if upload is None:
+            return Sdo.aborted(0, 0, Abort.COMMAND).to_bytes()
+        if request.command >> 4 & 0x1 != upload.toggle:
+            self._upload = None
+            return Sdo.aborted(0, 0, Abort.TOGGLE).to_bytes()
+        piece, upload.data = upload.data[:7], upload.data[7:]
+        last = not upload.data
+        command = upload.toggle << 4 | (7 - len(piece)) << 1 | last
+        upload.toggle ^= 1
+        if last:
+            self._upload = None
+        return bytes([command]) + piece.ljust(7, b"\x00")
+
+    def _write(self, key: tuple[int, int], entry: Entry, request: Sdo) -> bytes:
+        if not entry.writable:
+            return Sdo.aborted(*key, Abort.READ_ONLY).to_bytes()
+        if not request.command & 0x2:
+            return Sdo.aborted(*key, Abort.UNSUPPORTED).to_bytes()
+        if request.size != len(entry.value) and not entry.text:
+            return Sdo.aborted(*key, Abort.LENGTH).to_bytes()
+        before, entry.value = entry.value, request.data[: request.size]
+        if entry.changed is not None:
+            refused = entry.changed(int.from_bytes(entry.value, "little"))
+            if refused is not None:
+                entry.value = before
+                return Sdo.aborted(*key, refused).to_bytes()
+        return Sdo.downloaded(*key).to_bytes()
+
+    # --- PDO -----------------------------------------------------------------------------------
+
+    def _receive(self, frame: CanFrame) -> None:
+        for n in range(_COUNT):
+            cob = self.get(_RECEIVE + n, 1)
+            if not cob & DISABLED and cob & 0x7FF == frame.id:
+                if self.get(_RECEIVE + n, 2) <= 240:
+                    self._received[n] = frame.data
+                else:
+                    self._unpack(n, frame.data)
+
+    def sync(self) -> None:
+        """Take over what the synchronous receive PDOs have brought."""
+        if self.state is NmtState.OPERATIONAL:
+            for n, data in sorted(self._received.items()):
+                self._unpack(n, data)
+        self._received.clear()
+
+    def _unpack(self, n: int, data: bytes) -> None:
+        at, taken = 0, []
+        for slot in range(1, self.get(_RECEIVE + _MAP + n, 0) + 1):
+            mapped = self.get(_RECEIVE + _MAP + n, slot)
+            size = (mapped & 0xFF) // 8
+            entry = self.objects.get((mapped >> 16, mapped >> 8 & 0xFF))
+            if entry is not None and at + size <= len(data):
+                entry.value = data[at : at + size]
+                taken.append(entry)
+            at += size
+        for entry in taken:
+            if entry.changed is not None:
+                entry.changed(int.from_bytes(entry.value, "little"))
+
+    def transmit(self) -> list[CanFrame]:
+        """Return the synchronous transmit PDOs, as they follow a SYNC."""
+        if self.state is not NmtState.OPERATIONAL or self.inhibited:
+            return []
+        frames = []
+        for n in range(_COUNT):
+            cob = self.get(_TRANSMIT + n, 1)
+            count = self.get(_TRANSMIT + _MAP + n, 0)
+            if cob & DISABLED or not count or self.get(_TRANSMIT + n, 2) > 240:
+                continue
+            data = b""
+            for slot in range(1, count + 1):
+                mapped = self.get(_TRANSMIT + _MAP + n, slot)
+                data += self.objects[mapped >> 16, mapped >> 8 & 0xFF].value
+            frames.append(CanFrame(cob & 0x7FF, data))
+        return frames

@@ -1,0 +1,84 @@
+"""Options of CiA 402 drives in hand.yaml."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rtee.drivers.options import DeviceOptions
+
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class NodeOptions(BaseModel):
+    """Options of one drive.
+
+    Attributes:
+        id: Its node id.
+        counts: Signed counts per rad or m of the actuator; by default from objects 608F and 6091.
+        zero: Its position where the actuator is at 0 [counts].
+        direction: +1 or -1: sense of its counts with the actuator, where ``counts`` is not given.
+        rated_torque: Its rated torque at the actuator [N·m | N]; by default from object 6076 and
+            the gear.
+        product: Product code expected (object 1018, 2); else any.
+        homing_method: Homing method (object 6098) of a drive without absolute encoder.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    id: Annotated[int, Field(ge=1, le=127)]
+    counts: float | None = None
+    zero: int = 0
+    direction: Literal[1, -1] = 1
+    rated_torque: Positive | None = None
+    product: int | None = None
+    homing_method: Annotated[int, Field(ge=-128, le=127)] | None = None
+
+
+class Cia402Options(DeviceOptions):
+    """Options of CiA 402 drives on a CAN bus.
+
+    Attributes:
+        channel: CAN channel, for example ``can0``.
+        interface: python-can interface.
+        bitrate: Bits per second.
+        nodes: The drive of each actuator, by the actuator's name.
+        mode: ``profile_position``: the drive makes the profile to each new set-point;
+            ``cyclic_position``: it follows the set-points of this program.
+        home: Whether drives with a homing method look for their zero at the first activation.
+        max_torque: Torque limit where a reference gives none [0.1 % of the rated torque].
+        host: Node id under which this program sends its heartbeat.
+        watchdog: Drives react after so long without this program's heartbeat [s]; 0: never.
+        on_silence: Their reaction: object 6007; see the drive's manual, as makers differ.
+        heartbeat: Period of the drives' heartbeat [s].
+        enable_timeout: Longest time to get from one state to the next [s].
+        homing_timeout: Longest time for homing [s].
+        sdo_timeout: Longest time for one SDO transfer [s].
+        deadline: Longest time from SYNC to the last process data [s].
+    """
+
+    channel: str = "can0"
+    interface: str = "socketcan"
+    bitrate: Annotated[int, Field(gt=0)] = 1_000_000
+    nodes: dict[str, NodeOptions]
+    mode: Literal["profile_position", "cyclic_position"] = "profile_position"
+    home: Literal["on_demand", "on_connect"] = "on_demand"
+    max_torque: Annotated[int, Field(ge=1, le=5000)] = 1000
+    host: Annotated[int, Field(ge=1, le=127)] = 126
+    watchdog: Annotated[float, Field(ge=0.0, le=60.0)] = 0.5
+    on_silence: Literal[0, 1, 2, 3] = 1
+    heartbeat: Annotated[float, Field(gt=0.0, le=60.0)] = 0.1
+    enable_timeout: Positive = 2.0
+    homing_timeout: Positive = 30.0
+    sdo_timeout: Positive = 0.5
+    deadline: Positive = 0.02
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        ids = [node.id for node in self.nodes.values()]
+        if len(set(ids)) != len(ids):
+            raise ValueError("two drives have the same node id")
+        if self.host in ids:
+            raise ValueError("the host's node id is that of a drive")
+        return self

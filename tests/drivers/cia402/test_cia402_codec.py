@@ -1,0 +1,217 @@
+"""CANopen and CiA 402 frames from the fact sheet's examples; the emulated node by hand."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtee.buses.emulator import CanFrame
+from rtee.drivers.cia402 import cia301, codec
+from rtee.drivers.cia402.cia301 import (
+    Abort,
+    CanopenFrameError,
+    Emergency,
+    NmtCommand,
+    NmtState,
+    Sdo,
+)
+from rtee.drivers.cia402.codec import Command, Limits, Motion, Scale, State, Status
+from rtee.drivers.cia402.emulator import Cia402Emulator, DriveProperties
+
+
+def frame(text: str) -> CanFrame:
+    """``605 40 41 60`` as a frame."""
+    number, *data = text.split()
+    return CanFrame(int(number, 16), bytes.fromhex("".join(data)))
+
+
+def test_frames_are_those_of_the_sheet() -> None:
+    assert cia301.heartbeat(5, NmtState.BOOT) == frame("705 00")
+    assert cia301.heartbeat(5, NmtState.PRE_OPERATIONAL) == frame("705 7F")
+    assert cia301.nmt(NmtCommand.START, 5) == frame("000 01 05")
+    assert cia301.nmt(NmtCommand.STOP, 5) == frame("000 02 05")
+    assert cia301.nmt(NmtCommand.RESET_NODE, 5) == frame("000 81 05")
+    assert Emergency(0x8130, 0x11).to_frame(5) == frame("085 30 81 11 00 00 00 00 00")
+    assert Emergency.from_bytes(bytes.fromhex("3081110000000000")) == Emergency(0x8130, 0x11)
+    assert Command(0x0F, 1000, 8).to_bytes() == bytes.fromhex("0F00E803000008")
+    assert Status.from_bytes(bytes.fromhex("3712DA03000008")) == Status(0x1237, 986, 8)
+
+
+@pytest.mark.parametrize(
+    ("sheet", "sdo"),
+    [
+        ("2B171000 64000000", Sdo.download(0x1017, 0, struct.pack("<H", 100))),
+        ("60171000 00000000", Sdo.downloaded(0x1017, 0)),
+        ("40416000 00000000", Sdo.upload(0x6041)),
+        ("4B416000 40000000", Sdo.uploaded(0x6041, 0, struct.pack("<H", 0x40))),
+        ("2B406000 06000000", Sdo.download(0x6040, 0, struct.pack("<H", 6))),
+        ("2F606000 01000000", Sdo.download(0x6060, 0, b"\x01")),
+        ("237A6000 E8030000", Sdo.download(0x607A, 0, struct.pack("<i", 1000))),
+        ("40996001 00000000", Sdo.upload(0x6099, 1)),
+        ("80996001 00000206", Sdo.aborted(0x6099, 1, Abort.NO_OBJECT)),
+    ],
+)
+def test_sdo_frames_are_those_of_the_sheet(sheet: str, sdo: Sdo) -> None:
+    raw = bytes.fromhex(sheet)
+    assert sdo.to_bytes() == raw
+    assert Sdo.from_bytes(raw).to_bytes() == raw
+
+
+def test_states_are_read_by_mask() -> None:
+    for word, state in (
+        (0x0040, State.SWITCH_ON_DISABLED), (0x0021, State.READY), (0x0023, State.SWITCHED_ON),
+        (0x1237, State.ENABLED), (0x0017, State.QUICK_STOP), (0x0008, State.FAULT),
+        (0x000F, State.FAULT_REACTION), (0x0000, State.NOT_READY),
+    ):  # fmt: skip
+        assert State.of(word) is state
+
+
+@given(st.binary(max_size=9))
+def test_any_data_is_read_or_refused(data: bytes) -> None:
+    for read, size in (
+        (Status.from_bytes, 7), (Command.from_bytes, 7), (Motion.from_bytes, 8),
+        (Limits.from_bytes, 6), (Emergency.from_bytes, 8), (Sdo.from_bytes, 8),
+    ):  # fmt: skip
+        if len(data) == size:
+            read(data)
+        else:
+            with pytest.raises(CanopenFrameError):
+                read(data)
+
+
+@given(st.floats(-3.0, 3.0), st.sampled_from([651.9, -651.9, 12345.6]))
+def test_units_have_inverses(position: float, counts: float) -> None:
+    scale = Scale(counts, 77, 2.0, 1.5)
+    there = scale.to_counts(position)
+    assert scale.to_position(there) == pytest.approx(position, abs=0.51 / abs(counts))
+    assert scale.to_velocity(scale.to_velocity_counts(1.0)) * counts > 0
+    assert abs(scale.to_effort(scale.to_permille(1.3))) == pytest.approx(1.3, abs=1e-3)
+    assert scale.to_current(500) == pytest.approx(0.75)
+
+
+def test_gear_and_encoder_make_the_counts() -> None:
+    assert codec.counts_per_rad(4096, 1, 100, 1) == pytest.approx(4096 * 100 / (2 * math.pi))
+    with pytest.raises(ValueError, match="positive"):
+        codec.counts_per_rad(4096, 0, 1, 1)
+
+
+def test_every_error_code_has_a_name() -> None:
+    assert cia301.emergency_name(0x2310) == "overcurrent"
+    assert cia301.emergency_name(0x2999) == "current"
+    assert cia301.emergency_name(0xFF42) == "manufacturer's"
+
+
+class Host:
+    """Speaks the sheet's bytes to the emulated node; keeps its own time."""
+
+    def __init__(self, **properties: object) -> None:
+        self.emulator = Cia402Emulator(DriveProperties(nodes=(5,), **properties))  # type: ignore[arg-type]
+        self.now = 0.0
+        self.heard = self.emulator.step(self.now)
+
+    def send(self, text: str, *, after: float = 0.001) -> list[str]:
+        self.now += after
+        answers = self.emulator.on_frame(frame(text), self.now)
+        return [f"{a.id:03X} " + a.data.hex(" ").upper() for a in answers]
+
+    def wait(self, seconds: float, step: float = 0.01) -> list[str]:
+        out = []
+        end = self.now + seconds
+        while self.now < end:
+            self.now += step
+            out += self.emulator.step(self.now)
+        return [f"{a.id:03X} " + a.data.hex(" ").upper() for a in out]
+
+
+def test_the_node_boots_beats_and_answers_as_in_the_sheet() -> None:
+    host = Host()
+    assert host.heard == [frame("705 00")]
+    assert host.send("605 2B 17 10 00 64 00 00 00") == ["585 60 17 10 00 00 00 00 00"]
+    assert host.wait(0.1) == ["705 7F"]
+    assert host.send("605 40 41 60 00 00 00 00 00")[0][:15] == "585 4B 41 60 00"
+    assert host.send("605 40 99 60 01 00 00 00 00") == ["585 80 99 60 01 00 00 02 06"]
+    assert host.send("605 2F 40 60 00 06 00 00 00") == ["585 80 40 60 00 10 00 07 06"]
+    assert host.send("605 40 6C 60 07 00 00 00 00") == ["585 80 6C 60 07 11 00 09 06"]
+    host.send("000 01 05")
+    assert "705 05" in host.wait(0.1)
+    assert host.send("000 81 05") == ["705 00"]
+    host.send("000 02 05")
+    assert host.send("605 40 41 60 00 00 00 00 00") == []
+
+
+def test_strings_come_in_segments() -> None:
+    host = Host(name="a name of more than seven")
+    (first,) = host.send("605 40 08 10 00 00 00 00 00")
+    assert first == "585 41 08 10 00 19 00 00 00"
+    text, toggle = b"", 0
+    while True:
+        (answer,) = host.send(f"605 {0x60 | toggle:02X} 00 00 00 00 00 00 00")
+        raw = bytes.fromhex(answer[4:])
+        assert raw[0] >> 4 & 1 == toggle >> 4
+        text += raw[1 : 8 - (raw[0] >> 1 & 7)]
+        toggle ^= 0x10
+        if raw[0] & 1:
+            break
+    assert text == b"a name of more than seven"
+
+
+def walk(host: Host) -> None:
+    for word in ("06", "07", "0F"):
+        assert host.send(f"605 2B 40 60 00 {word} 00 00 00") == ["585 60 40 60 00 00 00 00 00"]
+
+
+def position(host: Host) -> int:
+    (answer,) = host.send("605 40 64 60 00 00 00 00 00")
+    return int.from_bytes(bytes.fromhex(answer[4:])[4:8], "little", signed=True)
+
+
+def test_a_profile_move_by_sdo_with_its_handshake() -> None:
+    host = Host()
+    assert host.send("605 2F 60 60 00 01 00 00 00") == ["585 60 60 60 00 00 00 00 00"]
+    walk(host)
+    host.send("605 23 7A 60 00 E8 03 00 00")
+    host.wait(0.2)
+    assert position(host) == 0
+    host.send("605 2B 40 60 00 1F 00 00 00")
+    host.wait(0.2)
+    assert position(host) == 1000
+    (word,) = host.send("605 40 41 60 00 00 00 00 00")
+    assert bytes.fromhex(word[4:])[5] & 0x14 == 0x14
+    host.send("605 2B 40 60 00 0F 00 00 00")
+    host.wait(0.02)
+    (word,) = host.send("605 40 41 60 00 00 00 00 00")
+    assert bytes.fromhex(word[4:])[5] & 0x14 == 0x04
+
+
+def test_a_fault_is_told_and_reset_by_the_edge_of_its_bit() -> None:
+    host = Host()
+    walk(host)
+    host.emulator.inject("overcurrent")
+    assert "085 10 23 01 00 00 00 00 00" in host.wait(0.02)
+    assert host.send("605 40 3F 60 00 00 00 00 00") == ["585 4B 3F 60 00 10 23 00 00"]
+    host.send("605 2B 40 60 00 80 00 00 00")
+    assert "085 00 00 00 00 00 00 00 00" in host.wait(0.02)
+    assert host.send("605 40 41 60 00 00 00 00 00")[0].startswith("585 4B 41 60 00 50")
+
+
+def test_a_silent_host_makes_it_fault() -> None:
+    host = Host()
+    host.send("605 23 16 10 01 64 00 7E 00")
+    walk(host)
+    host.send("77E 05")
+    host.wait(0.05)
+    host.send("77E 05")
+    assert not [f for f in host.wait(0.08) if f.startswith("085")]
+    assert "085 30 81 11 00 00 00 00 00" in host.wait(0.05)
+    assert host.emulator.drives[5].state is State.FAULT
+    assert host.emulator.drives[5].node.state is NmtState.PRE_OPERATIONAL
+
+
+def test_a_mapping_that_cannot_be_is_refused() -> None:
+    host = Host()
+    host.send("605 23 00 16 01 20 00 99 60")
+    assert host.send("605 2F 00 16 00 01 00 00 00") == ["585 80 00 16 00 41 00 04 06"]

@@ -1,0 +1,289 @@
+"""The CiA 402 driver against its emulator on a CAN bus."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import AsyncIterator
+from typing import Any
+
+import anyio
+import can
+import canopen
+import numpy as np
+import pytest
+from canopen.objectdictionary import ODVariable, datatypes
+from canopen.profiles.p402 import BaseNode402
+
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import SimulatedCan
+from rtee.drivers.cia402.codec import State
+from rtee.drivers.cia402.driver import Cia402Driver
+from rtee.drivers.cia402.emulator import Cia402Emulator, DriveProperties
+from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+
+COUNTS = 4096 / (2 * np.pi)
+
+
+def device(n: int = 1, *, kind: JointKind = JointKind.REVOLUTE, **options: Any) -> DeviceSpec:
+    return DeviceSpec(
+        name="gripper",
+        hand="jaws",
+        driver="cia402",
+        actuators=tuple(
+            ActuatorSpec(f"jaw{i}", kind, -1.0, 3.0, 8.0, 20.0, 400.0, 0.5, 0.0) for i in range(n)
+        ),
+        options={"nodes": {f"jaw{i}": {"id": 5 + i} for i in range(n)}, **options},
+        emulated=True,
+    )
+
+
+@contextlib.asynccontextmanager
+async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[Cia402Driver]:
+    made = Cia402Driver(spec, pool)
+    try:
+        await made.configure()
+        yield made
+    finally:
+        await made.close()
+        await made.close()
+
+
+def drives(pool: BusPool) -> Cia402Emulator:
+    found = pool.played("jaws/gripper")
+    assert isinstance(found, Cia402Emulator)
+    return found
+
+
+async def settle(made: Cia402Driver, goal: list[float], **limits: Any) -> np.ndarray:
+    for _ in range(300):
+        state = await made.sense()
+        await made.move(Reference.at(goal, **limits))
+        if np.abs(state.position - goal).max() < 2e-3:
+            break
+        await anyio.sleep(0.001)
+    return state.position
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("mode", ["profile_position", "cyclic_position"])
+async def test_two_drives_move_and_tell_on_one_sync(mode: str) -> None:
+    async with BusPool() as pool, connected(pool, device(2, mode=mode)) as made:
+        assert made.capabilities.identity["model"] == "emulated CiA 402 drive"
+        assert all(d.state is State.SWITCH_ON_DISABLED for d in drives(pool).drives.values())
+        await made.activate()
+        assert all(d.state is State.ENABLED for d in drives(pool).drives.values())
+        assert await settle(made, [1.0, -0.5]) == pytest.approx([1.0, -0.5], abs=2e-3)
+        assert drives(pool).drives[5].axis.position == pytest.approx(COUNTS, abs=2)
+        sent: list[int] = []
+        pool.buses[0].trace = lambda _, way, data, __: (
+            sent.append(int.from_bytes(data[:4], "big")) if way == "tx" else None
+        )
+        for _ in range(3):
+            await made.move(Reference.at([1.0, -0.5]))
+            await made.sense()
+        assert [i for i in sent if i != 0x77E] == [0x205, 0x206, 0x080] * 3
+
+
+@pytest.mark.anyio
+async def test_every_new_set_point_is_taken_in_profile_mode() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        for goal in (0.3, 0.31, 0.32, 0.33):
+            await made.sense()
+            await made.move(Reference.at([goal]))
+        assert (await settle(made, [0.33]))[0] == pytest.approx(0.33, abs=2e-3)
+
+
+@pytest.mark.anyio
+async def test_limits_go_before_the_position_and_an_object_is_held_with_them() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        drives(pool).hold(5, 0.5 * COUNTS, stiffness=2.0)
+        sent: list[int] = []
+        pool.buses[0].trace = lambda _, way, data, __: (
+            sent.append(int.from_bytes(data[:4], "big")) if way == "tx" else None
+        )
+        limits = {"max_effort": np.array([0.2]), "max_velocity": np.array([5.0])}
+        await made.move(Reference.at([1.0], **limits))
+        assert sent == [0x305, 0x205]
+        await settle(made, [1.0], **limits)
+        state = await made.sense()
+        assert state.effort[0] == pytest.approx(0.2, rel=0.01)
+        assert state.position[0] == pytest.approx(0.5 + 200 / COUNTS, abs=0.01)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("mode", ["profile_position", "cyclic_position"])
+async def test_attaches_to_enabled_drives_without_moving_them(mode: str) -> None:
+    async with BusPool() as pool:
+        async with connected(pool, device(mode=mode)) as first:
+            await first.activate()
+            await settle(first, [0.7])
+        await anyio.sleep(0.7)
+        axis = drives(pool).drives[5].axis
+        where, target = axis.position, axis.target
+        assert drives(pool).drives[5].state is State.ENABLED
+        async with connected(pool, device(mode=mode)) as second:
+            await second.activate()
+            assert (await second.sense()).position == pytest.approx([0.7], abs=2e-3)
+            assert (axis.position, axis.target) == (where, target)
+            assert await settle(second, [0.9]) == pytest.approx([0.9], abs=2e-3)
+
+
+@pytest.mark.anyio
+async def test_a_drive_that_misses_the_heartbeat_stops() -> None:
+    async with BusPool() as pool, connected(pool, device(watchdog=0.1)) as made:
+        assert made.capabilities.watchdog
+        await made.activate()
+        await made.sense()
+        await anyio.sleep(0.25)
+        assert drives(pool).drives[5].state is State.FAULT
+        with pytest.raises(BusTimeout):
+            await made.sense()
+
+
+@pytest.mark.anyio
+async def test_faults_are_named_and_recovered_without_motion() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        where = await settle(made, [0.4])
+        drives(pool).inject("overcurrent")
+        with pytest.raises(DeviceFault, match=r"node 5 \(jaw0\): overcurrent") as told:
+            await made.sense()
+        assert told.value.code == 0x2310
+        with pytest.raises(DeviceFault, match="overcurrent"):
+            await made.activate()
+        await made.recover()
+        await made.activate()
+        assert (await made.sense()).position == pytest.approx(where, abs=2e-3)
+        assert await settle(made, [0.5]) == pytest.approx([0.5], abs=2e-3)
+
+
+@pytest.mark.anyio
+async def test_stop_holds_the_measured_pose_and_release_takes_the_voltage() -> None:
+    async with BusPool() as pool, connected(pool, device(emulator={"speed": 2000})) as made:
+        await made.activate()
+        await made.move(Reference.at([3.0]))
+        await made.sense()
+        await anyio.sleep(0.1)
+        await made.stop()
+        where = (await made.sense()).position[0]
+        await anyio.sleep(0.1)
+        assert 0.1 < where < 2.0
+        assert (await made.sense()).position[0] == pytest.approx(where, abs=0.05)
+        await made.release()
+        assert drives(pool).drives[5].state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.anyio
+async def test_homing_only_when_allowed() -> None:
+    nodes = {"jaw0": {"id": 5, "homing_method": 17}}
+    emulator = {"homed": False, "lower": -500, "upper": 5000}
+    spec = device(nodes=nodes, emulator=emulator)
+    async with BusPool() as pool, connected(pool, spec) as made:
+        with pytest.raises(DeviceFault, match=r"not homed: jaw0.*rtee recover"):
+            await made.activate()
+        assert drives(pool).drives[5].axis.position == 0.0
+        await made.recover()
+        await made.activate()
+        assert drives(pool).drives[5].homed
+        assert drives(pool).drives[5].axis.position == -500
+        assert await settle(made, [0.2]) == pytest.approx([0.2], abs=2e-3)
+
+
+@pytest.mark.anyio
+async def test_a_restarted_drive_has_to_be_set_up_anew() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        pool.simulation("jaws/gripper").power_cycle()
+        await anyio.sleep(0.02)
+        with pytest.raises((NotConnected, BusTimeout)):
+            await made.sense()
+        await made.configure()
+        await made.activate()
+        assert np.isfinite((await made.sense()).position).all()
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("options", "error", "sentence"),
+    [
+        ({"emulator": {"device_type": 401}}, HandshakeError, "profile 401"),
+        ({"emulator": {"nodes": [9]}, "sdo_timeout": 0.05}, NotConnected, "node 5 .jaw0. does not"),
+        (
+            {"mode": "cyclic_position", "emulator": {"modes": [1]}},
+            HandshakeError,
+            "mode 8 in node 5, found modes 1",
+        ),
+        ({"nodes": {"jaw0": {"id": 5, "product": 7}}}, HandshakeError, "product 0x7 as node 5"),
+        ({"emulator": {"increments": 0}}, HandshakeError, "give 'counts' per rad"),
+    ],
+)
+async def test_other_devices_are_refused(
+    options: dict[str, Any], error: type[Exception], sentence: str
+) -> None:
+    async with BusPool() as pool:
+        with pytest.raises(error, match=sentence):
+            async with connected(pool, device(**options)):
+                pass
+
+
+@pytest.mark.parametrize(
+    ("spec", "sentence"),
+    [
+        (device(nodes={"other": {"id": 1}}), "do not match: jaw0, other"),
+        (device(2, nodes={"jaw0": {"id": 1}, "jaw1": {"id": 1}}), "same node id"),
+        (device(kind=JointKind.PRISMATIC), "needs 'counts' per m"),
+    ],
+)
+def test_mistakes_are_told(spec: DeviceSpec, sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        Cia402Driver(spec, BusPool())
+
+
+def _dictionary() -> canopen.ObjectDictionary:
+    """The few objects that the package's own drive class needs."""
+    found = canopen.ObjectDictionary()
+    for index, kind in (
+        (0x6040, datatypes.UNSIGNED16), (0x6041, datatypes.UNSIGNED16),
+        (0x6060, datatypes.INTEGER8), (0x6061, datatypes.INTEGER8),
+        (0x6064, datatypes.INTEGER32), (0x607A, datatypes.INTEGER32),
+        (0x6502, datatypes.UNSIGNED32),
+    ):  # fmt: skip
+        variable = ODVariable(f"object {index:x}", index)
+        variable.data_type = kind
+        found.add_object(variable)
+    return found
+
+
+def test_the_canopen_package_drives_the_emulator_by_sdo() -> None:
+    """Its own 402 class, its own notifier: nothing of the driver's takes part."""
+    emulated = Cia402Emulator(DriveProperties(nodes=(5,)))
+    with (
+        SimulatedCan([emulated], channel="cia402-other"),
+        can.Bus(interface="virtual", channel="cia402-other") as bus,
+        can.Notifier(bus, [], timeout=0.05) as notifier,
+    ):
+        network = canopen.Network(bus)
+        network.notifier = notifier
+        for listener in network.listeners:
+            notifier.add_listener(listener)
+        node = BaseNode402(5, _dictionary())
+        network.add_node(node)
+        node.nmt.state = "OPERATIONAL"
+        node.sdo[0x6060].raw = 1
+        for word, state in ((6, 0x21), (7, 0x23), (15, 0x27)):
+            node.sdo[0x6040].raw = word
+            time.sleep(0.01)
+            assert node.sdo[0x6041].raw & 0x6F == state
+        node.sdo[0x607A].raw = 1234
+        node.sdo[0x6040].raw = 0x1F
+        end = time.monotonic() + 3.0
+        while node.sdo[0x6064].raw != 1234 and time.monotonic() < end:
+            time.sleep(0.01)
+        assert node.sdo[0x6064].raw == 1234
+        assert node.sdo.upload(0x1008, 0) == b"emulated CiA 402 drive"
+        with pytest.raises(canopen.SdoAbortedError, match="0x06020000"):
+            node.sdo.upload(0x2345, 0)
