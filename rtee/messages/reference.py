@@ -9,21 +9,21 @@ import sys
 from collections.abc import Iterator
 
 from rtee.messages.definitions import DEFINITIONS
-from rtee.messages.requests import REQUESTS
+from rtee.messages.requests import REQUESTS, STATES
 from rtee.messages.schema import MessageType, message_type
-from rtee.messages.topics import TYPES, log_topic, network_key
+from rtee.messages.topics import PUBLISHED, TYPES, log_topic, network_key
 
 _HEAD = """\
 # Messages
 
 Recordings and the network share one vocabulary: ROS 2 messages, encoded as CDR (little-endian, XCDR
-version 1). Types that ROS 2 has are its own, the others are in the package `rtee_msgs`. Every recording
-carries the definitions, so that other software needs nothing else to read it.
+version 1). Types that ROS 2 has are its own, the others are in the package `rtee_msgs`. Every
+recording carries the definitions, so that other software needs nothing else to read it.
 
-Units are SI: metres, radians, seconds, newtons, newton metres, amperes; temperatures are in °C. `NaN`
-means "not measured" or "not given". All arrays of a message go with its `name`: order by name, not by
-number. `time` is CLOCK_MONOTONIC of the hand's computer, which never jumps; `header.stamp` is the same
-moment since 1970.
+Units are SI: metres, radians, seconds, newtons, newton metres, amperes; temperatures are in °C.
+`NaN` means "not measured" or "not given". All arrays of a message go with its `name`: order by name,
+not by number. `time` is CLOCK_MONOTONIC of the hand's computer, which never jumps; `header.stamp`
+is the same moment since 1970.
 
 In Python, `rtee.messages.message_type("rtee_msgs/Goal")` encodes and decodes any of them, and
 `rtee.messages.typestore.typestore()` is a type store of `rosbags` with all of them.
@@ -51,14 +51,16 @@ def _topics() -> Iterator[str]:
     yield "| in a recording | on the network | type |"
     yield "| --- | --- | --- |"
     for name, kind in TYPES.items():
-        topic, key = log_topic("HAND", name), network_key("HAND", name)
-        yield f"| `{topic}` | `{key}` | {_link(kind)} |"
+        key = f"`{network_key('HAND', name)}`" if name in PUBLISHED else ""
+        yield f"| `{log_topic('HAND', name)}` | {key} | {_link(kind)} |"
+    stream = network_key("HAND", f"{STATES}/N")
+    yield f"| | `{stream}` | {_link('rtee_msgs/msg/State')}, every N ticks, once asked for |"
 
 
 def _requests() -> Iterator[str]:
     yield "## Requests\n"
-    yield "A request is a Zenoh query whose payload is the question. A refusal is an error reply with"
-    yield f"a {_link('rtee_msgs/msg/Reply')} that says why not.\n"
+    yield "A request is a Zenoh query whose payload is the question. A refusal is an error reply"
+    yield f"with a {_link('rtee_msgs/msg/Reply')} that says why not.\n"
     yield "| key | question | answer | |"
     yield "| --- | --- | --- | --- |"
     for request in REQUESTS.values():

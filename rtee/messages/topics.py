@@ -37,6 +37,20 @@ TYPES: dict[str, str] = {
 }
 """Name of a topic to the type of its messages."""
 
+PUBLISHED = frozenset(
+    {
+        JOINT_STATES,
+        REFERENCE,
+        GOALS,
+        FEEDBACK,
+        RESULTS,
+        EVENTS,
+        DEVICE_STATUS,
+        LOOP_STATISTICS,
+    }
+)
+"""Topics that are also published on the network."""
+
 PREFIX = "rtee"
 """First part of every key on the network."""
 
