@@ -119,6 +119,7 @@ class PreparedHand:
             max_file_time=given.max_file_time,
             max_total_size=given.max_total_size,
             flight_recorder=given.flight_recorder,
+            decimation=given.decimation,
         )
 
 

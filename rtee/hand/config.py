@@ -168,8 +168,10 @@ class Log(_Section):
     max_total_size: Positive = 2e10
     """The oldest recordings are deleted beyond this size of all [bytes]."""
     flight_recorder: NotNegative = 60.0
-    """Without a recording, this much is kept in memory and written when something fails [s];
+    """This much is kept in memory, recording or not, and written when something fails [s];
     0: nothing."""
+    decimation: Annotated[int, Field(ge=1)] = 1
+    """Record every n-th tick; only recordings of every tick can be computed anew."""
 
 
 class Remote(_Section):
