@@ -1,0 +1,173 @@
+"""A recording plays back as it was, at any speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.replay.driver import ReplayDriver
+from rtee.drivers.replay.states import RecordedStates
+from rtee.errors import ConfigError, LogError, NotConnected
+from rtee.messages.layout import actuator_state_fields
+from rtee.messages.schema import message_type
+from rtee.messages.topics import log_topic
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+
+pytestmark = pytest.mark.anyio
+KIND = message_type("rtee_msgs/msg/ActuatorState")
+RECORDED = ("thumb", "index")
+STATES = 1234
+PERIOD = 0.002
+
+
+def actuator(name: str) -> ActuatorSpec:
+    return ActuatorSpec(name, JointKind.REVOLUTE, -9, 9, 1.0, 1.0, 1.0, 1.0, 0.0)
+
+
+def write(path: Path, hand: str = "claw", count: int = STATES, finish: bool = True) -> Path:
+    """Write states whose values tell their number, with the `mcap` package's own writer."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=20_000)
+        writer.start("ros2")
+        schema = writer.register_schema(KIND.name, "ros2msg", KIND.schema.encode())
+        topic = log_topic(hand, "actuator_states")
+        channel = writer.register_channel(topic, "cdr", schema)
+        for k in range(count):
+            fields = actuator_state_fields(RECORDED) | {
+                "tick": k,
+                "time": 70.0 + k * PERIOD,
+                "position": np.array([k, -k], dtype=float),
+                "velocity": np.array([1.0, 2.0]),
+                "effort": np.array([3.0, 4.0]),
+                "current": np.array([np.nan, np.nan]),
+                "temperature": np.array([30.0, 31.0]),
+                "grasped": np.array([1, -1], dtype=np.int8),
+            }
+            writer.add_message(channel, 1_000_000 + k, KIND.encode(fields), 1_000_000 + k)
+        if finish:
+            writer.finish()
+    return path
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("replay") / "a.mcap")
+
+
+class Player:
+    def __init__(
+        self, path: Path, actuators: Sequence[str] = ("index", "thumb"), **options: object
+    ) -> None:
+        self.seconds = 5.0
+        specs = tuple(actuator(name) for name in actuators)
+        given = {"file": str(path), **options}
+        spec = DeviceSpec("tape", "claw", "replay", specs, options=given, source="hand.yaml:3")
+        self.driver = ReplayDriver(spec, BusPool())
+        self.driver.now = lambda: self.seconds
+
+    async def __aenter__(self) -> Player:
+        await self.driver.configure()
+        await self.driver.activate()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.driver.close()
+
+
+async def test_states_come_by_name_at_their_time(recording: Path) -> None:
+    async with Player(recording) as player:
+        for k in (0, 1, 2, 700, 1100, STATES - 1):
+            player.seconds = 5.0 + k * PERIOD + 1e-9
+            state = await player.driver.sense()
+            assert state.position.tolist() == [-k, k]
+            assert state.velocity.tolist() == [2.0, 1.0]
+            assert state.effort.tolist() == [4.0, 3.0]
+            assert np.isnan(state.current).all()
+            assert state.temperature.tolist() == [31.0, 30.0]
+            assert state.grasped == (None, True)
+            assert state.fresh
+            assert state.stamp == player.seconds
+            assert not (await player.driver.sense()).fresh
+
+
+async def test_every_state_is_played_in_order(recording: Path) -> None:
+    async with Player(recording) as player:
+        seen = []
+        for _ in range(STATES):
+            seen.append((await player.driver.sense()).position[1])
+            player.seconds += PERIOD * (1 + 1e-9)
+        assert seen == list(range(STATES))
+
+
+async def test_it_stays_at_the_end(recording: Path) -> None:
+    async with Player(recording) as player:
+        player.seconds += 1000.0
+        state = await player.driver.sense()
+        assert state.position[1] == STATES - 1
+        assert player.driver.ended
+        assert not (await player.driver.sense()).fresh
+
+
+async def test_it_may_repeat(recording: Path) -> None:
+    async with Player(recording, repeat=True) as player:
+        player.seconds += STATES * PERIOD
+        assert (await player.driver.sense()).position[1] == 0
+        player.seconds += 10 * PERIOD + 1e-9
+        assert (await player.driver.sense()).position[1] == 10
+
+
+async def test_time_may_pass_faster(recording: Path) -> None:
+    async with Player(recording, speed=10.0) as player:
+        player.seconds += 20 * PERIOD + 1e-9
+        assert (await player.driver.sense()).position[1] == 200
+
+
+async def test_references_change_nothing(recording: Path) -> None:
+    async with Player(recording) as player:
+        await player.driver.move(Reference.at([5.0, 5.0]))
+        assert (await player.driver.sense()).position.tolist() == [0.0, 0.0]
+
+
+async def test_it_can_be_closed_and_opened_again(recording: Path) -> None:
+    async with Player(recording) as player:
+        player.seconds += 0.5
+        await player.driver.sense()
+        await player.driver.close()
+        await player.driver.close()
+        with pytest.raises(NotConnected):
+            await player.driver.sense()
+        await player.driver.configure()
+        assert (await player.driver.sense()).position[1] == 0
+
+
+def test_a_recording_of_one_other_hand_will_do(tmp_path: Path) -> None:
+    path = write(tmp_path / "other.mcap", hand="other", count=3)
+    states = RecordedStates(path, "claw", ("thumb",))
+    (block,) = states.blocks()
+    assert block.values[:, 0, 0].tolist() == [0.0, 1.0, 2.0]
+    states.close()
+
+
+def test_files_that_cannot_be_played_are_refused(tmp_path: Path) -> None:
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"no recording at all")
+    cases = [
+        (tmp_path / "missing.mcap", ("thumb",), "cannot be opened"),
+        (junk, ("thumb",), "is no recording"),
+        (write(tmp_path / "empty.mcap", count=0), ("thumb",), "holds no states"),
+        (write(tmp_path / "short.mcap", count=2), ("ring",), "no states of the actuator 'ring'"),
+        (write(tmp_path / "cut.mcap", count=5, finish=False), ("thumb",), "recover|no recording"),
+    ]
+    for path, actuators, reason in cases:
+        with pytest.raises(LogError, match=reason):
+            RecordedStates(path, "claw", actuators)
+
+
+def test_wrong_options_are_named(recording: Path) -> None:
+    with pytest.raises(ConfigError, match=r"hand\.yaml:3: .*speed"):
+        Player(recording, speed=0.0)

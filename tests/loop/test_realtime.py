@@ -1,0 +1,109 @@
+"""Asking the system for real time: in a process of its own, so that nothing of it stays."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from rtee.loop.realtime import Collector, set_up
+from rtee.loop.settings import RealtimeSettings
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux only")
+
+
+def in_process(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+def test_nothing_is_done_unless_enabled() -> None:
+    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
+    assert set_up(RealtimeSettings(enabled=False, cpus=(0,))) == []
+    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
+
+
+def test_what_is_not_permitted_is_a_warning_that_says_what_to_configure() -> None:
+    output = in_process(
+        "import os, resource\n"
+        "from rtee.loop.realtime import set_up\n"
+        "from rtee.loop.settings import RealtimeSettings\n"
+        "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
+        "resource.setrlimit(resource.RLIMIT_MEMLOCK, (4096, 4096))\n"
+        "if os.getuid() == 0:\n"
+        "    os.setgid(65534)\n"
+        "    os.setuid(65534)\n"
+        "for line in set_up(RealtimeSettings(enabled=True, cpus=(4000,))): print(line)\n"
+        "print(os.sched_getscheduler(0) == os.SCHED_OTHER)\n"
+    )
+    lines = output.splitlines()
+    assert len(lines) == 4
+    assert "memlock unlimited" in lines[0]
+    assert "CPU 4000 cannot be used" in lines[1]
+    assert "rtprio 80" in lines[2]
+    assert "LimitRTPRIO=80" in lines[2]
+    assert lines[3] == "True"
+
+
+def test_only_the_loops_thread_becomes_real_time() -> None:
+    output = in_process(
+        "import os, threading\n"
+        "from rtee.loop.realtime import set_up\n"
+        "from rtee.loop.settings import RealtimeSettings\n"
+        "print(set_up(RealtimeSettings(enabled=True, priority=10, lock_memory=False)))\n"
+        "def look(): print(os.sched_getscheduler(0) == os.SCHED_OTHER)\n"
+        "thread = threading.Thread(target=look)\n"
+        "thread.start(); thread.join()\n"
+        "print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO)\n"
+    )
+    warnings, other_is_ordinary, own_is_fifo = output.splitlines()
+    assert other_is_ordinary == "True"
+    assert (own_is_fifo == "True") == (warnings == "[]")
+
+
+class Cycle:
+    made = 0
+
+    def __init__(self) -> None:
+        self.own = self
+        Cycle.made += 1
+
+    def __del__(self) -> None:
+        Cycle.made -= 1
+
+
+def test_garbage_is_collected_between_ticks_and_not_by_itself() -> None:
+    collector = Collector(every=(1_000_000, 1_000_000, 1_000_000))
+    collector.start()
+    try:
+        assert not gc.isenabled()
+        for _ in range(2000):
+            Cycle()
+        assert Cycle.made == 2000
+        collector.idle(time.monotonic_ns() + 10**10)
+        time.sleep(0.002)
+        collector.idle(time.monotonic_ns() + 10**10)
+        assert Cycle.made == 0
+    finally:
+        collector.stop()
+    assert gc.isenabled()
+
+
+def test_there_must_be_time_for_a_collection_unless_it_is_overdue() -> None:
+    collector = Collector(every=(1_000_000, 10**12, 10**12))
+    collector.start()
+    try:
+        collector._cost = [10**9, 0, 0]
+        Cycle()
+        time.sleep(0.0012)
+        collector.idle(time.monotonic_ns() + 1000)
+        assert Cycle.made == 1
+        time.sleep(0.002)
+        collector.idle(time.monotonic_ns() + 1000)
+        assert Cycle.made == 0
+    finally:
+        collector.stop()
