@@ -28,6 +28,7 @@ def actions(hand: Hand, as_json: JsonOption = False) -> None:
 
 
 def _show(hand: str, found: list[Action]) -> None:
+    from rich import box
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -35,9 +36,9 @@ def _show(hand: str, found: list[Action]) -> None:
     if not found:
         print(f"{hand} has no actions yet; 'rtee extract {hand} --out …' finds its primitives")
         return
-    table = Table(title=f"Grasping actions of {hand}", title_justify="left")
+    table = Table(title=f"Grasping actions of {hand}", title_justify="left", box=box.SIMPLE)
     for column in ("action", "elements", "involves", "remarks"):
-        table.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold", no_wrap=column in ("action", "device"))
     for action in found:
         table.add_row(*(Text(cell) for cell in _row(action)))
     Console().print(table)

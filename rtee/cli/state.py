@@ -83,14 +83,17 @@ def _plain(name: str, found: State) -> dict[str, Any]:
 
 
 def _table(name: str, found: State) -> Table:
+    from rich import box
     from rich.table import Table
 
-    table = Table(title=f"{name}, tick {found.tick}", title_justify="left")
-    table.add_column("actuator")
-    for column in _COLUMNS:
+    table = Table(title=f"{name}, tick {found.tick}", title_justify="left", box=box.SIMPLE)
+    table.add_column("actuator", no_wrap=True)
+    # What no actuator measures would only take room.
+    measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
+    for column in measured:
         table.add_column(column.replace("_position", ""), justify="right")
     for i, actuator in enumerate(found.names):
-        values = (float(getattr(found, column)[i]) for column in _COLUMNS)
+        values = (float(getattr(found, column)[i]) for column in measured)
         table.add_row(actuator, *(_number(value) for value in values))
     return table
 

@@ -35,6 +35,7 @@ def status(
 
 
 def _show(found: HandStatus) -> None:
+    from rich import box
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -47,9 +48,9 @@ def _show(found: HandStatus) -> None:
     print(f"goal:     {found.action or 'none'}")
     print(f"held by:  {found.holder or 'nobody'}")
     print(f"log:      {found.recording or 'off'}")
-    table = Table()
+    table = Table(box=box.SIMPLE)
     for column in ("device", "driver", "state", "rate", "age", "errors", "overruns", "remarks"):
-        table.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold", no_wrap=column in ("action", "device"))
     for one in found.devices:
         fault = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else ""
         remarks = "; ".join(text for text in (fault, one.message, one.hint) if text)

@@ -7,6 +7,7 @@ with rtee.connect_blocking("schunk_svh") as hand:
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import (
     AsyncGenerator,
     AsyncIterator,
@@ -21,7 +22,6 @@ from functools import partial
 from typing import Any, Self, TypeVar, Unpack
 
 import anyio
-import anyio.from_thread
 from anyio.from_thread import BlockingPortal
 
 from rtee.actions.build import StepPlan
@@ -288,8 +288,22 @@ def connect_blocking(
         ConfigError: if several run and none is named.
     """
     with contextlib.ExitStack() as stack:
-        portal = stack.enter_context(anyio.from_thread.start_blocking_portal("asyncio"))
+        portal = _start_portal()
+        stack.callback(lambda: portal.call(portal.stop))
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
         leave = stack.pop_all().close
     return BlockingHand(portal, remote, leave)
+
+
+def _start_portal() -> BlockingPortal:
+    """Start an event loop in a thread that doesn't keep the process from ending."""
+    started: Future[BlockingPortal] = Future()
+
+    async def run() -> None:
+        async with BlockingPortal() as portal:
+            started.set_result(portal)
+            await portal.sleep_until_stopped()
+
+    threading.Thread(target=anyio.run, args=(run,), name="rtee client", daemon=True).start()
+    return started.result()

@@ -13,6 +13,7 @@ from rtee.errors import LeaseHeld, MessageError, NoHand, RequestRejected
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE, CLIENTS, REQUESTS, STOP
 from rtee.messages.schema import message_type
+from rtee.remote.session import direct
 
 _REPLY = message_type("rtee_msgs/msg/Reply")
 
@@ -43,7 +44,7 @@ class Link:
         def received(sample: zenoh.Sample) -> None:
             self._call_soon(_decoded, take, sample.payload.to_bytes())
 
-        return self._session.declare_subscriber(key, received)
+        return self._session.declare_subscriber(key, direct(received))
 
     def subscribe(self, topic: str, take: Callable[[bytes], object]) -> None:
         """Have messages on a topic of the hand taken until the link is closed."""
@@ -67,7 +68,7 @@ class Link:
 
         key = network_key(self.hand, ALIVE)
         self._subscribers.append(
-            self._session.liveliness().declare_subscriber(key, changed, history=True)
+            self._session.liveliness().declare_subscriber(key, direct(changed), history=True)
         )
 
     async def ask(
@@ -111,7 +112,7 @@ class Link:
         try:
             self._session.get(
                 request.key(self.hand),
-                zenoh.handlers.Callback(replied, ended, indirect=False),
+                direct(replied, ended),
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=within,
                 priority=zenoh.Priority.REAL_TIME if first else zenoh.Priority.INTERACTIVE_HIGH,

@@ -6,9 +6,6 @@ Results and events must not be lost, so that a thread of their own puts them and
 
 from __future__ import annotations
 
-import logging
-import queue
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -23,14 +20,11 @@ from rtee.messages.requests import STATES
 from rtee.messages.state import State, StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE
 from rtee.remote.joints import Joints
-
-log = logging.getLogger(__name__)
+from rtee.remote.session import direct
+from rtee.remote.worker import Worker
 
 MOST_STREAMS = 16
 """Different rates that may be streamed at once."""
-
-_WAITING = 1000
-"""Feedback is dropped when this much waits to be published."""
 
 
 class StateMessages:
@@ -105,7 +99,7 @@ class Stream:
         self._publisher = session.declare_publisher(
             key, congestion_control=zenoh.CongestionControl.DROP, express=True
         )
-        self._listener = self._publisher.declare_matching_listener(self._matched)
+        self._listener = self._publisher.declare_matching_listener(direct(self._matched))
 
     def _matched(self, status: Any) -> None:
         self.wanted = status.matching
@@ -199,33 +193,24 @@ class Outbox:
     """Publishes what must arrive, in order, from a thread of its own.
 
     Attributes:
-        dropped: Feedback that was dropped because too much was waiting.
+        dropped: Messages that were dropped because too much was waiting.
     """
 
     def __init__(self, session: zenoh.Session, hand: str) -> None:
         self._session, self._hand = session, hand
-        self._waiting: queue.SimpleQueue[tuple[str, Callable[[int], bytes], int] | None] = (
-            queue.SimpleQueue()
-        )
         self._publishers: dict[str, zenoh.Publisher] = {}
         self.dropped = 0
-        self._thread = threading.Thread(target=self._run, name=f"publish {hand}", daemon=True)
-        self._thread.start()
+        self._worker = Worker(f"publish {hand}", self._publish)
+        self.close = self._worker.close
 
-    def put(self, topic: str, encode: Callable[[int], bytes], *, may_drop: bool = False) -> None:
+    def put(self, topic: str, encode: Callable[[int], bytes]) -> None:
         """Publish a message on a topic; ``encode`` is given the time since 1970 [ns]."""
-        if may_drop and self._waiting.qsize() > _WAITING:
+        if not self._worker.put((topic, encode, time.time_ns())):
             self.dropped += 1
-            return
-        self._waiting.put((topic, encode, time.time_ns()))
 
-    def _run(self) -> None:
-        while (item := self._waiting.get()) is not None:
-            topic, encode, wall = item
-            try:
-                self._publisher(topic).put(encode(wall))
-            except Exception:
-                log.exception("a message on '%s' could not be published", topic)
+    def _publish(self, item: tuple[str, Callable[[int], bytes], int]) -> None:
+        topic, encode, wall = item
+        self._publisher(topic).put(encode(wall))
 
     def _publisher(self, topic: str) -> zenoh.Publisher:
         if topic not in self._publishers:
@@ -236,8 +221,3 @@ class Outbox:
                 express=True,
             )
         return self._publishers[topic]
-
-    def close(self) -> None:
-        """Publish what is waiting, then end; blocks until then."""
-        self._waiting.put(None)
-        self._thread.join(2.0)

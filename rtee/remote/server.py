@@ -16,7 +16,7 @@ import anyio.abc
 import anyio.to_thread
 import zenoh
 
-from rtee.errors import RteeError
+from rtee.errors import RequestRejected, RteeError
 from rtee.hand.model import Hand
 from rtee.loop.observer import Observer, TickRecord
 from rtee.messages import (
@@ -35,7 +35,8 @@ from rtee.remote.asking import Asking
 from rtee.remote.control import Control
 from rtee.remote.directory import announced
 from rtee.remote.publishing import Outbox, Streams
-from rtee.remote.session import open_server
+from rtee.remote.session import direct, open_server
+from rtee.remote.worker import Worker
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ class Server(Observer):
         self.endpoint = ""
         self._settings = config.remote
         self._goal: Goal | None = None
+        self._workers: dict[str, Worker[zenoh.Query]] = {}
         self._exit = contextlib.AsyncExitStack()
         self.now = time.monotonic
 
@@ -123,6 +125,10 @@ class Server(Observer):
             stack.push_async_callback(anyio.to_thread.run_sync, self._outbox.close)
             self._control = Control(self)
             self._asking = Asking(self)
+            for group, take in ((CONTROL, self._steer), (ASK, self._ask)):
+                worker = Worker(f"{group} {self.hand.name}", partial(self._receive, group, take))
+                self._workers[group] = worker
+                stack.push_async_callback(anyio.to_thread.run_sync, worker.close)
             self.loop.add_observer(self)
             stack.callback(self.loop.remove_observer, self)
             self._declare(session)
@@ -135,11 +141,13 @@ class Server(Observer):
 
     def _declare(self, session: zenoh.Session) -> None:
         hand = self.hand.name
-        for group, handler in ((STOP, self._stop), (CONTROL, self._steer), (ASK, self._ask)):
-            take = partial(self._receive, group, handler)
-            session.declare_queryable(network_key(hand, f"{group}/*"), take)
+        # A stop waits for nothing: it is taken in Zenoh's own thread.
+        takes = {group: partial(self._pass_on, worker) for group, worker in self._workers.items()}
+        takes[STOP] = partial(self._receive, STOP, self._stop)
+        for group, take in takes.items():
+            session.declare_queryable(network_key(hand, f"{group}/*"), direct(take))
         clients = network_key(hand, f"{CLIENTS}/*")
-        session.liveliness().declare_subscriber(clients, self._client, history=True)
+        session.liveliness().declare_subscriber(clients, direct(self._client), history=True)
         self._token = session.liveliness().declare_token(network_key(hand, ALIVE))
 
     @property
@@ -183,6 +191,10 @@ class Server(Observer):
             take(read(query, self.hand.name, group))
         except Exception as error:
             refuse(query, error)
+
+    def _pass_on(self, worker: Worker[zenoh.Query], query: zenoh.Query) -> None:
+        if not worker.put(query):
+            refuse(query, RequestRejected("too many requests are waiting"))
 
     def _ask(self, asked: Asked) -> None:
         self._asking.take(asked)
@@ -229,7 +241,7 @@ class Server(Observer):
 
     def on_feedback(self, feedback: Feedback) -> None:
         """Publish a goal's progress."""
-        self._put(topics.FEEDBACK, encode_feedback, feedback, may_drop=True)
+        self._put(topics.FEEDBACK, encode_feedback, feedback)
 
     def on_result(self, result: Result) -> None:
         """Publish how a goal ended."""
@@ -246,10 +258,8 @@ class Server(Observer):
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
         """Publish how devices and clock are doing."""
         for status in statuses:
-            self._put(topics.DEVICE_STATUS, encode_device_status, status, may_drop=True)
-        self._put(topics.LOOP_STATISTICS, encode_loop_statistics, statistics, may_drop=True)
+            self._put(topics.DEVICE_STATUS, encode_device_status, status)
+        self._put(topics.LOOP_STATISTICS, encode_loop_statistics, statistics)
 
-    def _put(
-        self, topic: str, encode: Callable[..., bytes], what: Any, may_drop: bool = False
-    ) -> None:
-        self._outbox.put(topic, lambda wall: encode(what, wall=wall), may_drop=may_drop)
+    def _put(self, topic: str, encode: Callable[..., bytes], what: Any) -> None:
+        self._outbox.put(topic, lambda wall: encode(what, wall=wall))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import socket
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import zenoh
 
@@ -13,6 +13,8 @@ from rtee.errors import ConfigError, NoHand
 
 LEASE = 1000
 """After this long without a sign of life a peer counts as dead [ms]; four signs are sent in it."""
+
+T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
 _ATTEMPTS = 5
@@ -28,7 +30,7 @@ _COMMON: dict[str, Any] = {
     "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE * 1000,
     "transport/shared_memory/enabled": False,
     "adminspace/enabled": False,
-    "connect/timeout_ms": 3000,
+    "connect/timeout_ms": 1500,
 }
 
 
@@ -37,6 +39,17 @@ def _configured(settings: dict[str, Any]) -> zenoh.Config:
     for key, value in (_COMMON | settings).items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def direct(
+    callback: Callable[[T], object], ended: Callable[[], object] | None = None
+) -> zenoh.handlers.Callback[T]:
+    """Return a handler that is called in Zenoh's own thread; it must return at once.
+
+    Zenoh's other kind of handler has a Python thread of its own, which keeps a process from ending
+    until the session is closed.
+    """
+    return zenoh.handlers.Callback(callback, ended, indirect=False)
 
 
 def free_endpoint() -> str:

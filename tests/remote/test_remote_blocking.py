@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import anyio.from_thread
+import pytest
+
+import rtee
+from rtee.actions.build import StepPlan
+from rtee.actions.library import ActionLibrary
+from rtee.actions.types import ActionReference
+from rtee.errors import NoHand, RequestRejected
+from rtee.hand.model import Hand
+from rtee.types import Feedback
+
+from .serving import Served, serving
+
+
+@pytest.fixture
+def served(hand: Hand, library: ActionLibrary) -> Iterator[Served]:
+    """A hand that runs in a thread of its own."""
+    with (
+        anyio.from_thread.start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(serving(hand, library)) as served,
+    ):
+        yield served
+
+
+def test_the_blocking_twin_does_what_the_other_does(served: Served, hand: Hand) -> None:
+    heard: list[Feedback] = []
+    with rtee.connect_blocking("small") as remote:
+        result = remote.do("pinch_tight", "index", "thumb", intensity=0.3, on_feedback=heard.append)
+        assert result.reached
+        assert heard
+        assert remote.open().reached
+        assert remote.state().names == hand.actuator_names
+        ticks = []
+        for state in remote.states(100.0):
+            ticks.append(state.tick)
+            if len(ticks) == 3:
+                break
+        assert ticks == sorted(ticks)
+        assert remote.status().hand == "small"
+        assert remote.info().name == "small"
+        assert "<robot" in remote.robot_description()
+        assert remote.stop() == {"sim": True}
+        remote.recover()
+        remote.hold()
+        remote.jog({"near": 0.1})
+        remote.set_gains({"time_constant": 0.05})
+        with remote.held():
+            assert remote.status().holder == remote.client
+
+
+def test_its_actions(served: Served) -> None:
+    with rtee.connect_blocking() as remote:
+        remote.add_generic("half", {"near": 0.5}, store=True)
+        remote.add_composed("two", [ActionReference("half")])
+        remote.add_timed("late", [StepPlan(ActionReference("half"), after=0.1)])
+        remote.store_action("two")
+        remote.rename_action("two", "three")
+        remote.remove_action("late")
+        assert {action.name for action in remote.actions("composed")} == {"fist", "three"}
+        assert remote.partners("PinchTight", "index") == ("thumb",)
+        assert [group.name for group in remote.primitives()] == ["Trig", "PinchTight"]
+        with pytest.raises(RequestRejected):
+            remote.do("late")
+
+
+def test_a_goal_can_be_watched_and_cancelled(served: Served) -> None:
+    remote = rtee.connect_blocking("small")
+    goal = remote.start("fist", speed=0.2)
+    for feedback in goal:
+        if feedback.progress > 0.05:
+            goal.cancel()
+    assert goal.done
+    assert goal.result().cancelled
+    remote.close()
+    remote.close()
+
+
+def test_events(served: Served) -> None:
+    with rtee.connect_blocking("small") as remote, rtee.connect_blocking("small") as other:
+        portal = remote._portal
+        events = remote.events()
+        first = portal.start_task_soon(lambda: anext(remote._hand.events()))
+        while not remote._hand._watchers:
+            pass
+        other.stop()
+        assert first.result().kind == "stop"
+        events.close()
+
+
+def test_no_hand() -> None:
+    with pytest.raises(NoHand):
+        rtee.connect_blocking("small")
+
+
+def test_a_script_that_forgets_to_close_ends_all_the_same(served: Served) -> None:
+    code = "import rtee; hand = rtee.connect_blocking('small'); print(hand.state().tick > 0)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout.strip()) == (0, "True"), done.stderr
+
+
+def test_a_script_that_is_interrupted_cancels_its_goal(served: Served, tmp_path: Path) -> None:
+    code = (
+        "import _thread, rtee\n"
+        "hand = rtee.connect_blocking('small')\n"
+        "hand.do('fist', speed=0.05, on_feedback=lambda _: _thread.interrupt_main())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert done.returncode != 0
+    assert "KeyboardInterrupt" in done.stderr
+    assert served.watcher.results[0].cancelled

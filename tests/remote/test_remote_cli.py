@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import anyio.from_thread
+import pytest
+from typer.testing import CliRunner
+
+from rtee.actions.library import ActionLibrary
+from rtee.cli import _common, do, open, recover, state, status, stop
+from rtee.errors import ConfigError, NoHand, RequestRejected
+from rtee.hand.model import Hand
+
+from .serving import Served, make_hand, make_library, serving
+
+
+@pytest.fixture
+def served(hand: Hand, library: ActionLibrary) -> Iterator[Served]:
+    with (
+        anyio.from_thread.start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(serving(hand, library)) as served,
+    ):
+        yield served
+
+
+def run(module: object, *words: str, status: int = 0) -> str:
+    result = CliRunner().invoke(module.app, words, catch_exceptions=False)  # type: ignore[attr-defined]
+    assert result.exit_code == status, result.output
+    return result.output
+
+
+def test_do(served: Served) -> None:
+    assert "PinchTight: reached" in run(do, "pinchTight", "thumb", "index", "--intensity", "0.3")
+    goal = served.watcher.goals[0]
+    assert (goal.intensity, goal.elements) == (0.3, ("thumb", "index"))
+    assert goal.client.startswith("rtee-do-")
+
+
+def test_do_with_everything_said(served: Served) -> None:
+    words = "fist --intensity 0.2 --effort near=1.5 --effort push=30 --speed 0.5 --timeout 5"
+    more = "--tolerance 0.02 --kind composed --hand small --json"
+    found = json.loads(run(do, *words.split(), *more.split()))
+    assert found["succeeded"]
+    assert set(found["position"]) == {"near", "thumb", "push"}
+    goal = served.watcher.goals[0]
+    assert goal.effort == {"near": 1.5, "push": 30.0}
+    assert (goal.speed, goal.timeout, goal.tolerance) == (0.5, 5.0, 0.02)
+
+
+def test_do_that_fails_has_exit_status_1(served: Served) -> None:
+    assert "timed out" in run(do, "fist", "--timeout", "0.1", "--speed", "0.05", status=1)
+
+
+def test_do_that_is_refused(served: Served) -> None:
+    with pytest.raises(RequestRejected, match="unknown action") as caught:
+        run(do, "dance")
+    assert caught.value.exit_status == 2
+
+
+def test_open_stop_and_recover(served: Served) -> None:
+    assert "open: reached" in run(open)
+    assert "small: sim has stopped" in run(stop)
+    assert "small: sim is active" in run(recover)
+    assert "small: sim is active" in run(recover, "sim")
+
+
+def test_state(served: Served, hand: Hand) -> None:
+    shown = run(state, "--once")
+    assert all(name in shown for name in hand.actuator_names)
+    assert "current" not in shown
+    found = json.loads(run(state, "--once", "--json"))
+    assert list(found["actuators"]) == list(hand.actuator_names)
+    assert found["actuators"]["near"]["current"] is None
+    assert set(found["joints"]) == set(hand.joint_names)
+
+
+def test_status(served: Served) -> None:
+    shown = run(status)
+    assert "small:" in shown
+    assert "kinematic" in shown
+    assert "held by:  nobody" in shown
+    found = json.loads(run(status, "--json"))
+    assert found["devices"][0]["lifecycle"] == "active"
+
+
+def test_no_hand_runs() -> None:
+    for module, words in (
+        (do, ["fist"]),
+        (state, ["--once"]),
+        (status, []),
+        (stop, []),
+        (open, []),
+    ):
+        with pytest.raises(NoHand, match="no hand runs on this computer"):
+            run(module, *words)
+
+
+def test_stop_stops_all_hands(served: Served, tmp_path_factory: pytest.TempPathFactory) -> None:
+    other = make_hand(tmp_path_factory.mktemp("other"), "other")
+    with (
+        anyio.from_thread.start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(serving(other, make_library(other))) as second,
+    ):
+        with pytest.raises(ConfigError, match="several hands"):
+            run(do, "fist")
+        shown = run(stop)
+        assert "small: sim has stopped" in shown
+        assert "other: sim has stopped" in shown
+        assert [e.kind for e in second.watcher.events] == ["stop"]
+
+
+def test_ctrl_c_cancels_the_goal(served: Served) -> None:
+    code = "from rtee.cli.main import main; main()"
+    words = ["do", "fist", "--speed", "0.05", "--timeout", "60"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *words], stdout=subprocess.PIPE, text=True
+    )
+    while not served.watcher.goals:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "cancelled" in output
+    assert served.watcher.results[0].cancelled
+
+
+def test_completion(
+    served: Served, hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "config" / "small"
+    folder.mkdir(parents=True)
+    for suffix in (".urdf", ".srdf"):
+        (folder / f"small{suffix}").write_bytes(hand.urdf.path.with_suffix(suffix).read_bytes())
+    (folder / "hand.yaml").write_text("name: small\nurdf: small.urdf\nsrdf: small.srdf\n")
+    (tmp_path / "actions").rename(folder / "actions")
+    monkeypatch.chdir(tmp_path)
+    assert _common.complete_running("sm") == ["small"]
+    assert "small" in _common.complete_hand("sm")
+
+    class Context:
+        def __init__(self, **params: object) -> None:
+            self.params = params
+
+    assert _common.complete_action(Context(), "pinch_t") == ["PinchTight"]
+    assert set(_common.complete_action(Context(hand="small"), "")) >= {"Trig", "fist", "wave"}
+    assert _common.complete_element(Context(action="trig"), "") == ["index", "thumb"]
+    chosen = Context(action="pinch_tight", elements=["thumb"])
+    assert _common.complete_element(chosen, "") == ["index"]
+    assert _common.complete_element(Context(action="fist"), "") == []
+    assert _common.complete_action(Context(hand="none"), "") == []

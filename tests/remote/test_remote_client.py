@@ -1,0 +1,339 @@
+from __future__ import annotations
+
+import itertools
+import math
+
+import anyio
+import numpy as np
+import pytest
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.errors import ConfigError, LeaseHeld, NoHand, RequestRejected
+from rtee.hand.model import Hand
+from rtee.types import Feedback, Lifecycle
+
+from .serving import RATE, Config, Remote, make_hand, make_library, serving, until
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_an_action_is_executed(hand: Hand, library: ActionLibrary) -> None:
+    heard: list[Feedback] = []
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        result = await remote.do(
+            "pinch_tight", "thumb", "index", intensity=0.5, on_feedback=heard.append
+        )
+        assert result.reached
+        assert result.succeeded
+        assert result.position["near"] == pytest.approx(0.5, abs=0.02)
+        assert [goal.client for goal in served.watcher.goals] == [remote.client]
+    assert heard
+    assert all(a.progress <= b.progress for a, b in itertools.pairwise(heard))
+
+
+async def test_feedback_of_a_timed_action_names_its_inner_actions(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect() as remote:
+        running = await remote.start("wave")
+        inner = [feedback.inner async for feedback in running]
+        assert (await running.result()).reached
+    assert list(dict.fromkeys(name for name in inner if name)) == ["up", "side"]
+
+
+async def test_everything_about_a_goal_arrives(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        await remote.do(
+            "PinchTight",
+            "index",
+            "thumb",
+            intensity=0.5,
+            effort={"near": 1.5},
+            tolerance=0.02,
+            speed=0.75,
+            timeout=5.0,
+            stage="pre_grasp",
+            kind="primitive",
+        )
+        goal = served.watcher.goals[0]
+    assert goal.effort == {"near": 1.5}
+    assert (goal.tolerance, goal.speed, goal.timeout, goal.stage) == (0.02, 0.75, 5.0, "pre_grasp")
+
+
+@pytest.mark.parametrize(
+    ("action", "elements", "options", "reason"),
+    [
+        ("dance", (), {}, "unknown action 'dance'"),
+        ("Trig", ("ring",), {}, "does not exist with 'ring'"),
+        ("fist", (), {"intensity": 1.2}, "intensity must be 0 to 1"),
+        ("fist", (), {"intensity": math.nan}, "intensity must be 0 to 1"),
+        ("fist", (), {"speed": 0.0}, "speed must be above 0"),
+        ("fist", (), {"timeout": -1.0}, "timeout must be above 0"),
+        ("fist", (), {"tolerance": math.inf}, "tolerance must be above 0"),
+        ("fist", (), {"effort": {"pollex": 1.0}}, "unknown actuator 'pollex'"),
+        ("fist", (), {"effort": {"near": 99.0}}, "effort limit of 'near'"),
+        ("fist", (), {"kind": "timed"}, "unknown action 'fist'"),
+    ],
+)
+async def test_bad_goals_are_refused_with_a_reason(
+    hand: Hand,
+    library: ActionLibrary,
+    action: str,
+    elements: tuple[str],
+    options: dict,
+    reason: str,
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        with pytest.raises(RequestRejected, match=reason):
+            await remote.do(action, *elements, **options)
+        assert served.watcher.goals == []
+
+
+async def test_cancel_holds_the_hand(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        running = await remote.start("fist", speed=0.1)
+        await running.cancel()
+        result = await running.result()
+        assert result.cancelled
+        assert not result.succeeded
+        await running.cancel()
+
+
+async def test_cancelling_the_caller_cancels_the_goal(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        with anyio.move_on_after(0.2):
+            await remote.do("fist", speed=0.05)
+        await until(lambda: bool(served.watcher.results))
+        assert served.watcher.results[0].cancelled
+
+
+async def test_a_new_goal_preempts_the_own_one(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        first = await remote.start("fist", speed=0.1)
+        second = await remote.start("Trig", "index")
+        assert (await first.result()).preempted
+        assert (await second.result()).reached
+
+
+async def test_one_client_moves_the_hand_at_a_time(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
+        running = await one.start("fist", speed=0.1)
+        with pytest.raises(LeaseHeld) as caught:
+            await two.do("fist")
+        assert caught.value.holder == one.client
+        with pytest.raises(LeaseHeld):
+            await two.jog({"near": 0.1})
+        with pytest.raises(LeaseHeld):
+            await two.cancel()
+        assert (await two.status()).holder == one.client
+        await running.cancel()
+        await running.result()
+        assert (await two.do("Trig", "index", intensity=0.1)).reached
+
+
+async def test_a_taken_hand_stays_taken_until_given_back(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
+        async with one.held():
+            with pytest.raises(LeaseHeld):
+                await two.take()
+            assert (await one.do("Trig", "index", intensity=0.1)).reached
+        await two.take()
+        await two.release()
+
+
+async def test_stop_needs_no_lease(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
+        running = await one.start("fist", speed=0.1)
+        assert await two.stop() == {"sim": True}
+        result = await running.result()
+        assert result.cancelled
+        assert two.client in result.reason
+
+
+async def test_open_goes_to_the_rest_posture(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        await remote.do("fist", intensity=0.3)
+        result = await remote.open()
+        assert result.reached
+        assert result.position["near"] == pytest.approx(0.0, abs=0.02)
+
+
+async def test_jog(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        await remote.jog({"near": 0.2}, max_velocity=2.0)
+        async for state in remote.states(RATE):
+            if abs(state.positions["near"] - 0.2) < 0.01:
+                break
+        for positions, limit, reason in (
+            ({"pollex": 1.0}, None, "unknown actuator"),
+            ({"near": math.nan}, None, "must be a number"),
+            ({"near": 0.1}, -1.0, "velocity must be above 0"),
+        ):
+            with pytest.raises(RequestRejected, match=reason):
+                await remote.jog(positions, limit)
+
+
+async def test_gains_and_recovery(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        await remote.set_gains({"time_constant": 0.2}, "sim")
+        with pytest.raises(RequestRejected, match="unknown gain 'p'"):
+            await remote.set_gains({"p": 1.0})
+        served.driver.fail("too hot")
+        await until(lambda: not any(served.loop.controller.active))
+        assert (await remote.status()).devices[0].lifecycle is Lifecycle.FAULT
+        with pytest.raises(RequestRejected, match="not active"):
+            await remote.do("fist")
+        await remote.recover()
+        assert (await remote.status()).devices[0].lifecycle is Lifecycle.ACTIVE
+        with pytest.raises(RequestRejected, match="unknown device"):
+            await remote.recover("other")
+
+
+async def test_states_come_at_the_rate_asked_for(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        for rate in (RATE, RATE / 4):
+            ticks = []
+            async for state in remote.states(rate):
+                ticks.append(state.tick)
+                if len(ticks) == 5:
+                    break
+            steps = {b - a for a, b in itertools.pairwise(ticks)}
+            assert min(steps) >= RATE / rate
+        assert state.names == hand.actuator_names
+        assert state.joint_names == hand.joint_names
+        u = np.array([state.positions[name] for name in hand.actuator_names])
+        assert state.joint_position == pytest.approx(hand.transmission.joints(u))
+        with pytest.raises(RequestRejected, match="rate"):
+            await anext(remote.states(math.nan))
+
+
+async def test_a_single_state(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        first, second = await remote.state(), await remote.state()
+        assert second.tick >= first.tick
+        assert np.isfinite(second.reference_position).all()
+
+
+async def test_status(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        served.server.recording = lambda: "logs/x.mcap"
+        running = await remote.start("fist", speed=0.1)
+        await until(lambda: bool(served.watcher.goals))
+        status = await remote.status()
+        assert (status.hand, status.action) == ("small", "fist")
+        assert status.goal_id == running.goal.goal_id
+        assert status.recording == "logs/x.mcap"
+        assert status.statistics.rate == RATE
+        assert [device.driver for device in status.devices] == ["kinematic"]
+
+
+async def test_events_reach_every_client(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
+        events = two.events()
+        async with anyio.create_task_group() as group:
+            group.start_soon(one.stop)
+            assert (await anext(events)).kind == "stop"
+        await events.aclose()
+
+
+async def test_a_hand_that_goes_ends_everything(hand: Hand, library: ActionLibrary) -> None:
+    async def run() -> None:
+        async with serving(hand, library):
+            await end.wait()
+
+    end = anyio.Event()
+    async with anyio.create_task_group() as group:
+        group.start_soon(run)
+        async with rtee.connect("small", wait=10.0) as remote:
+            states = remote.states(50.0)
+            await anext(states)
+            running = await remote.start("fist", speed=0.05)
+            end.set()
+            with pytest.raises(NoHand, match="has gone"):
+                async for _ in states:
+                    pass
+            with pytest.raises(NoHand, match="has gone"):
+                await running.result()
+            with pytest.raises(NoHand):
+                await remote.status()
+
+
+async def test_no_hand_and_several_hands(
+    hand: Hand, library: ActionLibrary, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    with pytest.raises(NoHand, match="no hand runs"):
+        async with rtee.connect():
+            pass
+    other = make_hand(tmp_path_factory.mktemp("other"), "other")
+    async with serving(hand, library), serving(other, make_library(other)):
+        with pytest.raises(ConfigError, match=r"several hands run .*: other, small"):
+            async with rtee.connect():
+                pass
+        with pytest.raises(NoHand, match=r"'smal' does not run .* did you mean 'small'"):
+            async with rtee.connect("smal"):
+                pass
+        async with rtee.connect("small") as one, rtee.connect("other") as two:
+            assert (await one.do("Trig", "index", intensity=0.1)).reached
+            assert (await two.state()).positions["near"] == pytest.approx(0.0, abs=1e-6)
+
+
+async def test_the_same_hand_runs_once(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        with pytest.raises(ConfigError, match="'small' runs already"):
+            async with type(served.server)(served.loop, hand, Config()):
+                pass
+        async with rtee.connect("small") as remote:
+            assert (await remote.status()).hand == "small"
+
+
+async def test_waiting_for_a_hand(hand: Hand, library: ActionLibrary) -> None:
+    async def look() -> None:
+        async with rtee.connect("small", wait=10.0) as remote:
+            names.append(remote.name)
+            there.set()
+
+    names: list[str] = []
+    there = anyio.Event()
+    async with anyio.create_task_group() as group:
+        group.start_soon(look)
+        await anyio.sleep(0.05)
+        async with serving(hand, library):
+            await there.wait()
+    assert names == ["small"]
+
+
+async def test_a_hand_elsewhere_is_reached_by_its_endpoint(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch, runtime: object
+) -> None:
+    from rtee.remote.session import free_endpoint
+
+    endpoint = free_endpoint()
+    config = Config(Remote(listen=[endpoint]))
+    async with serving(hand, library, config=config):
+        monkeypatch.setenv("RTEE_RUNTIME_DIR", "/nonexistent")
+        with pytest.raises(NoHand):
+            async with rtee.connect("small"):
+                pass
+        async with rtee.connect("small", endpoint=endpoint) as remote:
+            assert (await remote.status()).hand == "small"
+        monkeypatch.setenv("RTEE_CONNECT", endpoint)
+        async with rtee.connect() as remote:
+            assert remote.name == "small"
+        with pytest.raises(NoHand, match="'large' does not run at"):
+            async with rtee.connect("large"):
+                pass
+
+
+async def test_an_endpoint_that_cannot_be_used_is_a_mistake(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    config = Config(Remote(listen=["tcp/256.1.1.1:70000"]))
+    with pytest.raises(ConfigError, match=r"256\.1\.1\.1"):
+        async with serving(hand, library, config=config):
+            pass
+    with pytest.raises(NoHand, match="nobody answers"):
+        async with rtee.connect("small", endpoint="tcp/127.0.0.1:1"):
+            pass

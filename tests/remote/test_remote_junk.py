@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Iterator
+
+import anyio.to_thread
+import pytest
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.errors import MessageError
+from rtee.hand.model import Hand
+from rtee.messages.requests import REQUESTS, Request
+from rtee.messages.schema import message_type
+from rtee.remote.asked import LONGEST
+from rtee.remote.client import RemoteHand
+from rtee.remote.session import open_client
+
+from .serving import serving
+
+pytestmark = pytest.mark.anyio
+
+REPLY = message_type("rtee_msgs/msg/Reply")
+WITH_CLIENT = [
+    request
+    for request in REQUESTS.values()
+    if request.group == "control" and request.name != "hello"
+]
+
+
+class Rude:
+    """Somebody on the network who sends what he likes."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.session = open_client([endpoint])
+
+    def ask(self, key: str, payload: bytes) -> list[tuple[bool, bytes]]:
+        replies = self.session.get(key, payload=payload, timeout=5.0)
+        return [
+            (reply.ok is not None, (reply.ok or reply.err).payload.to_bytes()) for reply in replies
+        ]
+
+    def refusal(self, key: str, payload: bytes) -> str:
+        ((ok, data),) = self.ask(key, payload)
+        assert not ok
+        reply = REPLY.decode(data)
+        assert not reply["accepted"]
+        assert reply["error"]
+        assert "internal" not in reply["reason"]
+        return str(reply["reason"])
+
+
+@pytest.fixture
+def rude() -> Iterator[list[Rude]]:
+    made: list[Rude] = []
+    yield made
+    for one in made:
+        one.session.close()
+
+
+def _mutated(data: bytes, seed: int) -> bytes:
+    source = random.Random(seed)
+    out = bytearray(data)
+    for _ in range(source.randint(1, 6)):
+        at = source.randrange(len(out) + 1)
+        match source.randrange(3):
+            case 0:
+                out[at : at + 1] = source.randbytes(1)
+            case 1:
+                del out[at : at + source.randint(1, 9)]
+            case _:
+                out[at:at] = source.randbytes(source.randint(1, 9))
+    return bytes(out)
+
+
+def _sensible(request: Request, client: str) -> bytes:
+    values = {field.name: _value(field.kind, field.sequence) for field in request.question.fields}
+    if "client" in values:
+        values["client"] = client
+    return request.question.encode(values)
+
+
+def _value(kind: str, sequence: bool) -> object:
+    if sequence:
+        return []
+    if "/" in kind:
+        return {f.name: _value(f.kind, f.sequence) for f in message_type(kind).fields}
+    return "x" if kind == "string" else 0
+
+
+async def test_a_megabyte_of_junk_on_every_key_is_refused_with_a_reason(
+    hand: Hand, library: ActionLibrary, rude: list[Rude]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        rude.append(Rude(served.server.endpoint))
+        for request in REQUESTS.values():
+            for junk in (os.urandom(1_000_000), b"\x00\x01\x00\x00" + bytes(LONGEST)):
+                ask = rude[0].refusal
+                reason = await anyio.to_thread.run_sync(ask, request.key("small"), junk)
+                assert "longer than any request" in reason
+        await _still_well(remote)
+        assert served.watcher.goals[:-1] == []
+
+
+async def test_short_junk_is_refused_with_a_reason(
+    hand: Hand, library: ActionLibrary, rude: list[Rude]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        rude.append(Rude(served.server.endpoint))
+        for request in REQUESTS.values():
+            for junk in (b"{}", os.urandom(300), b"\x00\x01\x00\x00\xff\xff\xff\xff"):
+                await anyio.to_thread.run_sync(rude[0].refusal, request.key("small"), junk)
+        await _still_well(remote)
+
+
+async def test_damaged_requests_end_in_an_answer(
+    hand: Hand, library: ActionLibrary, rude: list[Rude]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        rude.append(Rude(served.server.endpoint))
+        for request in REQUESTS.values():
+            whole = _sensible(request, remote.client)
+            for seed in range(8):
+                data = _mutated(whole, seed)
+                answers = await anyio.to_thread.run_sync(rude[0].ask, request.key("small"), data)
+                # A greeting of somebody who never comes has no answer until it times out.
+                assert len(answers) == 1 or request.name == "hello"
+                for ok, answer in answers:
+                    (request.answer if ok else REPLY).decode(answer)
+                if request.name == "hello":
+                    break
+        await _still_well(remote)
+
+
+async def test_who_is_not_there_moves_nothing(
+    hand: Hand, library: ActionLibrary, rude: list[Rude]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        rude.append(Rude(served.server.endpoint))
+        for request in WITH_CLIENT:
+            data = _sensible(request, "nobody")
+            ok, answer = (await anyio.to_thread.run_sync(rude[0].ask, request.key("small"), data))[
+                0
+            ]
+            assert not ok
+            assert REPLY.decode(answer)["reason"]
+        await _still_well(remote)
+
+
+async def test_keys_that_are_no_requests(
+    hand: Hand, library: ActionLibrary, rude: list[Rude]
+) -> None:
+    async with serving(hand, library) as served:
+        rude.append(Rude(served.server.endpoint))
+        for key in ("control/dance", "ask/do", "stop/do", "control/stop"):
+            ask = rude[0].refusal
+            reason = await anyio.to_thread.run_sync(ask, f"rtee/small/{key}", b"")
+            assert "there is no request" in reason
+
+
+async def test_junk_from_a_hand_is_ignored(
+    hand: Hand, library: ActionLibrary, rude: list[Rude]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        rude.append(Rude(served.server.endpoint))
+        running = await remote.start("fist", intensity=0.3)
+        for topic in ("feedback", "results", "events"):
+            remote._link._session.put(f"rtee/small/{topic}", b"junk")
+        assert (await running.result()).reached
+
+
+async def _still_well(remote: RemoteHand) -> None:
+    assert (await remote.do("Trig", "index", intensity=0.1)).reached
+
+
+def test_no_question_takes_longer_than_its_bytes() -> None:
+    for request in REQUESTS.values():
+        with pytest.raises(MessageError):
+            request.question.decode(b"\x00\x01\x00\x00" + b"\xff" * LONGEST)

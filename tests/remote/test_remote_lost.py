@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import anyio
+import pytest
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.errors import NoHand
+from rtee.hand.model import Hand
+from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
+
+from .serving import RATE, serving, until
+
+pytestmark = pytest.mark.anyio
+
+HOLDER = """
+import sys, anyio, rtee
+async def main():
+    async with rtee.connect("small") as hand:
+        if sys.argv[1] == "goal":
+            await hand.start("fist", speed=0.05)
+        elif sys.argv[1] == "jog":
+            await hand.jog({"near": 1.0}, 0.1)
+        elif sys.argv[1] == "take":
+            await hand.take()
+        print("there", flush=True)
+        await anyio.sleep_forever()
+anyio.run(main)
+"""
+
+RUN = """
+import sys, anyio
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from remote.serving import make_hand, make_library, serving
+async def main():
+    hand = make_hand(Path(sys.argv[2]))
+    async with serving(hand, make_library(hand)):
+        print("there", flush=True)
+        await anyio.sleep_forever()
+anyio.run(main)
+"""
+
+
+async def started(code: str, *arguments: str) -> anyio.abc.Process:
+    process = await anyio.open_process([sys.executable, "-c", code, *arguments], stderr=None)
+    assert process.stdout is not None
+    assert (await process.stdout.receive()).strip() == b"there"
+    return process
+
+
+@pytest.mark.parametrize("how", ["goal", "jog", "take"])
+async def test_a_killed_client_that_holds_the_hand_is_noticed(
+    hand: Hand, library: ActionLibrary, how: str
+) -> None:
+    async with serving(hand, library) as served:
+        process = await started(HOLDER, how)
+        process.kill()
+        event = await served.event("client_lost")
+        await process.aclose()
+        assert event.source.startswith("python-")
+        if how == "goal":
+            await until(lambda: bool(served.watcher.results))
+            assert served.watcher.results[0].cancelled
+        async with rtee.connect("small") as remote:
+            assert (await remote.status()).holder == ""
+
+
+async def test_a_frozen_client_is_noticed(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        process = await started(HOLDER, "goal")
+        os.kill(process.pid, signal.SIGSTOP)
+        await served.event("client_lost")
+        process.kill()
+        await process.aclose()
+
+
+async def test_a_client_that_holds_nothing_may_leave(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        process = await started(HOLDER, "nothing")
+        process.kill()
+        await process.aclose()
+        async with rtee.connect("small") as one:
+            await one.take()
+            await one.release()
+        async with rtee.connect("small") as two:
+            assert (await two.do("Trig", "index", intensity=0.1)).reached
+        assert [event.kind for event in served.watcher.events].count("client_lost") == 0
+
+
+async def test_leaving_while_a_goal_runs_is_being_lost(hand: Hand, library: ActionLibrary) -> None:
+    safety = SafetySettings(on_client_lost=Behaviour.OPEN)
+    settings = LoopSettings(rate=RATE, safety=safety)
+    async with serving(hand, library, settings=settings) as served:
+        async with rtee.connect("small") as remote:
+            await remote.start("fist", speed=0.05)
+        await served.event("client_lost")
+        await until(lambda: [goal.action for goal in served.watcher.goals] == ["fist", "open"])
+
+
+async def test_a_killed_hand_is_noticed(tmp_path: Path) -> None:
+    tests = str(Path(__file__).parents[1])
+    process = await started(RUN, tests, str(tmp_path))
+    async with rtee.connect("small") as remote:
+        running = await remote.start("fist", speed=0.05)
+        states = remote.states(20.0)
+        await anext(states)
+        process.kill()
+        with pytest.raises(NoHand, match="has gone"):
+            await running.result()
+        with pytest.raises(NoHand, match="has gone"):
+            async for _ in states:
+                pass
+    await process.aclose()
+    with pytest.raises(NoHand, match="no hand runs"):
+        async with rtee.connect():
+            pass

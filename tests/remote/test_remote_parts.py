@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtee.actions.library import ActionLibrary
+from rtee.errors import ConfigError, GoalRejected, LeaseHeld, MessageError, UnknownActuator
+from rtee.hand.kinematics import Kinematics
+from rtee.hand.load import load_model
+from rtee.hand.model import Hand
+from rtee.messages.requests import REQUESTS
+from rtee.messages.schema import message_type
+from rtee.remote.actions import action_fields, action_of
+from rtee.remote.directory import announced, running, runtime_folder
+from rtee.remote.joints import Joints
+from rtee.remote.lease import JOGGING, Lease
+from rtee.remote.planner import info_fields, info_of, tip_pose_and_jacobian
+
+# --- lease
+
+
+class Time:
+    now = 0.0
+
+
+@pytest.fixture
+def time() -> Time:
+    return Time()
+
+
+@pytest.fixture
+def lease(time: Time) -> Lease:
+    return Lease(lambda: time.now)
+
+
+def test_nobody_holds_the_hand_at_first(lease: Lease) -> None:
+    assert lease.holder == ""
+    lease.check("a")
+
+
+def test_a_goal_holds_the_hand_until_it_ends(lease: Lease) -> None:
+    lease.started("a", "1")
+    lease.started("a", "2")
+    lease.ended("1")
+    assert lease.runs("2")
+    with pytest.raises(LeaseHeld, match="'a'"):
+        lease.check("b")
+    lease.ended("2")
+    lease.check("b")
+    lease.ended("unknown")
+
+
+def test_taking_lasts_until_released(lease: Lease) -> None:
+    lease.take("a")
+    with pytest.raises(LeaseHeld):
+        lease.take("b")
+    lease.release("b")
+    assert lease.holder == "a"
+    lease.release("a")
+    lease.take("b")
+
+
+def test_jogging_holds_the_hand_for_a_moment(lease: Lease, time: Time) -> None:
+    lease.jogged("a")
+    time.now = JOGGING - 0.01
+    with pytest.raises(LeaseHeld):
+        lease.check("b")
+    time.now = JOGGING
+    lease.check("b")
+
+
+@pytest.mark.parametrize("how", ["take", "goal", "jog"])
+def test_who_is_gone_holds_nothing(lease: Lease, how: str) -> None:
+    {
+        "take": lambda: lease.take("a"),
+        "goal": lambda: lease.started("a", "1"),
+        "jog": lambda: lease.jogged("a"),
+    }[how]()
+    assert not lease.gone("b")
+    assert lease.gone("a")
+    assert not lease.gone("a")
+    lease.check("b")
+
+
+# --- directory
+
+
+def test_announced_hands_are_found(runtime: Path) -> None:
+    assert running() == {}
+    with announced("svh", ["tcp/127.0.0.1:1"]), announced("left.2", ["a", "b"]):
+        found = running()
+        assert list(found) == ["left.2", "svh"]
+        assert found["svh"].endpoints == ("tcp/127.0.0.1:1",)
+        assert found["svh"].pid == os.getpid()
+        assert runtime.stat().st_mode & 0o777 == 0o700
+    assert running() == {}
+    assert list(runtime.iterdir()) == []
+
+
+def test_a_hand_is_announced_once(runtime: Path) -> None:
+    with announced("svh", ["a"]):
+        twice = pytest.raises(ConfigError, match=f"'svh' runs already, in process {os.getpid()}")
+        with twice, announced("svh", ["b"]):
+            pass
+        assert running()["svh"].endpoints == ("a",)
+
+
+def test_files_of_killed_processes_count_for_nothing(runtime: Path) -> None:
+    runtime.mkdir(mode=0o700)
+    (runtime / "svh.json").write_text(json.dumps({"pid": 1, "endpoints": ["a"]}))
+    assert running() == {}
+    with announced("svh", ["b"]):
+        assert running()["svh"].endpoints == ("b",)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", '{"pid": "x"}', '{"pid": 1, "endpoints": 7}', "\xff"]
+)
+def test_other_files_count_for_nothing(runtime: Path, text: str) -> None:
+    runtime.mkdir(mode=0o700)
+    path = runtime / "svh.json"
+    path.write_text(text, encoding="latin-1")
+    with path.open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert running() == {}
+
+
+def test_a_folder_that_others_may_write_to_is_refused(runtime: Path) -> None:
+    runtime.mkdir()
+    runtime.chmod(0o777)
+    with pytest.raises(ConfigError, match="only you can write"), announced("svh", []):
+        pass
+
+
+def test_names_do_not_become_paths(runtime: Path) -> None:
+    with pytest.raises(ConfigError, match="name"), announced("../svh", []):
+        pass
+    assert not runtime.parent.joinpath("svh.json").exists()
+
+
+def test_where_the_folder_is(monkeypatch: pytest.MonkeyPatch, runtime: Path) -> None:
+    assert runtime_folder() == runtime
+    monkeypatch.delenv("RTEE_RUNTIME_DIR")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
+    assert runtime_folder() == Path("/run/user/7/rtee")
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert runtime_folder().name == f"rtee-{os.getuid()}"
+
+
+# --- hand information
+
+
+def _compare(hand: Hand, u: np.ndarray) -> None:
+    kinematics = Kinematics(hand)
+    for finger in hand.fingers:
+        if finger.tip is None:
+            continue
+        pose, jacobian = tip_pose_and_jacobian(hand, finger.tip, u)
+        np.testing.assert_allclose(pose, kinematics.link_pose(u, finger.tip), atol=1e-12)
+        np.testing.assert_allclose(jacobian, kinematics.tip_jacobian(u, finger.name), atol=1e-12)
+
+
+@given(fractions=st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3))
+def test_poses_and_jacobians_equal_those_of_pinocchio(hand: Hand, fractions: list[float]) -> None:
+    _compare(hand, hand.lower + np.array(fractions) * (hand.upper - hand.lower))
+
+
+@pytest.mark.parametrize("name", ["schunk", "heri_II", "qbhand", "robotiq_3f"])
+def test_poses_and_jacobians_of_real_hands(shared: Path, name: str) -> None:
+    folder = shared / "hands" / name
+    hand = load_model(folder / f"{name}.urdf", folder / f"{name}.srdf")
+    _compare(hand, 0.7 * hand.lower + 0.3 * hand.upper)
+
+
+def test_hand_information_survives_the_network(hand: Hand) -> None:
+    kind = message_type("rtee_msgs/msg/HandInfo")
+    info = info_of(kind.decode(kind.encode(info_fields(hand, {"near": 0.5}))))
+    assert info.actuator_names == hand.actuator_names
+    assert info.actuators[0].lower == hand.actuators[0].lower
+    assert info.joints == hand.joint_names
+    assert info.posture[hand.actuator_index("near")] == 0.5
+    assert info.urdf == hand.urdf.text
+    np.testing.assert_allclose(info.transmission, hand.transmission.matrix)
+    np.testing.assert_allclose(info.joint_positions, hand.transmission.joints(info.posture))
+    index = info.fingers[0]
+    assert (index.name, index.tip, index.actuators) == ("index", "index_tip", ("near",))
+    assert index.jacobian is not None
+    assert index.jacobian.shape == (6, 3)
+    with pytest.raises(UnknownActuator):
+        info_fields(hand, {"pollex": 0.5})
+    for value in (9.0, float("nan")):
+        with pytest.raises(GoalRejected, match="outside its limits"):
+            info_fields(hand, {"near": value})
+
+
+def test_joints_follow_their_actuators_only(hand: Hand) -> None:
+    joints = Joints(hand.transmission)
+    u = np.array([0.4, -0.2, 0.01])
+    np.testing.assert_allclose(joints.positions(u), hand.transmission.joints(u))
+    np.testing.assert_allclose(joints.velocities(u, u), hand.transmission.matrix @ u)
+    u[hand.actuator_index("near")] = np.nan
+    unknown = {n for n, q in zip(hand.joint_names, joints.positions(u), strict=True) if q != q}
+    assert unknown == {"near", "far"}
+
+
+def test_joints_of_a_hand_with_curved_couplings(shared: Path) -> None:
+    folder = shared / "hands" / "heri_II"
+    hand = load_model(folder / "heri_II.urdf", folder / "heri_II.srdf")
+    joints, u = Joints(hand.transmission), 0.5 * (hand.lower + hand.upper)
+    np.testing.assert_allclose(joints.positions(u), hand.transmission.joints(u))
+    slope = hand.transmission.jacobian(u)
+    np.testing.assert_allclose(joints.velocities(u, u), slope @ u)
+
+
+# --- actions as messages
+
+
+def test_actions_survive_the_network(library: ActionLibrary) -> None:
+    kind = message_type("rtee_msgs/msg/Action")
+    for action in library:
+        assert action_of(kind.decode(kind.encode(action_fields(action)))) == action
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("fist", {"kind": "dance"}),
+        ("fist", {"postures": []}),
+        ("wave", {"postures": []}),
+        ("Trig", {"name": "Trick"}),
+        ("Trig", {"postures": []}),
+        ("poke", {"postures": [{"name": ["a"], "position": np.zeros(2), "involved": []}]}),
+        ("poke", {"postures": [{"name": ["a"], "position": np.zeros(1), "involved": ["b"]}]}),
+    ],
+)
+def test_fields_that_are_no_action_are_refused(
+    library: ActionLibrary, name: str, change: dict[str, object]
+) -> None:
+    action = library.find(name, ("index",) if name == "Trig" else ())
+    kind = message_type("rtee_msgs/msg/Action")
+    fields = kind.decode(kind.encode(action_fields(action)))
+    with pytest.raises(MessageError):
+        action_of(fields | change)
+
+
+def test_requests_are_complete() -> None:
+    assert {request.group for request in REQUESTS.values()} == {"stop", "control", "ask"}
+    assert all(request.text.endswith(".") for request in REQUESTS.values())
