@@ -101,7 +101,7 @@ class OnRobot3FGDriver(Driver):
             accepts=frozenset({"position", "max_effort"}),
             best_rate=best_rate,
             recoverable=True,
-            identity={"model": "OnRobot 3FG", "unit": f"unit {self.options.unit}", **identity},
+            identity={"model": "OnRobot 3FG", "address": f"unit {self.options.unit}", **identity},
         )
 
     # --- life --------------------------------------------------------------------------------

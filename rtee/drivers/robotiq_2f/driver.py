@@ -6,7 +6,8 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
 from typing import ClassVar, Literal
 
 from pydantic import BaseModel, Field
@@ -17,6 +18,12 @@ from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.options import DeviceOptions, read_options
 from rtee.drivers.robotiq import Blocks, ExchangeKind
+from rtee.drivers.robotiq_2f.calibration import (
+    EndStops,
+    checked,
+    read_end_stops,
+    write_end_stops,
+)
 from rtee.drivers.robotiq_2f.codec import (
     COUNT,
     FAULTS,
@@ -33,13 +40,14 @@ from rtee.drivers.robotiq_2f.emulator import Robotiq2FEmulator
 from rtee.errors import (
     BusError,
     BusTimeout,
+    CalibrationError,
     ConfigError,
     DeviceFault,
     FrameError,
     HandshakeError,
     NotConnected,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
 
 _Check = Callable[[Status], bool]
 _NOT_ACTIVATED = 0x07
@@ -63,6 +71,9 @@ class Robotiq2FOptions(DeviceOptions):
     )
     open_count: int = Field(3, ge=0, le=254, description="measured position when fully open")
     closed_count: int = Field(230, ge=1, le=255, description="measured position when fully closed")
+    calibration: Path | None = Field(
+        None, description="file of a calibration (`rtee calibrate`); its counts replace these"
+    )
     closed_position: float | None = Field(
         None, description="actuator's position when fully closed; by default its upper limit"
     )
@@ -93,15 +104,7 @@ class Robotiq2FDriver(Driver):
                 f"not {len(spec.actuators)}",
                 key=f"devices.{spec.name}.actuators",
             )
-        actuator = spec.actuators[0]
-        closed = self.options.closed_position
-        self.scale = Scale(
-            MODELS[self.options.model],
-            actuator.lower,
-            actuator.upper if closed is None else closed,
-            self.options.open_count,
-            self.options.closed_count,
-        )
+        self.scale = self._scaled(self.options.open_count, self.options.closed_count)
         self._bus: ModbusBus | None = None
         self._blocks: Blocks | None = None
         self._status = Status()
@@ -110,6 +113,16 @@ class Robotiq2FDriver(Driver):
         self._sent: Command | None = None
         self.capabilities = self._abilities(100.0)
 
+    def _scaled(self, open_count: int, closed_count: int) -> Scale:
+        actuator, closed = self.spec.actuators[0], self.options.closed_position
+        return Scale(
+            MODELS[self.options.model],
+            actuator.lower,
+            actuator.upper if closed is None else closed,
+            open_count,
+            closed_count,
+        )
+
     def _abilities(self, best_rate: float) -> Capabilities:
         return Capabilities(
             measures=frozenset({"position", "current", "grasped"}),
@@ -117,7 +130,7 @@ class Robotiq2FDriver(Driver):
             best_rate=best_rate,
             homing=True,
             recoverable=True,
-            identity={"model": self.scale.model.name, "unit": f"unit {self.options.unit}"},
+            identity={"model": self.scale.model.name, "address": f"unit {self.options.unit}"},
         )
 
     # --- life --------------------------------------------------------------------------------
@@ -126,6 +139,9 @@ class Robotiq2FDriver(Driver):
         """Open the line and see whether a two-finger gripper answers; moves nothing."""
         await self.close()
         options = self.options
+        if options.calibration is not None:
+            stops = read_end_stops(options.calibration, self.spec.name, options.model, options.unit)
+            self.scale = self._scaled(stops.open_count, stops.closed_count)
         self._bus = bus = await self.buses.modbus(
             options.port,
             owner=owner_of(self.spec),
@@ -360,11 +376,52 @@ class Robotiq2FDriver(Driver):
         if not status.going:
             return False
         if status.grasp is Grasp.CONTACT_CLOSING:
-            return status.position < self.options.closed_count - 1
+            return status.position < self.scale.closed_count - 1
         if status.grasp is Grasp.CONTACT_OPENING:
-            return status.position > self.options.open_count + 1
-        reachable = min(max(status.requested, self.options.open_count), self.options.closed_count)
+            return status.position > self.scale.open_count + 1
+        reachable = min(max(status.requested, self.scale.open_count), self.scale.closed_count)
         return status.grasp is Grasp.AT_REQUEST and reachable - status.position > 2 * _SAME
+
+    # --- calibration -------------------------------------------------------------------------
+
+    async def calibrate(
+        self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
+    ) -> EndStops:
+        """Close and open the gripper fully, gently, and store the counts where it ends.
+
+        Args:
+            path: File to write.
+            rest: Not needed here.
+            ready: Called with what the user is to do; returns when it is done.
+
+        Raises:
+            BusError: if the line fails.
+            CalibrationError: if the fingers did not go all the way.
+            ConfigError: if the file cannot be written.
+        """
+        await ready("Take everything out of the gripper's reach: it will close and open fully.")
+        self._home_asked = True
+        await self.activate()
+        closed = await self._end_stop(255)
+        opened = await self._end_stop(0)
+        stops = checked(
+            EndStops(self.options.model, self.options.unit, opened, closed), self.spec.name
+        )
+        write_end_stops(path, stops)
+        return stops
+
+    async def _end_stop(self, request: int) -> int:
+        """Go to an end slowly and weakly; return the count where the gripper stands still."""
+        command = Command(activate=True, go=True, position=request, speed=64, force=0)
+        try:
+            async with asyncio.timeout(15.0):
+                await self._write(command)
+                await self._until(
+                    lambda s: s.requested == request and s.going and s.grasp is not Grasp.MOVING
+                )
+        except TimeoutError:
+            raise CalibrationError(self.spec.name, "the fingers did not come to an end") from None
+        return self._status.position
 
     # --- the wire ----------------------------------------------------------------------------
 

@@ -87,7 +87,7 @@ class Robotiq3FDriver(Driver):
             recoverable=True,
             identity={
                 "model": "Robotiq 3-Finger",
-                "unit": f"unit {self.options.unit}",
+                "address": f"unit {self.options.unit}",
                 "mode": self.options.mode,
             },
         )

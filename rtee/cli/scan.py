@@ -1,0 +1,94 @@
+"""`rtee scan`: find devices on all buses."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import JsonOption
+
+if TYPE_CHECKING:
+    from rtee.drivers.diagnosis.scan import Address, Plan
+
+app = typer.Typer()
+
+
+@app.command()
+def scan(
+    port: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PORT", help="A tty, or socket://host:port; else all serial ports."),
+    ] = None,
+    host: Annotated[
+        list[str] | None, typer.Option(metavar="HOST", help="A Modbus TCP address, host[:port].")
+    ] = None,
+    can: Annotated[
+        list[str] | None, typer.Option(metavar="CHANNEL", help="A CAN channel, such as can0.")
+    ] = None,
+    interface: Annotated[str, typer.Option(help="python-can interface.")] = "socketcan",
+    bitrate: Annotated[int, typer.Option(help="Bits per second of the CAN bus.")] = 1_000_000,
+    unit: Annotated[
+        list[int] | None, typer.Option(metavar="N", help="Modbus number to ask; else the usual.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find devices: their ports, rates and numbers. Nothing moves by it."""
+    import asyncio
+
+    from rtee.buses.pool import BusPool
+    from rtee.drivers.diagnosis import scan as scanning
+
+    async def execute() -> list[Address]:
+        async with BusPool() as pool:
+            return await scanning.scan(plans, pool, tell)
+
+    def tell(line: str) -> None:
+        if sys.stderr.isatty():
+            print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
+
+    plans = _plans(port, host, can, interface, bitrate, unit)
+    results = asyncio.run(execute())
+    tell("")
+    if as_json:
+        print(json.dumps({"addresses": [asdict(one) for one in results]}, indent=2))
+    else:
+        _print(results)
+
+
+def _plans(
+    ports: list[str] | None,
+    hosts: list[str] | None,
+    channels: list[str] | None,
+    interface: str,
+    bitrate: int,
+    units: list[int] | None,
+) -> list[Plan]:
+    from rtee.drivers.diagnosis import probes
+    from rtee.drivers.diagnosis.scan import Plan, network_probes, serial_ports, serial_probes
+
+    given = ports or hosts or channels
+    there = [(port, "") for port in ports or ()] if given else serial_ports()
+    plans = [Plan(port, about, serial_probes(units)) for port, about in there]
+    plans += [Plan(f"tcp://{host}", probes=network_probes(units)) for host in hosts or ()]
+    plans += [Plan(c, probes=(probes.can(interface, bitrate),)) for c in channels or ()]
+    return plans
+
+
+def _print(results: list[Address]) -> None:
+    if not results:
+        print("no serial ports; give --host or --can for devices elsewhere")
+    for one in results:
+        about = f" ({one.about})" if one.about else ""
+        print(f"{one.address}{about}")
+        if one.problem:
+            print(f"  not asked: {one.problem}")
+        for device in one.found:
+            settings = ", ".join(f"{name}: {value}" for name, value in device.options.items())
+            driver = f"driver: {device.driver}, " if device.driver else ""
+            print(f"  {device.what}   {{{driver}options: {{{settings}}}}}")
+        if not one.found and not one.problem:
+            print("  nobody answers")

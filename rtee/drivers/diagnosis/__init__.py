@@ -1,0 +1,1 @@
+"""Finding devices, saying what is wrong with them or the machine, twitching them."""

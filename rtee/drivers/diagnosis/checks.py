@@ -1,0 +1,46 @@
+"""One line of a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """How a check ended."""
+
+    OK = "ok"
+    WARNING = "warning"
+    WRONG = "wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What was looked at, what was found, and what to type.
+
+    Attributes:
+        subject: What was looked at.
+        verdict: How it ended.
+        text: What was found, in words.
+        remedy: What to type or do; empty when it is ok.
+    """
+
+    subject: str
+    verdict: Verdict
+    text: str
+    remedy: str = ""
+
+
+def ok(subject: str, text: str) -> Check:
+    """Return a check that ended well."""
+    return Check(subject, Verdict.OK, text)
+
+
+def warning(subject: str, text: str, remedy: str) -> Check:
+    """Return a check that found something that is not as good as it could be."""
+    return Check(subject, Verdict.WARNING, text, remedy)
+
+
+def wrong(subject: str, text: str, remedy: str) -> Check:
+    """Return a check that found what keeps the device from working."""
+    return Check(subject, Verdict.WRONG, text, remedy)

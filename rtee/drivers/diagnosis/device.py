@@ -1,0 +1,149 @@
+"""What is wrong with one device, asked in order until something is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.base import Driver
+from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
+from rtee.drivers.diagnosis.port import check_address
+from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
+from rtee.drivers.registry import find_driver
+from rtee.errors import BusBusy, DeviceFault, DriverError, HandshakeError, NotConnected, RteeError
+from rtee.types import ActuatorState, DeviceSpec
+
+
+def address_of(options: Mapping[str, Any]) -> str | None:
+    """Return the address in a driver's options, if it has one that can be looked at."""
+    if options.get("port"):
+        return str(options["port"])
+    if options.get("host"):
+        return f"tcp://{options['host']}"
+    return None
+
+
+async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) -> list[Check]:
+    """Return what was found about a device, up to the first obstacle; nothing moves by it.
+
+    Args:
+        spec: The device.
+        pool: The buses.
+        search: Look for it at other rates and numbers where it does not answer.
+
+    Raises:
+        ConfigError: if its options cannot be used.
+    """
+    driver = find_driver(spec.driver, source=spec.source)(spec, pool)
+    options = _options(driver, spec)
+    address = address_of(options)
+    found: list[Check] = []
+    if address is not None and not spec.emulated:
+        found += await check_address(address)
+        if any(check.verdict is Verdict.WRONG for check in found):
+            return found
+    try:
+        found += await _connected(driver, pool, None if spec.emulated else address, search)
+    finally:
+        await driver.close()
+    return found
+
+
+def _options(driver: Driver, spec: DeviceSpec) -> dict[str, Any]:
+    """Return the options with the driver's defaults filled in."""
+    model = type(driver).Options
+    return dict(spec.options) if model is None else model(**spec.options).model_dump()
+
+
+async def _connected(
+    driver: Driver, pool: BusPool, address: str | None, search: bool
+) -> list[Check]:
+    try:
+        await driver.configure()
+    except HandshakeError as error:
+        return [wrong("identity", error.message, error.hint or "is it the right device?")]
+    except NotConnected as error:
+        text = await _elsewhere(driver, pool, address) if address and search else ""
+        return [wrong("answer", error.message, text or error.hint or "is its supply on?")]
+    except BusBusy as error:
+        return [wrong("bus", error.message, "end the other program")]
+    except DriverError as error:
+        return [wrong("answer", error.message, error.hint or "see the driver's page")]
+    except RteeError as error:
+        return [wrong("bus", str(error), "is it plugged in, and the address right?")]
+    found = [ok("answer", "it answers"), _identity(driver)]
+    try:
+        state = await driver.sense()
+    except DeviceFault as fault:
+        return [*found, wrong("fault", f"{fault.code}: {fault.name}", fault.hint or "recover it")]
+    except RteeError as error:
+        return [*found, wrong("state", str(error), "check the cable")]
+    return [*found, *_state(state, driver.capabilities.homing), _rate(driver), _wire(driver)]
+
+
+async def _elsewhere(driver: Driver, pool: BusPool, address: str) -> str:
+    """Look for whoever answers at the address, and say how to reach him."""
+    await driver.close()
+    questions = network_probes() if address.startswith("tcp://") else serial_probes()
+    results = await scan([Plan(address, probes=questions)], pool)
+    if not results[0].found:
+        return "nobody answers there at any rate: check the supply and the wiring"
+    one = results[0].found[0]
+    settings = ", ".join(f"{k}: {v}" for k, v in one.options.items() if k != "port")
+    return f"there is {one.what}; set driver: {one.driver or '?'}, {settings or 'as it is'}"
+
+
+def _identity(driver: Driver) -> Check:
+    told = driver.capabilities.identity
+    if not told:
+        return ok("identity", "it tells nothing about itself")
+    return ok("identity", ", ".join(f"{name} {value}" for name, value in told.items()))
+
+
+def _state(state: ActuatorState, homing: bool) -> list[Check]:
+    found = []
+    bad = [i for i, q in enumerate(state.position) if not math.isfinite(q)]
+    if bad and homing:
+        found.append(ok("position", "not known before homing"))
+    elif bad:
+        found.append(wrong("position", f"not measured by actuators {bad}", "recover it"))
+    else:
+        found.append(ok("position", ", ".join(f"{q:.3f}" for q in state.position)))
+    hot = [t for t in state.temperature if t > 60.0]
+    if hot:
+        found.append(warning("temperature", f"{max(hot):.0f} °C", "let it cool down"))
+    for name in ("voltage", "supply"):
+        values = state.extras.get(name)
+        if values is not None and len(values):
+            found.append(ok("supply", f"{float(min(values)):.1f} V"))
+    found += [warning("warning", text, "see the driver's page") for text in state.warnings]
+    return found
+
+
+def _rate(driver: Driver) -> Check:
+    best = driver.capabilities.best_rate
+    every = driver.spec.every
+    if math.isinf(best):
+        return ok("rate", "as fast as the loop")
+    asked = driver.spec.rate / every if every else 0.0
+    if asked > best * 1.001:
+        return warning(
+            "rate",
+            f"{asked:.0f} Hz are asked for, its wire gives {best:.0f} Hz",
+            f"set every: {math.ceil(driver.spec.rate / best)} in hand.yaml, or leave it out",
+        )
+    return ok("rate", f"up to {best:.0f} Hz")
+
+
+def _wire(driver: Driver) -> Check:
+    counters = driver.counters()
+    errors = counters.get("retries", 0) + counters.get("checksum_errors", 0)
+    if errors:
+        return warning(
+            "wire",
+            f"{errors} of {counters.get('transactions', 0)} transactions had to be repeated",
+            "check cable, shield, termination and distance to motors' cables",
+        )
+    return ok("wire", f"{counters.get('transactions', 0)} transactions without an error")

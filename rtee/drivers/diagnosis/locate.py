@@ -1,0 +1,72 @@
+"""Twitch a hand, so that one sees which it is."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+from rtee.drivers.base import Driver
+from rtee.types import ActuatorState, Reference
+
+_STEP = 0.02
+
+
+async def twitch(
+    driver: Driver, *, share: float = 0.06, times: int = 3, period: float = 0.6
+) -> ActuatorState:
+    """Move every actuator a little and back, slowly, and leave it where it was.
+
+    The device is activated for it; one that would have to be homed first is refused by its driver.
+
+    Args:
+        driver: The device's driver, not yet connected; it is closed afterwards.
+        share: Part of each actuator's range.
+        times: How often.
+        period: Time of one twitch [s].
+
+    Returns:
+        The last state.
+
+    Raises:
+        RteeError: if the device cannot be moved.
+    """
+    try:
+        await driver.configure()
+        await driver.activate()
+        state = await driver.sense()
+        start = [float(q) for q in state.position]
+        away = [_away(driver, i, q, share) for i, q in enumerate(start)]
+        for _ in range(times):
+            await _glide(driver, start, away, period / 2)
+            await _glide(driver, away, start, period / 2)
+        return await driver.sense()
+    finally:
+        try:
+            await driver.stop()
+        finally:
+            await driver.close()
+
+
+def _away(driver: Driver, index: int, position: float, share: float) -> float:
+    """Return where an actuator twitches to: towards the middle of its range."""
+    spec = driver.spec.actuators[index]
+    if not (math.isfinite(spec.lower) and math.isfinite(spec.upper)):
+        return position + share
+    middle = (spec.lower + spec.upper) / 2
+    return position + math.copysign(share * (spec.upper - spec.lower), middle - position)
+
+
+async def _glide(driver: Driver, start: list[float], end: list[float], time: float) -> None:
+    steps = max(2, round(time / _STEP))
+    missed = 0
+    for n in range(1, steps + 1):
+        part = (1.0 - math.cos(math.pi * n / steps)) / 2.0
+        goal = [a + part * (b - a) for a, b in zip(start, end, strict=True)]
+        try:
+            await driver.sense()
+            await driver.move(Reference.at(goal))
+        except TimeoutError:
+            missed += 1
+            if missed > 3:
+                raise
+        await asyncio.sleep(_STEP)

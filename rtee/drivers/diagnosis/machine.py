@@ -1,0 +1,108 @@
+"""What about this computer helps or hinders a fast loop."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shutil
+from pathlib import Path
+
+from rtee.drivers.diagnosis.checks import Check, ok, warning
+
+_LIMITS = "/etc/security/limits.d/rtee.conf"
+
+
+def check_machine(root: Path = Path("/")) -> list[Check]:
+    """Return what was found about the computer.
+
+    Args:
+        root: Where ``sys`` and ``proc`` are found, for tests.
+    """
+    return [
+        _python(),
+        _kernel(root),
+        _governor(root),
+        _priority(),
+        _memory(),
+        _processors(),
+        _disk(),
+    ]
+
+
+def _python() -> Check:
+    return ok("Python", platform.python_version())
+
+
+def _kernel(root: Path) -> Check:
+    release, version = platform.release(), platform.version()
+    realtime = root / "sys/kernel/realtime"
+    if "PREEMPT_RT" in version or _read(realtime) == "1":
+        return ok("kernel", f"{release}, real-time")
+    if "PREEMPT" in version:
+        return ok("kernel", f"{release}, preemptible (a PREEMPT_RT kernel is steadier still)")
+    return warning("kernel", f"{release}, not preemptible", "sudo apt install linux-image-rt-amd64")
+
+
+def _governor(root: Path) -> Check:
+    files = sorted((root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor"))
+    found = {_read(file) for file in files}
+    if not found:
+        return ok("CPU governor", "none: the clock is not scaled")
+    if found == {"performance"}:
+        return ok("CPU governor", "performance")
+    return warning(
+        "CPU governor",
+        f"{', '.join(sorted(found))}: the clock slows down between ticks",
+        "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
+    )
+
+
+def _priority() -> Check:
+    soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    if os.geteuid() == 0 or soft == resource.RLIM_INFINITY or soft >= 80:
+        return ok("real-time priority", "allowed")
+    return warning(
+        "real-time priority",
+        f"allowed up to {soft}, `rtee run --realtime` asks for 80",
+        f"echo '{_user()} - rtprio 90' | sudo tee -a {_LIMITS}   # then log in again",
+    )
+
+
+def _memory() -> Check:
+    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if os.geteuid() == 0 or soft == resource.RLIM_INFINITY:
+        return ok("locked memory", "unlimited")
+    return warning(
+        "locked memory",
+        f"limited to {soft // 1024} KiB",
+        f"echo '{_user()} - memlock unlimited' | sudo tee -a {_LIMITS}   # then log in again",
+    )
+
+
+def _processors() -> Check:
+    count = len(os.sched_getaffinity(0))
+    if count < 2:
+        return warning("processors", "one", "a loop at 1 kHz wants a second one for the rest")
+    load = os.getloadavg()[0]
+    if load > count:
+        return warning("processors", f"{count}, load {load:.1f}", "end what else is running")
+    return ok("processors", f"{count}, load {load:.1f}")
+
+
+def _disk() -> Check:
+    free = shutil.disk_usage(".").free / 1e9
+    if free < 1.0:
+        return warning("disk", f"{free:.1f} GB free here for recordings", "free some, or use --log")
+    return ok("disk", f"{free:.0f} GB free here for recordings")
+
+
+def _user() -> str:
+    return os.environ.get("USER") or "<user>"
+
+
+def _read(file: Path) -> str:
+    try:
+        return file.read_text("ascii").strip()
+    except (OSError, ValueError):
+        return ""

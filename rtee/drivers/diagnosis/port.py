@@ -1,0 +1,143 @@
+"""What about an address can be told before anything is sent there."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import getpass
+import grp
+import os
+import socket
+import stat
+from pathlib import Path
+
+from rtee.buses.link import split_address
+from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
+
+
+async def check_address(address: str, root: Path = Path("/")) -> list[Check]:
+    """Return what was found about a tty or a network address, up to the first obstacle.
+
+    Args:
+        address: As in the options of a driver.
+        root: Where ``sys`` and ``proc`` are found, for tests.
+    """
+    if "://" in address:
+        return [await _network(address)]
+    return _tty(address, root)
+
+
+async def _network(address: str) -> Check:
+    default = 502 if address.startswith("tcp://") else 2217 if address.startswith("rfc") else None
+    host, port = split_address(address, default)
+    try:
+        async with asyncio.timeout(2.0):
+            _, writer = await asyncio.open_connection(host, port)
+    except TimeoutError:
+        return wrong("address", f"{host} does not answer", f"ping {host}   # cable, power, IP?")
+    except socket.gaierror:
+        return wrong("address", f"nobody knows the name '{host}'", "use its IP address")
+    except OSError as error:
+        refused = error.errno == errno.ECONNREFUSED
+        text = f"{host} refuses port {port}" if refused else f"{host} cannot be reached: {error}"
+        return wrong("address", text, f"ping {host}   # and is it the right port?")
+    writer.close()
+    return ok("address", f"{host} accepts connections at port {port}")
+
+
+def _tty(address: str, root: Path) -> list[Check]:
+    path = Path(address)
+    found: list[Check] = []
+    for look in (_exists, _permission):
+        found.append(look(path))
+        if found[-1].verdict == Verdict.WRONG:
+            return found
+    found.append(_owner(path, root))
+    latency = _latency(path, root)
+    return [*found, latency] if latency is not None else found
+
+
+def _exists(path: Path) -> Check:
+    if not path.exists():
+        return wrong(
+            "port", f"there is no {path}", "plug it in, then `rtee scan` lists the ports there are"
+        )
+    if not stat.S_ISCHR(path.stat().st_mode):
+        return wrong("port", f"{path} is no serial port", "`rtee scan` lists the ports there are")
+    target = path.resolve()
+    text = str(path) if target == path else f"{path} ({target})"
+    if path.is_relative_to("/dev") and path.name.startswith(("ttyUSB", "ttyACM")):
+        return ok("port", f"{text}; names below /dev/serial/by-id stay the same")
+    return ok("port", text)
+
+
+def _permission(path: Path) -> Check:
+    if os.access(path, os.R_OK | os.W_OK):
+        return ok("permission", "may be read and written")
+    group = "dialout"
+    try:
+        group = grp.getgrgid(path.stat().st_gid).gr_name
+    except (KeyError, OSError):
+        pass
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):
+        user = "$USER"
+    return wrong(
+        "permission",
+        f"{path} belongs to the group '{group}', which you are not in",
+        f"sudo usermod -aG {group} {user}   # then log out and in again",
+    )
+
+
+def _owner(path: Path, root: Path) -> Check:
+    users = [f"{name} ({pid})" for pid, name in port_users(path, root) if pid != os.getpid()]
+    if not users:
+        return ok("use", "nobody else has it open")
+    return wrong(
+        "use", f"it is in use by {', '.join(users)}", f"end it: kill {users[0].split('(')[-1][:-1]}"
+    )
+
+
+def port_users(path: Path, root: Path = Path("/")) -> list[tuple[int, str]]:
+    """Return process numbers and names of those that have a file open, as far as one may see."""
+    target = str(path.resolve())
+    found = []
+    for folder in (root / "proc").glob("[0-9]*"):
+        try:
+            links = list((folder / "fd").iterdir())
+        except OSError:
+            continue
+        for link in links:
+            try:
+                held = os.readlink(link)
+            except OSError:
+                continue
+            if held == target:
+                found.append((int(folder.name), _name(folder)))
+                break
+    return sorted(found)
+
+
+def _name(process: Path) -> str:
+    try:
+        return (process / "comm").read_text("utf-8").strip()
+    except (OSError, ValueError):
+        return "?"
+
+
+def _latency(path: Path, root: Path) -> Check | None:
+    """Return how the latency timer of an FTDI adapter stands; ``None`` for other adapters."""
+    name = path.resolve().name
+    file = root / "sys/bus/usb-serial/devices" / name / "latency_timer"
+    try:
+        timer = int(file.read_text("ascii"))
+    except (OSError, ValueError):
+        return None
+    if timer <= 1:
+        return ok("latency timer", f"{timer} ms")
+    return warning(
+        "latency timer",
+        f"{timer} ms: every answer waits for so long",
+        f"echo 1 | sudo tee {file}   # the udev rule in deploy/ makes it last",
+    )

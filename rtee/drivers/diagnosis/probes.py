@@ -1,0 +1,238 @@
+"""Questions that only the right device answers; nothing moves by them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rtee.buses.bus import Bus
+from rtee.buses.can import CanBus
+from rtee.buses.dynamixel import DynamixelBus
+from rtee.buses.emulator import CanFrame
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.pool import BusPool
+from rtee.buses.serial import SerialBus
+from rtee.errors import BusError, BusTimeout, FrameError
+
+_OWNER = "scan"
+_ANSWER = 0.06
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A device that answered.
+
+    Attributes:
+        driver: Name of the driver for it; empty when there is none.
+        what: What it said about itself.
+        options: Options for hand.yaml with which it is reached.
+    """
+
+    driver: str
+    what: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """One question, on a line that is set in one way.
+
+    Attributes:
+        name: Whom it looks for.
+        ask: Asks; gets the pool and the address.
+    """
+
+    name: str
+    ask: Callable[[BusPool, str], Awaitable[list[Found]]]
+
+
+async def _ended(bus: Bus, asked: Awaitable[list[Found]]) -> list[Found]:
+    try:
+        return await asked
+    finally:
+        await bus.release(_OWNER)
+
+
+# --- Modbus ----------------------------------------------------------------------------------
+
+
+async def _registers(
+    bus: ModbusBus, unit: int, address: int, count: int
+) -> tuple[int, ...] | ModbusRefusal | None:
+    try:
+        return await bus.read(unit, address, count, deadline=_ANSWER, retries=0)
+    except ModbusRefusal as refusal:
+        return refusal
+    except (BusTimeout, FrameError):
+        return None
+
+
+def modbus(baudrate: int, parity: str, units: Sequence[int], *, name: str = "Modbus") -> Probe:
+    """Return a probe for Modbus slaves, known ones by name."""
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.modbus(address, owner=_OWNER, baudrate=baudrate, parity=parity)
+        return await _ended(bus, _slaves(bus, address, baudrate, parity, units))
+
+    return Probe(name, ask)
+
+
+async def _slaves(
+    bus: ModbusBus, address: str, baudrate: int, parity: str, units: Sequence[int]
+) -> list[Found]:
+    found = []
+    for unit in units:
+        one = await _slave(bus, address, unit)
+        if one is not None and bus.rtu:
+            line = f"{baudrate} baud 8{parity}1"
+            found.append(Found(one.driver, f"{one.what}, {line}", one.options))
+        elif one is not None:
+            found.append(one)
+    return found
+
+
+async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
+    from rtee.drivers.onrobot_3fg.codec import LIMITS
+
+    options: dict[str, Any] = {"port": address, "unit": unit}
+    robotiq = await _registers(bus, unit, 0x07D0, 8)
+    if isinstance(robotiq, tuple):
+        return _robotiq(robotiq, unit, options)
+    onrobot = await _registers(bus, unit, LIMITS, 2)
+    if isinstance(onrobot, tuple) and 0 < onrobot[0] < onrobot[1]:
+        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
+    if robotiq is not None or onrobot is not None:
+        return Found("", f"a Modbus slave, unit {unit}", options)
+    return None
+
+
+def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Found:
+    from rtee.drivers.robotiq_2f.codec import Status as Status2
+    from rtee.drivers.robotiq_3f.codec import Status as Status3
+
+    try:
+        Status3.from_registers(registers)
+        three = bool(registers[6] >> 8 or registers[4] or registers[5])
+        if three:
+            return Found("robotiq_3f", f"Robotiq 3-Finger, unit {unit}", options)
+        Status2.from_registers(registers)
+    except FrameError:
+        return Found("", f"a Modbus slave with registers at 2000, unit {unit}", options)
+    return Found("robotiq_2f", f"Robotiq 2-finger gripper, unit {unit}", options)
+
+
+# --- serial protocols --------------------------------------------------------------------------
+
+
+def svh() -> Probe:
+    """Return a probe for the SCHUNK SVH."""
+    from rtee.drivers.schunk_svh.codec import BAUDRATE
+    from rtee.drivers.schunk_svh.link import SvhLink
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            info = await SvhLink(bus, 0.15, 1).firmware()
+        except BusError:
+            return []
+        what = f"SCHUNK SVH, firmware {info.major}.{info.minor}"
+        return [Found("schunk_svh", what, {"port": address})]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATE)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("SCHUNK SVH", ask)
+
+
+def softhand(devices: Sequence[int]) -> Probe:
+    """Return a probe for qb SoftHands with these numbers."""
+    from rtee.drivers.qb_softhand.codec import BAUDRATE
+    from rtee.drivers.qb_softhand.link import QbLink
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        if await QbLink(bus, 0, 0.1, 1).anybody() is None:
+            return []
+        there = [n for n in devices if await QbLink(bus, n, 0.03, 0).ping()]
+        return [
+            Found("qb_softhand", f"qb SoftHand, device {n}", {"port": address, "device": n})
+            for n in there
+        ]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATE)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("qb SoftHand", ask)
+
+
+def dynamixel(baudrate: int) -> Probe:
+    """Return a probe for Dynamixel servos at one rate."""
+    from rtee.drivers.dynamixel.table import model_of
+
+    async def listen(bus: DynamixelBus, address: str) -> list[Found]:
+        data, _ = await bus.run(lambda: bus.packets.broadcastPing(bus.port), 3.0)
+        options = {"port": address, "baudrate": baudrate}
+        return [
+            Found(
+                "dynamixel",
+                f"{model_of(model).name}, id {number}, firmware {firmware}, {baudrate} baud",
+                {**options, "id": number},
+            )
+            for number, (model, firmware) in sorted(data.items())
+        ]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.dynamixel(address, owner=_OWNER, baudrate=baudrate)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("Dynamixel", ask)
+
+
+# --- CAN ---------------------------------------------------------------------------------------
+
+
+def can(interface: str, bitrate: int) -> Probe:
+    """Return a probe for nodes on a CAN bus: Allegro Hands and CANopen."""
+
+    async def ask(pool: BusPool, channel: str) -> list[Found]:
+        bus = await pool.can(channel, owner=_OWNER, interface=interface, bitrate=bitrate)
+        return await _ended(bus, _nodes(bus, channel, interface))
+
+    return Probe("CAN", ask)
+
+
+async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
+    from rtee.drivers.allegro.codec import Command, request
+
+    heard: dict[int, bytes] = {}
+
+    def hear(frame: CanFrame) -> None:
+        heard.setdefault(frame.id, frame.data)
+
+    undo = bus.subscribe(hear)
+    try:
+        for hand in range(4):
+            await bus.send(request(Command.HAND_INFO, hand))
+        for node in range(1, 128):
+            await bus.send(CanFrame(0x600 + node, bytes.fromhex("4000100000000000")))
+            await asyncio.sleep(0.001)
+        await asyncio.sleep(0.6)
+    finally:
+        undo()
+    where = {"channel": channel, "interface": interface}
+    found = [
+        Found("allegro", f"Allegro Hand {hand}", {**where, "hand": hand})
+        for hand in range(4)
+        if request(Command.HAND_INFO, hand).id in heard
+    ]
+    for node in range(1, 128):
+        answer = heard.get(0x580 + node)
+        if answer is not None and len(answer) == 8:
+            kind = int.from_bytes(answer[4:6], "little") if answer[0] & 0xE0 == 0x40 else 0
+            name = "CiA 402 drive" if kind == 402 else "CANopen node"
+            found.append(Found("cia402" if kind == 402 else "", f"{name} {node}", where))
+        elif 0x700 + node in heard:
+            found.append(Found("", f"CANopen node {node} (heartbeat only)", where))
+    return found
