@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.errors import LogError
+from rtee.errors import LogError, RteeError
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.log.contents import REPLAY, Replayable
@@ -112,9 +112,18 @@ def check(recording: Recording) -> Check:
         recording: A recording from the loop's start on, with every tick.
 
     Raises:
-        LogError: if something is missing without which nothing can be computed.
+        LogError: if something is missing without which nothing can be computed, or makes no sense.
     """
     replayable = _replayable(recording)
+    try:
+        return _check(recording, replayable)
+    except (ValueError, ArithmeticError, LookupError, TypeError) as error:
+        if isinstance(error, RteeError):
+            raise
+        raise LogError(f"cannot be computed anew: {error}", path=recording.paths[0]) from error
+
+
+def _check(recording: Recording, replayable: Replayable) -> Check:
     controller = Controller(recorded_hand(recording, replayable), replayable.settings)
     states, reference = recording.actuator_states, recording.reference
     names = tuple(spec.name for spec in replayable.actuators)

@@ -61,6 +61,15 @@ class Preamble:
     channels: Sequence[Channel] = ()
 
 
+def _sync_folder(folder: Path) -> None:
+    """Have the disk know the name of a new file, too."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def being_written(path: Path) -> bool:
     """Whether a recorder has the file open."""
     try:
@@ -104,6 +113,8 @@ class McapFile:
         self._size = 0
         try:
             self._append(begin)
+            if sync:
+                _sync_folder(path.parent)
         except OSError:
             os.close(self._descriptor)
             path.unlink(missing_ok=True)

@@ -10,11 +10,12 @@ from pathlib import Path
 
 from rtee.log.chunks import PackedChunk
 from rtee.log.contents import Contents
-from rtee.log.mcapfile import McapFile
-from rtee.log.rotation import Retention, flight_path, part_path, session_name
+from rtee.log.mcapfile import McapFile, being_written
+from rtee.log.rotation import FLIGHT, Retention, flight_path, part_path, session_name
 from rtee.log.settings import RecorderSettings
 
 _NAME_TRIES = 50
+_PARTIAL = ".partial"
 _LOOK_EVERY = 60.0
 
 
@@ -94,6 +95,9 @@ class DiskSink:
         folder = self._settings.directory
         folder.mkdir(parents=True, exist_ok=True)
         hand = self._contents.hand.name
+        for partial in folder.glob(f".{hand}_*_{FLIGHT}.mcap{_PARTIAL}"):
+            if not being_written(partial):  # left behind by a process that was killed
+                partial.unlink(missing_ok=True)
         for _ in range(_NAME_TRIES):
             path = part_path(folder, hand, self._session, self._part)
             preamble = self._contents.preamble(wall_ns, session=self._session, part=str(self._part))
@@ -165,7 +169,7 @@ class DiskSink:
         """
         settings = self._settings
         path = flight_path(settings.directory, self._contents.hand.name, session_name(wall_ns))
-        partial = path.with_name(f".{path.name}.partial")
+        partial = path.with_name(f".{path.name}{_PARTIAL}")
         preamble = self._contents.preamble(chunks[0].start, cause=cause)
         try:
             settings.directory.mkdir(parents=True, exist_ok=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -72,7 +73,6 @@ class LogWriter:
         sink: The files.
         flight: The flight recorder; ``None`` if there is none.
         flight_files: Files that it has written.
-        failed: Items that could not be encoded.
     """
 
     def __init__(
@@ -114,7 +114,6 @@ class LogWriter:
             else None
         )
         self.flight_files: list[Path] = []
-        self.failed = 0
         self.dropped: Callable[[], int] = lambda: 0
 
     @property
@@ -273,7 +272,8 @@ class LogWriter:
         wall = self.wall_of(event.stamp)
         self._add(EVENTS, wall, convert.encode_event(event, wall=wall))
         if self._notify is not None:
-            self._notify(event)
+            with contextlib.suppress(RuntimeError):  # the loop that would be told has ended
+                self._notify(event)
 
     def _write_flight(self) -> None:
         self._flight_due = None
@@ -292,7 +292,9 @@ class LogWriter:
 
     def close(self) -> None:
         """Write what is left, and what the flight recorder owes, and close the file."""
-        if self._flight_due is not None:
-            self._write_flight()
-        self.flush()
-        self.sink.stop()
+        try:
+            if self._flight_due is not None:
+                self._write_flight()
+            self.flush()
+        finally:
+            self.sink.stop()

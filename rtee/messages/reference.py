@@ -21,9 +21,9 @@ version 1). Types that ROS 2 has are its own, the others are in the package `rte
 recording carries the definitions, so that other software needs nothing else to read it.
 
 Units are SI: metres, radians, seconds, newtons, newton metres, amperes; temperatures are in °C.
-`NaN` means "not measured" or "not given". All arrays of a message go with its `name`: order by name,
-not by number. `time` is CLOCK_MONOTONIC of the hand's computer, which never jumps; `header.stamp`
-is the same moment since 1970.
+`NaN` means "not measured" or "not given". All arrays of a message go with its `name`: order by
+name, not by number. `time` is CLOCK_MONOTONIC of the hand's computer, which never jumps;
+`header.stamp` is the same moment since 1970.
 
 In Python, `rtee.messages.message_type("rtee_msgs/Goal")` encodes and decodes any of them, and
 `rtee.messages.typestore.typestore()` is a type store of `rosbags` with all of them.

@@ -14,14 +14,14 @@ from loop.hands import Rig, Watcher, device, make_hand, make_library
 from log.samples import RATE, recorded, settings
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
-from rtee.errors import LogError
+from rtee.errors import LogError, UnknownActuator
 from rtee.hand.model import Hand
-from rtee.log import Recorder, Recording, read
+from rtee.log import Entry, Recorder, Recording, read
 from rtee.log.check import check
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
-from rtee.types import Goal
+from rtee.types import Command, Goal
 
 pytestmark = pytest.mark.anyio
 
@@ -156,3 +156,13 @@ async def test_what_cannot_be_computed_anew_is_said(moved: Recording) -> None:
     broken = {"replay.json": b'{"settings": 3}'}
     with pytest.raises(LogError, match="Replayable cannot be read"):
         check(replace(moved, attachments=broken))
+
+
+async def test_nonsense_in_a_recording_is_said(moved: Recording) -> None:
+    jog = Command("jog", "fast", {"index_tip": 0.3}, tick=5, stamp=moved.actuator_states.time[5])
+    entry = Entry(0.0, 0, jog.stamp, jog)
+    with pytest.raises(LogError, match="cannot be computed anew: could not convert"):
+        check(replace(moved, commands=[*moved.commands, entry]))
+    thumb = replace(jog, kind="accepts", values={"third_thumb": 1.0})
+    with pytest.raises(UnknownActuator):
+        check(replace(moved, commands=[replace(entry, value=thumb)]))

@@ -318,3 +318,26 @@ def test_names() -> None:
     assert parse_name(Path("claw_20231114T221320000Z_000.mcap")) is None  # it does not exist
     with pytest.raises(LogError):
         read("claw_20231114T221320000Z_000.mcap")
+
+
+def test_what_a_killed_flight_recorder_left_is_removed(claw: Hand, tmp_path: Path) -> None:
+    left = tmp_path / ".claw_20200101T000000000Z_flight.mcap.partial"
+    left.write_bytes(b"half")
+    other = tmp_path / ".paw_20200101T000000000Z_flight.mcap.partial"
+    other.write_bytes(b"half")
+    Log(claw, settings(tmp_path)).writer.close()
+    assert not left.exists()
+    assert other.exists()
+
+
+def test_an_ended_loop_that_cannot_be_told_ends_nothing(claw: Hand, tmp_path: Path) -> None:
+    def ended(event: Event) -> None:
+        raise RuntimeError("Event loop is closed")
+
+    log = Log(claw, settings(tmp_path))
+    log.writer._notify = ended
+    log.run(0, 100)
+    log.writer.item(fault(log.time.now), log.time.now)
+    log.writer.close()
+    assert len(flights(tmp_path)) == 1
+    assert all(read(path).finished for path in recorded(tmp_path))

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +18,7 @@ import pyarrow.parquet
 import pytest
 from typer.testing import CliRunner
 
+import rtee
 from log.samples import BEGIN, RATE, Log, recorded, settings, tick
 from rtee.cli.log import app
 from rtee.errors import LogError
@@ -322,3 +328,33 @@ def test_info_of_a_series(claw: Hand, tmp_path: Path) -> None:
     assert len(json.loads(all_parts)["files"]) == len(paths)
     assert json.loads(all_parts)["duration"] == pytest.approx(399 / RATE)
     assert read(paths).actuator_states.time[0] == BEGIN
+
+
+def test_log_replay_shows_recorded_states_to_clients(claw: Hand, tmp_path: Path) -> None:
+    name = f"claw-{os.getpid()}"
+    log = Log(replace(claw, name=name), settings(tmp_path))
+    log.run(0, 300)
+    log.writer.close()
+    (path,) = recorded(tmp_path)
+    told = {tuple(tick(number).position.tolist()) for number in range(300)}
+    command = [sys.executable, "-c", "from rtee.cli import main; main()", "log", "replay"]
+    child = subprocess.Popen(
+        [*command, str(path), "--speed", "2", "--repeat"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert child.stdout is not None
+    with child, child.stdout:
+        line = child.stdout.readline()
+        assert line.startswith(f"{name}: 2 actuators, 4 joints"), line + child.stdout.read()
+        with rtee.connect_blocking(name) as hand:
+            seen = [tuple(state.position.tolist()) for state in islice(hand.states(50.0), 20)]
+            description = hand.robot_description()
+        child.send_signal(signal.SIGINT)
+        rest = child.stdout.read()
+    assert child.returncode == 0, rest
+    assert len(set(seen)) > 5
+    assert set(seen) <= told
+    assert description == claw.urdf.text
