@@ -17,6 +17,7 @@ from rtee.errors import (
     BusTimeout,
     CommandRejected,
     DeviceFault,
+    DriverError,
     HandshakeError,
     NotConnected,
     RteeError,
@@ -228,6 +229,12 @@ class Exchange:
         self._end()
 
     def _take(self, state: ActuatorState) -> None:
+        n = len(self.indices)
+        sizes = {len(state.position), len(state.velocity), len(state.effort), len(state.current)}
+        if sizes != {n} or len(state.temperature) != n:
+            raise DriverError(
+                self.name, f"gave a state that is not one of {n} actuators", hint="mend its driver"
+            )
         self.state = state
         self.states += 1
         self._answered = self._now()

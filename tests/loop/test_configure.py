@@ -108,7 +108,7 @@ def test_emulated_means_the_devices(hand: Hand) -> None:
 
 
 def test_a_hand_without_devices_says_what_to_do(hand: Hand) -> None:
-    with pytest.raises(ConfigError, match=r"no devices; give it some under 'devices:' in a\\.yaml"):
+    with pytest.raises(ConfigError, match=r"no devices; give it some under 'devices:' in a\.yaml"):
         device_settings(hand, config(), 1000.0, DeviceChoice("devices", source="a.yaml"))
 
 

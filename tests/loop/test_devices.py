@@ -490,3 +490,20 @@ async def test_closing_is_final(hand: Hand) -> None:
     with pytest.raises(RteeError, match="closed"):
         await rig.loop.recover()
     assert await rig.loop.stop() == [("dummy", False)]
+
+
+async def test_a_state_of_the_wrong_size_is_the_drivers_error_and_not_the_loops(hand: Hand) -> None:
+    class Wrong(Trouble):
+        wrong = False
+
+        async def sense(self) -> ActuatorState:
+            state = await super().sense()
+            return ActuatorState.measured([1.0, 2.0], state.stamp) if self.wrong else state
+
+    settings = device(hand)
+    driver = Wrong(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        driver.wrong = True
+        await rig.run(0.1)
+        assert "not one of 4 actuators" in status(rig).message
+        assert rig.loop.snapshot().position.shape == (4,)

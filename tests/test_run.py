@@ -1,0 +1,305 @@
+"""Whole runs: from hand.yaml to the end, in this process and as a process of its own."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import anyio
+import pytest
+
+from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.errors import ConfigError, LoopError, UserError
+from rtee.log import read
+from rtee.loop.contact import Measured
+from rtee.loop.controller import Controller
+from rtee.run import RunOptions, prepare, run_hands
+from rtee.types import Reference
+
+pytestmark = pytest.mark.anyio
+
+URDF = """<robot name="{name}">
+  <link name="palm"/>
+  <link name="jaw"><collision><geometry><box size="0.01 0.01 0.05"/></geometry></collision></link>
+  <joint name="drive" type="revolute">
+    <parent link="palm"/><child link="jaw"/><axis xyz="0 1 0"/>
+    <limit lower="0" upper="0.8" velocity="2" effort="10"/>
+  </joint>
+</robot>
+"""
+
+
+class Recalling(KinematicDriver):
+    """A driver of one's own that writes down what it is told, for tests of whole processes."""
+
+    def _write(self, word: str) -> None:
+        with Path(os.environ["RTEE_TEST_CALLS"]).open("a") as file:
+            file.write(f"{time.monotonic()} {word}\n")
+
+    async def activate(self) -> None:
+        await super().activate()
+        self._write("activate")
+
+    async def stop(self) -> None:
+        self._write("stop")
+        await super().stop()
+
+    async def release(self) -> None:
+        self._write("release")
+        await super().release()
+
+    async def close(self) -> None:
+        self._write("close")
+        await super().close()
+
+
+class Stopping(KinematicDriver):
+    """Knows whether it was stopped."""
+
+    stopped = False
+
+    async def stop(self) -> None:
+        type(self).stopped = True
+
+
+def write_hand(folder: Path, name: str = "jaw", extra: str = "") -> Path:
+    hand = folder / name
+    hand.mkdir(parents=True)
+    (hand / f"{name}.urdf").write_text(URDF.format(name=name))
+    (hand / "hand.yaml").write_text(
+        f"name: {name}\nurdf: {name}.urdf\nloop: {{rate: 200}}\n"
+        f"log: {{directory: {folder / 'logs'}}}\n{extra}"
+    )
+    return hand
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_hand(tmp_path)
+    return tmp_path
+
+
+def options(folder: Path, **more: object) -> RunOptions:
+    return RunOptions(config_dirs=(folder,), **more)  # type: ignore[arg-type]
+
+
+async def test_a_run_tells_how_it_starts_and_how_it_went(folder: Path) -> None:
+    said: list[str] = []
+    status = await run_hands(["jaw"], options(folder, duration=0.3), serve=None, say=said.append)
+    assert status == 0
+    assert said[0].startswith("jaw: 1 actuator, 1 joints, 0 actions; 200 Hz; kinematic: ")
+    assert "active" in said[0]
+    assert "network off" in said[0]
+    assert any("ticks at 200 Hz" in line and "lateness p50" in line for line in said)
+    assert said[-1] == "jaw: 0 goals"
+
+
+async def test_everything_is_recorded(folder: Path) -> None:
+    await run_hands(["jaw"], options(folder, duration=0.3), serve=None, say=lambda _: None)
+    (file,) = (folder / "logs").glob("*_000.mcap")
+    recording = read(file)
+    assert recording.hand == "jaw"
+    assert {"hand.yaml", "jaw.urdf"} <= set(recording.attachments)
+    assert len(recording.reference) >= 20
+
+
+async def test_recordings_go_where_they_are_told_or_nowhere(folder: Path) -> None:
+    other = folder / "elsewhere"
+    for more in ({"log": other}, {"record": False}):
+        await run_hands(["jaw"], options(folder, duration=0.1, **more), serve=None, say=str)
+    assert len(list(other.glob("*.mcap"))) == 1
+    assert not list((folder / "logs").glob("*_000.mcap"))
+
+
+async def test_several_hands_share_a_clock_or_have_their_own(folder: Path) -> None:
+    write_hand(folder, "left")
+    write_hand(folder, "right", "realtime: {enabled: false}\n")
+    (folder / "right" / "hand.yaml").write_text(
+        (folder / "right" / "hand.yaml").read_text().replace("200", "100")
+    )
+    said: list[str] = []
+    names = ["jaw", "left", "right"]
+    await run_hands(names, options(folder, duration=0.3), serve=None, say=said.append)
+    clocks = [line for line in said if "ticks at" in line]
+    assert clocks[0].startswith("jaw, left: ")
+    assert clocks[1].startswith("right: ")
+    assert "100 Hz" in clocks[1]
+    assert len(list((folder / "logs").glob("*_000.mcap"))) == 3
+
+
+async def test_a_hand_is_commanded_over_the_network(folder: Path) -> None:
+    import rtee
+
+    over = anyio.Event()
+
+    async def main() -> None:
+        await run_hands(["jaw"], options(folder), say=lambda _: None, until=over)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(main)
+        with anyio.fail_after(20):
+            while True:
+                try:
+                    async with rtee.connect("jaw") as hand:
+                        result = await hand.do("open")
+                    break
+                except rtee.errors.NoHand:
+                    await anyio.sleep(0.1)
+        assert result.reached
+        over.set()
+
+
+@pytest.mark.parametrize(
+    ("names", "more", "reason"),
+    [
+        (["jav"], {}, "unknown hand 'jav'; did you mean 'jaw'"),
+        (["jaw", "jaw"], {}, "'jaw' is given twice"),
+        (["jaw"], {"rate": 3000.0}, "1 to 2000 Hz, not 3000"),
+        (["jaw"], {"driver": "kinmatic"}, "did you mean 'kinematic'"),
+        (["jaw"], {"driver": "devices"}, "has no devices"),
+        (["jaw"], {"emulated": True}, "has no devices"),
+        (["jaw"], {"driver_options": {"time_constan": 1}}, "did you mean 'time_constant'"),
+        (["jaw"], {"driver": "rtee.types:Goal"}, "not a subclass of Driver"),
+        (["jaw"], {"driver": "replay", "driver_options": {"file": "no.mcap"}}, "cannot be opened"),
+    ],
+)
+async def test_mistakes_end_it_before_anything_moves(
+    folder: Path, names: list[str], more: dict[str, object], reason: str
+) -> None:
+    said: list[str] = []
+    with pytest.raises(UserError, match=reason):
+        await run_hands(names, options(folder, **more), serve=None, say=said.append)
+    assert said == []
+
+
+async def test_a_mistake_in_a_devices_options_has_file_and_line(folder: Path) -> None:
+    extra = (
+        "devices:\n  jaw:\n    driver: kinematic\n    options:\n      time_constan: 1.0\n"
+        "driver: devices\n"
+    )
+    hand = write_hand(folder, "wrong", extra)
+    with pytest.raises(ConfigError, match=r"hand\.yaml:6: .*did you mean 'time_constant'"):
+        await run_hands([str(hand)], RunOptions(duration=0.1), serve=None, say=str)
+
+
+async def test_a_loop_that_fails_stops_the_hand_and_says_why(
+    folder: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    more = {"driver": f"{__name__}:Stopping", "duration": 5.0}
+    step = Controller.step
+
+    def fail_in_time(self: Controller, stamp: float, measured: Measured) -> None:
+        if len(said) > 0 and self.active[0]:
+            raise ZeroDivisionError("a bug")
+        step(self, stamp, measured)
+
+    monkeypatch.setattr(Controller, "step", fail_in_time)
+    Stopping.stopped = False
+    with (
+        caplog.at_level(logging.CRITICAL),
+        pytest.raises(LoopError, match="ZeroDivisionError: a bug"),
+    ):
+        await run_hands(["jaw"], options(folder, **more), serve=None, say=said.append)
+    assert Stopping.stopped
+    assert any("ticks at" in line for line in said), "the statistics are told all the same"
+    assert list((folder / "logs").glob("*flight*.mcap"))
+
+
+async def test_being_cancelled_brings_the_hand_to_rest(folder: Path) -> None:
+    told: list[Reference] = []
+
+    class Listening(KinematicDriver):
+        async def move(self, reference: Reference) -> None:
+            told.append(reference)
+            await super().move(reference)
+
+    globals()["Listening"] = Listening
+    with anyio.move_on_after(0.4):
+        more = {"driver": f"{__name__}:Listening"}
+        await run_hands(["jaw"], options(folder, **more), serve=None, say=str)
+    assert told
+    assert told[-1].position.tolist() == [0.0]
+
+
+def test_what_is_prepared_is_not_opened(folder: Path) -> None:
+    prepared = prepare("jaw", options(folder, rate=500.0, driver="replay"))
+    assert prepared.settings.rate == 500.0
+    assert prepared.devices[0].spec.driver == "replay"
+    assert prepared.devices[0].spec.source.endswith("hand.yaml")
+    assert len(prepared.library) == 0
+    assert not (folder / "logs").exists()
+
+
+# --- processes -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def calls(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    path = folder / "calls"
+    monkeypatch.setenv("RTEE_TEST_CALLS", str(path))
+    return path
+
+
+def start(folder: Path, *arguments: str, hand: str = "jaw") -> subprocess.Popen[str]:
+    environment = os.environ | {
+        "RTEE_CONFIG_PATH": str(folder),
+        "PYTHONPATH": str(Path(__file__).parent),
+        "PYTHONUNBUFFERED": "1",
+    }
+    command = [sys.executable, "-c", "from rtee.cli import main; main()", "run", hand, *arguments]
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        cwd=folder,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_does_what_is_configured_and_closes_the_log(
+    folder: Path, calls: Path, number: signal.Signals
+) -> None:
+    write_hand(folder, "stopping", "safety: {on_exit: stop}\n")
+    process = start(folder, "--driver", "test_run:Recalling", hand="stopping")
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("stopping: 1 actuator")
+    time.sleep(0.3)
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=20)
+    assert process.returncode == 0, errors
+    assert "ticks at 200 Hz" in output
+    words = [line.split()[1] for line in calls.read_text().splitlines()]
+    assert words == ["activate", "stop", "close"]
+    (file,) = (folder / "logs").glob("*_000.mcap")
+    events = [entry.value for entry in read(file).events]
+    assert any(number.name in event.text and event.kind == "stop" for event in events)
+
+
+def test_a_users_mistake_is_one_sentence_and_status_2(folder: Path) -> None:
+    process = start(folder, "--rate", "5000")
+    output, errors = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert output == ""
+    assert errors.count("\n") == 1
+    assert "1 to 2000 Hz, not 5000" in errors
+
+
+def test_options_of_a_driver_are_read_like_yaml(folder: Path) -> None:
+    process = start(
+        folder, "--duration", "0.2", "--option", "time_constant=0.2", "--option", "start={drive: 1}"
+    )
+    output, errors = process.communicate(timeout=20)
+    assert process.returncode == 0, errors
+    assert output.startswith("jaw: ")
+    process = start(folder, "--option", "time_constant")
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert "should be NAME=VALUE" in errors
