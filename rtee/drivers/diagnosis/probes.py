@@ -17,7 +17,7 @@ from rtee.buses.serial import SerialBus
 from rtee.errors import BusError, BusTimeout, FrameError
 
 _OWNER = "scan"
-_ANSWER = 0.06
+_ANSWER = 0.04
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +100,11 @@ async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
     robotiq = await _registers(bus, unit, 0x07D0, 8)
     if isinstance(robotiq, tuple):
         return _robotiq(robotiq, unit, options)
-    onrobot = await _registers(bus, unit, LIMITS, 2)
+    # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
+    onrobot = await _registers(bus, unit, LIMITS, 2) if robotiq is not None else None
     if isinstance(onrobot, tuple) and 0 < onrobot[0] < onrobot[1]:
         return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
-    if robotiq is not None or onrobot is not None:
+    if robotiq is not None:
         return Found("", f"a Modbus slave, unit {unit}", options)
     return None
 

@@ -1,0 +1,172 @@
+"""The doctor names the cause and the cure: one test for each."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rtee.buses.link import Line
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import SimulatedLine
+from rtee.drivers.diagnosis.checks import Check, Verdict
+from rtee.drivers.diagnosis.device import check_device
+from rtee.drivers.diagnosis.machine import check_machine
+from rtee.drivers.diagnosis.port import check_address, port_users
+from rtee.drivers.emulators import make_emulator
+from rtee.testing import actuator
+from rtee.types import DeviceSpec
+
+pytestmark = pytest.mark.anyio
+
+
+def gripper(**changes: Any) -> DeviceSpec:
+    options = {"port": "/dev/there-is-none", **changes.pop("options", {})}
+    return DeviceSpec(
+        name="gripper",
+        hand="hand",
+        driver="robotiq_2f",
+        actuators=(actuator("finger_joint", 0.0, 0.8),),
+        options=options,
+        **changes,
+    )
+
+
+def wrong(checks: list[Check]) -> Check:
+    [found] = [check for check in checks if check.verdict is Verdict.WRONG]
+    return found
+
+
+def named(checks: list[Check], subject: str) -> Check:
+    [found] = [check for check in checks if check.subject == subject]
+    return found
+
+
+async def test_all_is_well() -> None:
+    async with BusPool() as pool:
+        checks = await check_device(gripper(emulated=True), pool)
+    assert {check.verdict for check in checks} == {Verdict.OK}
+    assert "model 2F-85" in named(checks, "identity").text
+    assert named(checks, "rate").text == "up to 164 Hz"
+
+
+async def test_a_port_that_is_not_there() -> None:
+    async with BusPool() as pool:
+        check = wrong(await check_device(gripper(), pool))
+    assert check.text == "there is no /dev/there-is-none"
+    assert "rtee scan" in check.remedy
+
+
+async def test_a_file_that_is_no_port(tmp_path: Path) -> None:
+    file = tmp_path / "port"
+    file.write_text("")
+    assert wrong(await check_address(str(file))).text == f"{file} is no serial port"
+
+
+async def test_a_port_that_one_may_not_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with SimulatedLine([]) as line:
+        check = wrong(await check_address(line.address))
+    assert check.remedy.startswith("sudo usermod -aG ")
+
+
+async def test_a_port_in_use_names_the_program(tmp_path: Path) -> None:
+    process = tmp_path / "proc" / "4242"
+    (process / "fd").mkdir(parents=True)
+    (process / "comm").write_text("minicom\n")
+    with SimulatedLine([]) as line:
+        (process / "fd" / "3").symlink_to(os.path.realpath(line.address))
+        assert port_users(Path(line.address), tmp_path) == [(4242, "minicom")]
+        check = wrong(await check_address(line.address, tmp_path))
+    assert check.text == "it is in use by minicom (4242)"
+    assert check.remedy == "end it: kill 4242"
+
+
+@pytest.mark.parametrize(("timer", "verdict"), [(16, Verdict.WARNING), (1, Verdict.OK)])
+async def test_the_latency_timer(tmp_path: Path, timer: int, verdict: Verdict) -> None:
+    with SimulatedLine([]) as line:
+        name = os.path.basename(os.path.realpath(line.address))
+        folder = tmp_path / "sys/bus/usb-serial/devices" / name
+        folder.mkdir(parents=True)
+        (folder / "latency_timer").write_text(f"{timer}\n")
+        check = named(await check_address(line.address, tmp_path), "latency timer")
+    assert check.verdict is verdict
+    assert ("echo 1 | sudo tee" in check.remedy) is (timer == 16)
+
+
+@pytest.mark.parametrize(
+    ("properties", "options", "remedy"),
+    [
+        ({"unit": 12}, {}, "unit: 12"),
+        ({}, {"model": "2f_140", "unit": 3}, "unit: 9"),
+    ],
+)
+async def test_a_wrong_number_is_found_out(
+    properties: dict[str, Any], options: dict[str, Any], remedy: str
+) -> None:
+    emulator = make_emulator("robotiq_2f", {"emulator": properties})
+    with SimulatedLine([emulator], line=Line(115200)) as line:
+        async with BusPool() as pool:
+            spec = gripper(options={"port": line.address, **options})
+            check = wrong(await check_device(spec, pool))
+    assert "no answer from unit" in check.text
+    assert remedy in check.remedy
+
+
+async def test_another_device_is_found_out() -> None:
+    with SimulatedLine([make_emulator("schunk_svh", {})], wire_time=False) as line:
+        async with BusPool() as pool:
+            check = wrong(await check_device(gripper(options={"port": line.address}), pool))
+    assert "SCHUNK SVH" in check.remedy
+    assert "driver: schunk_svh" in check.remedy
+
+
+async def test_a_device_without_supply() -> None:
+    with SimulatedLine([]) as line:
+        async with BusPool() as pool:
+            spec = gripper(options={"port": line.address})
+            check = wrong(await check_device(spec, pool, search=False))
+    assert "supply" in check.remedy
+
+
+async def test_a_three_finger_gripper_is_no_two_finger_gripper() -> None:
+    emulator = make_emulator("robotiq_3f", {"emulator": {"activated": True}})
+    with SimulatedLine([emulator]) as line:
+        async with BusPool() as pool:
+            check = wrong(await check_device(gripper(options={"port": line.address}), pool))
+    assert check.subject == "identity"
+
+
+async def test_more_than_the_wire_gives_is_a_warning() -> None:
+    async with BusPool() as pool:
+        checks = await check_device(gripper(emulated=True, every=1), pool)
+    check = named(checks, "rate")
+    assert check.verdict is Verdict.WARNING
+    assert check.remedy.startswith("set every: 7")
+
+
+@pytest.mark.parametrize(
+    ("address", "text"),
+    [
+        ("tcp://127.0.0.1:1", "127.0.0.1 refuses port 1"),
+        ("tcp://no-such-host.invalid", "nobody knows the name 'no-such-host.invalid'"),
+    ],
+)
+async def test_network_addresses(address: str, text: str) -> None:
+    assert wrong(await check_address(address)).text == text
+
+
+def test_the_machine_is_looked_at(tmp_path: Path) -> None:
+    governor = tmp_path / "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"
+    governor.parent.mkdir(parents=True)
+    governor.write_text("powersave\n")
+    (tmp_path / "sys/kernel").mkdir()
+    (tmp_path / "sys/kernel/realtime").write_text("1\n")
+    checks = check_machine(tmp_path)
+    slow = named(checks, "CPU governor")
+    assert slow.verdict is Verdict.WARNING
+    assert "performance" in slow.remedy
+    assert "real-time" in named(checks, "kernel").text
+    assert {"real-time priority", "locked memory", "disk"} <= {c.subject for c in checks}

@@ -1,0 +1,108 @@
+"""Devices are found by what they answer, wherever they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from rtee.buses.emulator import Emulator
+from rtee.buses.link import Line
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import SimulatedLine
+from rtee.drivers.diagnosis import probes
+from rtee.drivers.diagnosis.scan import Address, Plan, network_probes, scan, serial_probes
+from rtee.drivers.emulators import make_emulator
+
+pytestmark = pytest.mark.anyio
+
+
+async def scanned(line: SimulatedLine, *, units: Sequence[int] | None = None) -> Address:
+    probes_ = serial_probes(units)
+    if line.address.startswith("tcp"):
+        probes_ = network_probes(units)
+    async with BusPool() as pool:
+        [found] = await scan([Plan(line.address, probes=probes_)], pool)
+    return found
+
+
+def device(name: str, **properties: object) -> Emulator:
+    return make_emulator(name, {"emulator": properties, "port": "/dev/emulated"})
+
+
+@pytest.mark.parametrize(
+    ("name", "properties", "what"),
+    [
+        ("robotiq_2f", {"unit": 12}, "Robotiq 2-finger gripper, unit 12, 115200 baud 8N1"),
+        ("robotiq_3f", {}, "Robotiq 3-Finger, unit 9, 115200 baud 8N1"),
+        ("onrobot_3fg", {"unit": 66, "framing": "rtu"}, "OnRobot 3FG, unit 66, 1000000 baud 8E1"),
+        ("qb_softhand", {"device": 3}, "qb SoftHand, device 3"),
+        ("schunk_svh", {}, "SCHUNK SVH, firmware"),
+    ],
+)
+async def test_a_device_on_a_line_is_found_with_its_options(
+    name: str, properties: dict[str, object], what: str
+) -> None:
+    with SimulatedLine([device(name, **properties)], wire_time=False) as line:
+        found = await scanned(line)
+    assert [one.driver for one in found.found] == [name]
+    assert found.found[0].what.startswith(what)
+    assert found.found[0].options["port"]
+
+
+async def test_two_slaves_on_a_line_are_both_found() -> None:
+    both = [device("robotiq_2f", unit=9), device("robotiq_2f", unit=10)]
+    with SimulatedLine(both, wire_time=False) as line:
+        found = await scanned(line)
+    assert [one.options["unit"] for one in found.found] == [9, 10]
+
+
+async def test_a_compute_box_on_the_network_is_found() -> None:
+    gripper = make_emulator("onrobot_3fg", {"host": "x"})
+    with SimulatedLine([gripper], tcp=True, scheme="tcp") as line:
+        found = await scanned(line)
+    assert [one.what for one in found.found] == ["OnRobot 3FG, unit 65"]
+
+
+async def test_servos_at_two_rates_are_found() -> None:
+    servos = make_emulator(
+        "dynamixel",
+        {
+            "port": "/dev/emulated",
+            "servos": {name: {"id": n} for n, name in enumerate(("a", "b", "c"), start=11)},
+        },
+    )
+    with SimulatedLine([servos], wire_time=False, line=Line(1_000_000)) as line:
+        asked = (probes.dynamixel(1_000_000), probes.dynamixel(4_000_000))
+        async with BusPool() as pool:
+            [found] = await scan([Plan(line.address, probes=asked)], pool)
+    assert sorted(one.options["id"] for one in found.found)[:3] == [11, 11, 12]
+
+
+async def test_nobody_is_nobody() -> None:
+    with SimulatedLine([], wire_time=False) as line:
+        asked = (probes.modbus(115200, "N", [9]), probes.svh(), probes.softhand([1]))
+        async with BusPool() as pool:
+            [found] = await scan([Plan(line.address, probes=asked)], pool)
+    assert (found.found, found.problem) == ((), "")
+
+
+async def test_a_missing_or_busy_port_says_so() -> None:
+    async with BusPool() as pool:
+        [found] = await scan([Plan("/dev/there-is-none", probes=serial_probes([9]))], pool)
+    assert "there is no such port" in found.problem
+    with SimulatedLine([]) as line:
+        async with BusPool() as other, BusPool() as pool:
+            await other.serial(line.address, owner="x")
+            [found] = await scan([Plan(line.address, probes=serial_probes([9]))], pool)
+    assert "another program" in found.problem
+
+
+async def test_nodes_on_a_can_bus_are_found() -> None:
+    async with BusPool() as pool:
+        await pool.can("can0", owner="x", emulator=lambda: make_emulator("allegro", {}))
+        [channel] = pool.simulations
+        plan = Plan(channel, probes=(probes.can("virtual", 1_000_000),))
+        async with BusPool() as asking:
+            [found] = await scan([plan], asking)
+    assert [one.driver for one in found.found] == ["allegro"]
