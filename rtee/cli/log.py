@@ -50,7 +50,7 @@ def _show(found: Info) -> None:
 
     from rtee.log.info import iso
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     recording = found.recording
     for path, size in found.files:
         console.print(Text(f"{path}  {size / 1e6:.1f} MB"))

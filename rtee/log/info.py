@@ -22,7 +22,7 @@ from rtee.messages.convert import decode_loop_statistics
 from rtee.types import LoopStatistics
 
 _SECOND = 1e9
-_FEW = (topics.GOALS, topics.RESULTS, topics.EVENTS)
+_FEW = (topics.GOALS, topics.PLANS, topics.RESULTS, topics.EVENTS)
 
 
 @dataclass(frozen=True, slots=True)

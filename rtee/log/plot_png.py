@@ -71,7 +71,15 @@ def _row(row: Row, left: Any, right: Any, figure: Figure) -> None:
     right.set_ylabel(figure.effort_label, size=8)
     left.set_title(f"{row.title}   (dashed: reference)", loc="left", size=9, pad=3)
     if len(row.positions) > 2:
-        left.legend(loc="upper right", fontsize=7, framealpha=0.8, ncols=2)
+        left.legend(
+            loc="lower right",
+            bbox_to_anchor=(1.0, 0.97),
+            fontsize=7,
+            frameon=False,
+            ncols=4,
+            borderaxespad=0.0,
+            columnspacing=1.2,
+        )
     if not row.efforts:
         right.text(
             0.5, 0.5, "not measured", transform=right.transAxes, ha="center", color="#888888"

@@ -183,7 +183,8 @@ class _Collector:
         actuator_states = self._actuators(start)
         goals = self._entries(topics.GOALS, convert.goal_of, start)
         by_id = {entry.value.goal_id: entry.value for entry in goals}
-        names = actuator_states.names
+        written = self._surveys[0].values.get("actuators", "").split()
+        names = actuator_states.names or tuple(written)
 
         def plan(fields: Fields) -> Plan:
             goal = by_id.get(fields["goal_id"], Goal(fields["action"], goal_id=fields["goal_id"]))

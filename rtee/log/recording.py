@@ -228,8 +228,10 @@ class Recording:
         for entry in self.feedback:
             feedback.setdefault(entry.value.goal_id, []).append(entry)
         spans = []
+        names = {plan.value.goal.goal_id: plan.value.action for plan in self.plans}
         for goal in self.goals:
-            name = " ".join((goal.value.action, *goal.value.elements))
+            action = names.get(goal.value.goal_id, goal.value.action)
+            name = " ".join((action, *goal.value.elements))
             ended = results.get(goal.value.goal_id)
             end = ended.t if ended else self.duration
             outcome = outcome_of(ended.value) if ended else "running"
