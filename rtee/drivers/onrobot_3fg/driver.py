@@ -123,7 +123,7 @@ class OnRobot3FGDriver(Driver):
             output=TARGETS,
             source=STATUS,
             count=STATUS_COUNT,
-            deadline=1.0,
+            deadline=0.5,
             kind=options.exchange,
         )
         best = min(self._blocks.best_rate(4), options.rate if not bus.rtu else math.inf)
@@ -151,8 +151,8 @@ class OnRobot3FGDriver(Driver):
     async def _identify(self, bus: ModbusBus) -> dict[str, str]:
         self._status = await self._read()
         unit = self.options.unit
-        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=1.0)
-        length, _, hole, _ = await bus.read(unit, GEOMETRY, 4, deadline=1.0)
+        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=0.5)
+        length, _, hole, _ = await bus.read(unit, GEOMETRY, 4, deadline=0.5)
         if hole not in (1, 2, 3) or not smallest < largest:
             raise HandshakeError(
                 self.spec.name,

@@ -160,7 +160,7 @@ class Robotiq2FDriver(Driver):
             output=OUTPUT if base is None else base,
             source=INPUT if base is None else base,
             count=COUNT,
-            deadline=1.0,
+            deadline=0.5,
             # Where both blocks begin at 0, function 23 cannot tell them apart.
             kind="separate" if base == 0 and options.exchange == "auto" else options.exchange,
             function=options.function,

@@ -118,7 +118,7 @@ class Robotiq3FDriver(Driver):
             output=0 if zero else OUTPUT,
             source=0 if zero else INPUT,
             count=COUNT,
-            deadline=1.0,
+            deadline=0.5,
             # Where both blocks begin at 0, function 23 cannot tell them apart.
             kind="separate" if zero and options.exchange == "auto" else options.exchange,
             function=options.function or (4 if network else 3),

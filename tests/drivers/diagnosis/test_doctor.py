@@ -44,6 +44,10 @@ def named(checks: list[Check], subject: str) -> Check:
     return found
 
 
+def real(line: SimulatedLine) -> str:
+    return os.path.realpath(line.address)
+
+
 async def test_all_is_well() -> None:
     async with BusPool() as pool:
         checks = await check_device(gripper(emulated=True), pool)
@@ -77,7 +81,7 @@ async def test_a_port_in_use_names_the_program(tmp_path: Path) -> None:
     (process / "fd").mkdir(parents=True)
     (process / "comm").write_text("minicom\n")
     with SimulatedLine([]) as line:
-        (process / "fd" / "3").symlink_to(os.path.realpath(line.address))
+        (process / "fd" / "3").symlink_to(real(line))
         assert port_users(Path(line.address), tmp_path) == [(4242, "minicom")]
         check = wrong(await check_address(line.address, tmp_path))
     assert check.text == "it is in use by minicom (4242)"
@@ -87,7 +91,7 @@ async def test_a_port_in_use_names_the_program(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("timer", "verdict"), [(16, Verdict.WARNING), (1, Verdict.OK)])
 async def test_the_latency_timer(tmp_path: Path, timer: int, verdict: Verdict) -> None:
     with SimulatedLine([]) as line:
-        name = os.path.basename(os.path.realpath(line.address))
+        name = os.path.basename(real(line))
         folder = tmp_path / "sys/bus/usb-serial/devices" / name
         folder.mkdir(parents=True)
         (folder / "latency_timer").write_text(f"{timer}\n")
