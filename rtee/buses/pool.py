@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from rtee.buses.modbus import ModbusBus
     from rtee.buses.serial import SerialBus
     from rtee.buses.simulated import SimulatedCan, SimulatedLine
+    from rtee.buses.simulated_zmq import SimulatedZmq
+    from rtee.buses.zmq import Endpoints, ZmqBus
 
 B = TypeVar("B", bound=Bus)
 
@@ -39,11 +41,11 @@ class BusPool:
         self.trace = trace
         self.wire_time = wire_time
         self._buses: dict[str, tuple[Bus, type[Bus], object]] = {}
-        self._simulations: dict[str, SimulatedLine | SimulatedCan] = {}
+        self._simulations: dict[str, SimulatedLine | SimulatedCan | SimulatedZmq] = {}
         self._played: dict[str, Emulator] = {}
 
     @property
-    def simulations(self) -> Mapping[str, SimulatedLine | SimulatedCan]:
+    def simulations(self) -> Mapping[str, SimulatedLine | SimulatedCan | SimulatedZmq]:
         """The simulated ends by the address they stand in for."""
         return MappingProxyType(self._simulations)
 
@@ -56,7 +58,7 @@ class BusPool:
         """Return the emulator that is played for a device; raises `KeyError`."""
         return self._played[owner]
 
-    def simulation(self, owner: str) -> SimulatedLine | SimulatedCan:
+    def simulation(self, owner: str) -> SimulatedLine | SimulatedCan | SimulatedZmq:
         """Return the simulated wire of an emulated device; raises `KeyError`."""
         emulator = self._played[owner]
         return next(s for s in self._simulations.values() if emulator in s.emulators)
@@ -205,6 +207,37 @@ class BusPool:
             ),
         )
 
+    async def zmq(
+        self,
+        address: str,
+        *,
+        owner: str,
+        ports: tuple[int, int, int],
+        emulator: EmulatorFactory | None = None,
+    ) -> ZmqBus:
+        """Return the ZeroMQ server at ``tcp://host``, connected in the background.
+
+        Args:
+            address: ``tcp://host``.
+            owner: The device that asks; give it back with ``bus.release(owner)``.
+            ports: Where it publishes, takes commands, and answers requests.
+            emulator: Plays the server instead, on this machine.
+
+        Raises:
+            BusBusy: if it is open in another way.
+            BusBroken: if it cannot be opened.
+        """
+        from rtee.buses.zmq import Endpoints, ZmqBus
+
+        places = self._simulated_zmq(address, owner, emulator)
+        if places is None:
+            given = Endpoints(*(f"{address}:{port}" for port in ports))
+            places = lambda: given  # noqa: E731 - the same shape as the simulated ones
+        endpoints = places
+        return await self._acquire(
+            address, ZmqBus, ports, owner, lambda: ZmqBus(address, endpoints)
+        )
+
     async def aclose(self) -> None:
         """Close every bus and every simulation; idempotent."""
         for bus, _, _ in list(self._buses.values()):
@@ -292,11 +325,28 @@ class BusPool:
         self._play(owner, simulation, factory)
         return "virtual", channel
 
+    def _simulated_zmq(
+        self, address: str, owner: str, factory: EmulatorFactory | None
+    ) -> Callable[[], Endpoints] | None:
+        if factory is None:
+            return None
+        from rtee.buses.simulated_zmq import SimulatedZmq
+
+        simulation = self._simulations.get(address)
+        if simulation is None:
+            simulation = SimulatedZmq(name=address).start()
+            self._simulations[address] = simulation
+        self._play(owner, simulation, factory)
+        return lambda: cast("SimulatedZmq", simulation).endpoints
+
     def _can_simulation(self, channel: str) -> SimulatedCan | None:
         return cast("SimulatedCan | None", self._simulations.get(channel))
 
     def _play(
-        self, owner: str, simulation: SimulatedLine | SimulatedCan, factory: EmulatorFactory
+        self,
+        owner: str,
+        simulation: SimulatedLine | SimulatedCan | SimulatedZmq,
+        factory: EmulatorFactory,
     ) -> None:
         if owner not in self._played:
             emulator = factory()

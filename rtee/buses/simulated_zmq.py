@@ -1,0 +1,153 @@
+"""A simulated ZeroMQ server that plays an emulated device on three TCP ports of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol, runtime_checkable
+
+import zmq
+
+from rtee.buses.faults import Faults
+from rtee.buses.simulated import Simulation
+from rtee.buses.zmq import Endpoints
+from rtee.errors import BusBroken
+
+
+@runtime_checkable
+class Serves(Protocol):
+    """An emulator that answers requests beside taking commands."""
+
+    def serve(self, request: bytes, now: float) -> bytes | None:
+        """Return the answer to a request, or ``None`` to leave it unanswered."""
+        ...
+
+
+class SimulatedZmq(Simulation):
+    """The server's ends: publishes what `Emulator.step` returns, feeds commands, answers requests.
+
+    Attributes:
+        endpoints: Its addresses; chosen at the first start and kept.
+    """
+
+    def __init__(
+        self, *, name: str = "zmq", faults: Faults | None = None, host: str = "127.0.0.1"
+    ) -> None:
+        super().__init__(name)
+        self.endpoints = Endpoints(*[f"tcp://{host}:*"] * 3)
+        self._faults = faults or Faults()
+        self._context: zmq.Context[Any] | None = None
+        self._sockets: list[Any] = []
+        self._late: list[tuple[float, Callable[[], None]]] = []
+        self._stepped = 0.0
+
+    @property
+    def faults(self) -> Faults:
+        """What goes wrong with messages: they are lost, late or come twice; TCP lets none else."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self._faults = faults
+
+    @property
+    def address(self) -> str:
+        """Where it publishes."""
+        return self.endpoints.state
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the server is there."""
+        return bool(self._sockets)
+
+    def _plug(self) -> None:
+        if self._sockets:
+            return
+        self._context = zmq.Context()
+        bound = []
+        for kind, place in zip((zmq.PUB, zmq.SUB, zmq.ROUTER), self.endpoints, strict=True):
+            made = self._context.socket(kind)
+            made.setsockopt(zmq.LINGER, 0)
+            if kind == zmq.SUB:
+                made.setsockopt(zmq.SUBSCRIBE, b"")
+            try:
+                made.bind(place)
+            except zmq.ZMQError as error:
+                raise BusBroken(place, f"cannot listen there: {error}") from error
+            self._sockets.append(made)
+            bound.append(made.getsockopt_string(zmq.LAST_ENDPOINT))
+        self.endpoints = Endpoints(*bound)
+
+    def _unplug(self) -> None:
+        sockets, self._sockets = self._sockets, []
+        for made in sockets:
+            made.close(linger=0)
+        self._late.clear()
+        if self._context is not None:
+            self._context.term()
+            self._context = None
+
+    def _next_due(self) -> float | None:
+        periods = [e.period for e in self.emulators if e.period]
+        due = [when for when, _ in self._late]
+        if periods:
+            due.append(self._stepped + min(periods))
+        return min(due) if due else None
+
+    def _turn(self, timeout: float | None) -> None:
+        poller = zmq.Poller()
+        poller.register(self._wake_out, zmq.POLLIN)
+        for made in self._sockets[1:]:
+            poller.register(made, zmq.POLLIN)
+        # zmq waits in whole milliseconds.
+        poller.poll(None if timeout is None else int(timeout * 1000.0))
+        now = time.monotonic()
+        if self._sockets:
+            self._take(now)
+            self._publish(now)
+        for when, action in [late for late in self._late if late[0] <= now]:
+            self._late.remove((when, action))
+            action()
+
+    def _take(self, now: float) -> None:
+        _, commands, service = self._sockets
+        with contextlib.suppress(zmq.Again):
+            while True:
+                data = commands.recv(zmq.NOBLOCK)
+                for late in self._faults.copies() if self._faults.requests else [0.0]:
+                    self._after(now + late, partial(self._feed, data))
+        with contextlib.suppress(zmq.Again):
+            while True:
+                *envelope, request = service.recv_multipart(zmq.NOBLOCK)
+                answers = [e.serve(request, now) for e in self.emulators if isinstance(e, Serves)]
+                for answer in answers[:1]:
+                    if answer is not None:
+                        service.send_multipart([*envelope, answer])
+
+    def _after(self, when: float, action: Callable[[], None]) -> None:
+        if when <= time.monotonic():
+            action()
+        else:
+            self._late.append((when, action))
+
+    def _feed(self, data: bytes) -> None:
+        for emulator in self.emulators:
+            emulator.feed(data, time.monotonic())
+
+    def _publish(self, now: float) -> None:
+        period = min((e.period for e in self.emulators if e.period), default=0.0)
+        if not period or now - self._stepped < period * 0.5:
+            return
+        self._stepped = now
+        for emulator in self.emulators:
+            for data in emulator.step(now):
+                if isinstance(data, bytes):
+                    for late in self._faults.copies():
+                        self._after(now + late, partial(self._send, data))
+
+    def _send(self, data: bytes) -> None:
+        if self._sockets:
+            with contextlib.suppress(zmq.Again):
+                self._sockets[0].send(data, zmq.NOBLOCK)

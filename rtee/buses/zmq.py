@@ -1,0 +1,155 @@
+"""ZeroMQ as a bus: a server publishes states, takes commands, answers requests."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import zmq
+import zmq.asyncio
+
+from rtee.buses.bus import Bus
+from rtee.errors import BusBroken, BusTimeout
+
+
+class Endpoints(NamedTuple):
+    """Addresses of a server.
+
+    Attributes:
+        state: Where it publishes.
+        command: Where it takes commands.
+        service: Where it answers requests.
+    """
+
+    state: str
+    command: str
+    service: str
+
+
+class ZmqBus(Bus):
+    """Three sockets to one server. Only the newest command waits to be sent.
+
+    ZeroMQ connects in the background and again after a break, so that a server that is not there
+    shows as silence. The bus counts as broken when the operating system closed the state's
+    connection.
+    """
+
+    def __init__(self, name: str, endpoints: Callable[[], Endpoints]) -> None:
+        super().__init__(name)
+        self._endpoints = endpoints
+        self._context: zmq.asyncio.Context | None = None
+        self._state: Any = None
+        self._command: Any = None
+        self._service: Any = None
+        self._monitor: Any = None
+        self._tasks: list[asyncio.Task[None]] = []
+        self._listeners: list[Callable[[bytes, float], None]] = []
+        self._asking = asyncio.Lock()
+
+    def subscribe(self, callback: Callable[[bytes, float], None]) -> Callable[[], None]:
+        """Call ``callback(message, stamp)`` with every message; returns how to undo it."""
+        self._listeners.append(callback)
+
+        def undo() -> None:
+            with contextlib.suppress(ValueError):
+                self._listeners.remove(callback)
+
+        return undo
+
+    def send_now(self, message: bytes) -> None:
+        """Publish a command; a command still waiting is replaced.
+
+        Raises:
+            BusBroken: if the link is broken.
+            BusClosed: if it is closed.
+        """
+        self.check()
+        self.counters.transactions += 1
+        self.counters.bytes_sent += len(message)
+        if self.trace is not None:
+            self.trace(self.name, "tx", message, time.monotonic())
+        with contextlib.suppress(zmq.Again):
+            self._command.send(message, zmq.NOBLOCK)
+
+    async def request(self, message: bytes, deadline: float) -> bytes:
+        """Send a request and return the answer.
+
+        Raises:
+            BusTimeout: if none came within ``deadline`` [s].
+            BusBroken: if the link is broken.
+            BusClosed: if it is closed.
+        """
+        self.check()
+        self.counters.transactions += 1
+        try:
+            async with asyncio.timeout(deadline), self._asking:
+                self.counters.bytes_sent += len(message)
+                if self.trace is not None:
+                    self.trace(self.name, "tx", message, time.monotonic())
+                await self._service.send(message)
+                answer = bytes(await self._service.recv())
+        except TimeoutError:
+            self.counters.timeouts += 1
+            raise BusTimeout(self.name, f"no answer within {deadline:.3f} s") from None
+        except zmq.ZMQError as error:
+            raise BusBroken(self.name, f"the request failed: {error}") from error
+        self.counters.bytes_received += len(answer)
+        if self.trace is not None:
+            self.trace(self.name, "rx", answer, time.monotonic())
+        return answer
+
+    async def _open(self) -> None:
+        await self._close()
+        places = self._endpoints()
+        context = self._context = zmq.asyncio.Context()
+        try:
+            self._state = context.socket(zmq.SUB)
+            self._state.setsockopt(zmq.RCVHWM, 16)
+            self._state.setsockopt(zmq.RECONNECT_IVL, 50)
+            self._state.subscribe(b"")
+            self._monitor = self._state.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+            self._state.connect(places.state)
+            self._command = context.socket(zmq.PUB)
+            self._command.setsockopt(zmq.CONFLATE, 1)
+            self._command.connect(places.command)
+            self._service = context.socket(zmq.REQ)
+            # A request without answer must not block the next, nor its late answer pass for it.
+            self._service.setsockopt(zmq.REQ_RELAXED, 1)
+            self._service.setsockopt(zmq.REQ_CORRELATE, 1)
+            self._service.connect(places.service)
+        except zmq.ZMQError as error:
+            await self._close()
+            raise BusBroken(self.name, f"cannot be opened: {error}") from error
+        self._tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._watch())]
+
+    async def _read(self) -> None:
+        while True:
+            message = bytes(await self._state.recv())
+            stamp = time.monotonic()
+            self.counters.bytes_received += len(message)
+            if self.trace is not None:
+                self.trace(self.name, "rx", message, stamp)
+            for listener in tuple(self._listeners):
+                listener(message, stamp)
+
+    async def _watch(self) -> None:
+        await self._monitor.recv_multipart()
+        self._broke("the server closed the connection")
+
+    async def _close(self) -> None:
+        tasks, self._tasks = self._tasks, []
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        if self._state is not None and self._monitor is not None:
+            self._state.disable_monitor()
+        for made in (self._monitor, self._state, self._command, self._service):
+            if made is not None:
+                made.close(linger=0)
+        self._monitor = self._state = self._command = self._service = None
+        context, self._context = self._context, None
+        if context is not None:
+            context.destroy(linger=0)

@@ -1,0 +1,216 @@
+"""What is said over xbot2_zmq: states, commands, service requests, units. No I/O."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Any, Self
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from rtee.drivers.xbot2.messages import (
+    GenericRxMsg,
+    JointCommand,
+    XBot2FrameError,
+    read,
+)
+
+STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558
+_LONGEST = 1_000_000
+
+
+class Control(IntFlag):
+    """Which references of a joint count."""
+
+    POSITION = 1
+    VELOCITY = 2
+    EFFORT = 4
+    STIFFNESS = 8
+    DAMPING = 16
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The joints' state as published.
+
+    Attributes:
+        sequence: Number of the message.
+        names: The joints.
+        position: Link positions.
+        velocity: Velocities; ``NaN`` where the server gives none.
+        effort: Efforts; ``NaN`` where the server gives none.
+        temperature: Motor temperatures [°C]; ``NaN`` where the server gives none.
+    """
+
+    sequence: int
+    names: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+    temperature: tuple[float, ...]
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self | None:
+        """Read a published message; ``None`` if it is about something else.
+
+        Raises:
+            XBot2FrameError: if it is none, or its lists do not fit.
+        """
+        message = read(GenericRxMsg, data)
+        if not message.HasField("js"):
+            return None
+        joints = message.js
+        names = tuple(joints.jointNames)
+        n = len(names)
+        if not n or len(joints.linkPos) != n:
+            raise XBot2FrameError(f"{len(joints.linkPos)} positions for {n} joints")
+        velocity = _given(joints.motVel, n) or _given(joints.linkVel, n)
+        return cls(
+            message.seq,
+            names,
+            tuple(joints.linkPos),
+            velocity or (math.nan,) * n,
+            _given(joints.tor, n) or (math.nan,) * n,
+            _given(joints.motorTemp, n) or (math.nan,) * n,
+        )
+
+    def to_bytes(self, reference: Sequence[float], stamp: int) -> bytes:
+        """Return the message, with the fields the server is known to fill."""
+        message = GenericRxMsg(seq=self.sequence, stamp=stamp)
+        message.js.jointNames.extend(self.names)
+        message.js.linkPos.extend(self.position)
+        message.js.posRef.extend(reference)
+        message.js.motVel.extend(self.velocity)
+        message.js.tor.extend(self.effort)
+        return bytes(message.SerializeToString())
+
+
+def _given(values: Sequence[float], n: int) -> tuple[float, ...]:
+    return tuple(values) if len(values) == n else ()
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command of some joints.
+
+    Attributes:
+        names: The joints.
+        position: Position references.
+        effort: Effort references.
+        control: What counts, of each joint.
+    """
+
+    names: tuple[str, ...]
+    position: tuple[float, ...] = ()
+    effort: tuple[float, ...] = ()
+    control: tuple[Control, ...] = ()
+
+    def to_bytes(self) -> bytes:
+        """Return the message; lists that are empty are left out."""
+        message = JointCommand(
+            name=self.names,
+            posRef=self.position,
+            torRef=self.effort,
+            ctrl=[int(c) for c in self.control],
+        )
+        return bytes(message.SerializeToString(deterministic=True))
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read a command.
+
+        Raises:
+            XBot2FrameError: if it is none, or its lists do not fit.
+        """
+        message = read(JointCommand, data)
+        n = len(message.name)
+        for values in (message.posRef, message.torRef, message.ctrl):
+            if len(values) not in (0, n):
+                raise XBot2FrameError(f"{len(values)} values for {n} joints")
+        return cls(
+            tuple(message.name),
+            tuple(message.posRef),
+            tuple(message.torRef),
+            tuple(Control(c & 0x1F) for c in message.ctrl),
+        )
+
+
+def request(kind: str, **values: str | float | bool) -> bytes:
+    """Return a service request."""
+    stream = io.StringIO()
+    YAML(typ="safe", pure=True).dump({"type": kind, **values}, stream)
+    return stream.getvalue().encode("utf-8")
+
+
+def answer(success: bool, message: str = "", data: Any = None) -> bytes:
+    """Return the answer to a service request."""
+    stream = io.StringIO()
+    YAML(typ="safe", pure=True).dump({"success": success, "message": message, "data": data}, stream)
+    return stream.getvalue().encode("utf-8")
+
+
+def read_yaml(raw: bytes) -> Mapping[str, Any]:
+    """Return a request or an answer; raises `XBot2FrameError`."""
+    if len(raw) > _LONGEST:
+        raise XBot2FrameError(f"{len(raw)} bytes are too many")
+    try:
+        found = YAML(typ="safe", pure=True).load(raw.decode("utf-8"))
+    except (YAMLError, UnicodeDecodeError, ValueError) as error:
+        raise XBot2FrameError("this is no YAML") from error
+    if not isinstance(found, dict):
+        raise XBot2FrameError("this is no mapping")
+    return found
+
+
+def joint_names(raw: bytes) -> tuple[str, ...]:
+    """Return the joints in the answer to a request ``joint_names``.
+
+    Raises:
+        XBot2FrameError: if it is none, or a refusal.
+    """
+    found = read_yaml(raw)
+    data = found.get("data")
+    if not found.get("success"):
+        raise XBot2FrameError(f"refused: {found.get('message', '')}")
+    if isinstance(data, str):
+        data = data.replace(",", " ").split()
+    if not isinstance(data, list) or not all(isinstance(name, str) for name in data):
+        raise XBot2FrameError("the answer has no list of joints")
+    return tuple(data)
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The units of one joint.
+
+    Attributes:
+        lower: What the server says where the actuator is at its lower limit.
+        upper: What the server says where the actuator is at its upper limit.
+        actuator_lower: The actuator's lower limit [rad | m | closure].
+        actuator_upper: The actuator's upper limit.
+    """
+
+    lower: float
+    upper: float
+    actuator_lower: float
+    actuator_upper: float
+
+    def to_position(self, told: float) -> float:
+        """Return the actuator's position of the server's."""
+        share = (told - self.lower) / (self.upper - self.lower)
+        return self.actuator_lower + share * (self.actuator_upper - self.actuator_lower)
+
+    def to_told(self, position: float) -> float:
+        """Return the server's position of the actuator's."""
+        span = self.actuator_upper - self.actuator_lower
+        share = (position - self.actuator_lower) / span
+        return self.lower + share * (self.upper - self.lower)
+
+    @property
+    def gain(self) -> float:
+        """Server's units per unit of the actuator."""
+        return (self.upper - self.lower) / (self.actuator_upper - self.actuator_lower)

@@ -1,0 +1,254 @@
+"""Drives whatever XBot2 drives, over xbot2_zmq: Dagana, the motors of HERI II, any joint."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+from rtee.buses.zmq import ZmqBus
+from rtee.drivers.base import Driver
+from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.options import read_options
+from rtee.drivers.xbot2 import codec
+from rtee.drivers.xbot2.codec import Command, Control, Scale, State
+from rtee.drivers.xbot2.emulator import XBot2Emulator
+from rtee.drivers.xbot2.messages import XBot2FrameError
+from rtee.drivers.xbot2.options import JointOptions, XBot2Options
+from rtee.errors import (
+    BusTimeout,
+    ConfigError,
+    HandshakeError,
+    NotConnected,
+    RteeError,
+    suggestion,
+)
+from rtee.types import ActuatorSpec, ActuatorState, Capabilities, DeviceSpec, Reference
+
+if TYPE_CHECKING:
+    from rtee.buses.pool import BusPool
+
+_STALE = 0.3
+
+
+class XBot2Driver(Driver):
+    """Joints behind XBot2.
+
+    XBot2 owns the motors: it powers them, interpolates references and watches over them. This
+    driver is one of its clients. It sends nothing until a reference asks for something, so a joint
+    that holds is not touched by connecting. No joint is given a position and an effort together.
+    """
+
+    Options: ClassVar[type[XBot2Options]] = XBot2Options
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = read_options(XBot2Options, spec)
+        names = [a.name for a in spec.actuators]
+        for name in self.options.joints:
+            if name not in names:
+                raise ConfigError(
+                    f"device '{spec.name}': option 'joints' names '{name}', which is none of its "
+                    f"actuators; {suggestion(name, names)}"
+                )
+        given = [self.options.joints.get(a.name, JointOptions()) for a in spec.actuators]
+        self._names = [g.joint or a.name for g, a in zip(given, spec.actuators, strict=True)]
+        self._signs = [g.effort_sign for g in given]
+        pairs = list(zip(given, spec.actuators, strict=True))
+        self._commanded = [_scale(g.command, a, spec.name) for g, a in pairs]
+        self._told = [_scale(g.state or g.command, a, spec.name) for g, a in pairs]
+        self._bus: ZmqBus | None = None
+        self._undo: Callable[[], None] | None = None
+        self._state: State | None = None
+        self._index: list[int] = []
+        self._stamp = -math.inf
+        self._seen = -1.0
+        self._arrived = asyncio.Event()
+        effort = self.options.control == "effort"
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "velocity", "effort"}),
+            accepts=frozenset({"position", "max_effort"} if effort else {"position"}),
+            best_rate=self.options.rate,
+            recoverable=True,
+        )
+
+    @property
+    def _server(self) -> ZmqBus:
+        if self._bus is None:
+            raise NotConnected(self.spec.name, "is not connected")
+        return self._bus
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Connect, see that the server has the joints, and wait for their first state."""
+        await self.close()
+        options = self.options
+        joints = {
+            a.name: {"joint": n} for a, n in zip(self.spec.actuators, self._names, strict=True)
+        }
+        bus = self._bus = await self.buses.zmq(
+            options.address,
+            owner=owner_of(self.spec),
+            ports=(options.state_port, options.command_port, options.service_port),
+            emulator=emulator_of(self.spec, XBot2Emulator, joints=joints),
+        )
+        self._undo = bus.subscribe(self._take)
+        try:
+            raw = await bus.request(codec.request("joint_names"), options.deadline)
+            known = codec.joint_names(raw)
+        except BusTimeout as error:
+            raise self._silent() from error
+        except XBot2FrameError as error:
+            raise HandshakeError(
+                self.spec.name, "xbot2_zmq", f"something else ({error})", hint="check the ports"
+            ) from error
+        missing = [name for name in self._names if name not in known]
+        if missing:
+            raise HandshakeError(
+                self.spec.name,
+                f"joints {', '.join(self._names)}",
+                f"no {', '.join(missing)}",
+                hint=suggestion(missing[0], known),
+            )
+        try:
+            async with asyncio.timeout(options.deadline):
+                while self._state is None:
+                    self._arrived.clear()
+                    await self._arrived.wait()
+        except TimeoutError:
+            raise self._silent() from None
+        self.capabilities = replace(
+            self.capabilities,
+            identity={
+                "model": "XBot2",
+                "server": options.address,
+                "joints": ", ".join(self._names),
+                "control": options.control,
+            },
+        )
+
+    def _silent(self) -> NotConnected:
+        return NotConnected(
+            self.spec.name,
+            f"xbot2_zmq does not answer at {self.options.address}",
+            hint="does XBot2 run there with its plugin zmq, and are the ports open?",
+        )
+
+    def _take(self, message: bytes, stamp: float) -> None:
+        try:
+            state = State.from_bytes(message)
+            if state is None:
+                return
+            self._index = [state.names.index(name) for name in self._names]
+        except (XBot2FrameError, ValueError):
+            self._server.counters.checksum_errors += 1
+            return
+        self._state, self._stamp = state, stamp
+        self._arrived.set()
+
+    async def close(self) -> None:
+        """Give the connection back; XBot2 keeps the last reference."""
+        if self._undo is not None:
+            self._undo()
+            self._undo = None
+        self._state = None
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            await bus.release(owner_of(self.spec))
+
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of the connection."""
+        return {} if self._bus is None else self._bus.counters.as_mapping()
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def sense(self) -> ActuatorState:
+        """Return the newest state that XBot2 has published."""
+        bus = self._server
+        bus.check()
+        state = self._state
+        if state is None or time.monotonic() - self._stamp > _STALE:
+            bus.counters.timeouts += 1
+            raise BusTimeout(bus.name, f"no state for more than {_STALE:g} s")
+        fresh, self._seen = self._stamp != self._seen, self._stamp
+        joints = list(zip(self._index, self._told, self._signs, strict=True))
+        found = ActuatorState.measured(
+            [scale.to_position(state.position[i]) for i, scale, _ in joints],
+            self._stamp,
+            velocity=[state.velocity[i] / scale.gain for i, scale, _ in joints],
+            effort=[sign * state.effort[i] for i, _, sign in joints],
+            temperature=[state.temperature[i] for i, _, _ in joints],
+        )
+        return found if fresh else replace(found, fresh=False)
+
+    async def move(self, reference: Reference) -> None:
+        """Send position references, or efforts where that is how it is controlled."""
+        chosen = [i for i in range(len(self._names)) if reference.mask[i]]
+        if not chosen:
+            return
+        if self.options.control == "position":
+            self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
+            return
+        efforts = tuple(self._effort(i, reference) for i in chosen)
+        if not any(efforts):
+            self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
+            return
+        # The server keeps only the newest message, so what stays and what pushes share one.
+        positions: tuple[float, ...] = ()
+        if not all(efforts):
+            positions = tuple(
+                self._commanded[i].to_told(float(reference.position[i])) for i in chosen
+            )
+        control = tuple(Control.EFFORT if effort else Control.POSITION for effort in efforts)
+        names = tuple(self._names[i] for i in chosen)
+        self._server.send_now(Command(names, positions, efforts, control).to_bytes())
+
+    def _effort(self, i: int, reference: Reference) -> float:
+        """Return the effort that drives a joint to its reference; 0 where it is near enough."""
+        if self._state is None:
+            return 0.0
+        actuator = self.spec.actuators[i]
+        here = self._told[i].to_position(self._state.position[self._index[i]])
+        error = float(reference.position[i]) - here
+        if abs(error) <= self.options.band * (actuator.upper - actuator.lower):
+            return 0.0
+        size = min(float(reference.max_effort[i]), actuator.effort)
+        if not math.isfinite(size):
+            return 0.0
+        return math.copysign(size, error) * self._signs[i]
+
+    def _send_positions(self, chosen: list[int], positions: list[float]) -> None:
+        names = tuple(self._names[i] for i in chosen)
+        told = tuple(
+            self._commanded[i].to_told(position)
+            for i, position in zip(chosen, positions, strict=True)
+        )
+        self._server.send_now(Command(names, told, (), (Control.POSITION,) * len(names)).to_bytes())
+
+    async def stop(self) -> None:
+        """Hold the measured pose."""
+        with contextlib.suppress(RteeError, OSError):
+            state = await self.sense()
+            n = len(self._names)
+            self._send_positions(list(range(n)), [float(q) for q in state.position])
+
+    async def recover(self) -> None:
+        """Nothing of XBot2's can be reset from here; see that it still publishes."""
+        await self.sense()
+
+
+def _scale(ends: tuple[float, float] | None, actuator: ActuatorSpec, device: str) -> Scale:
+    lower, upper = actuator.lower, actuator.upper
+    if not math.isfinite(upper - lower):
+        if ends is not None:
+            raise ConfigError(
+                f"device '{device}': '{actuator.name}' has no limits that could be mapped"
+            )
+        return Scale(0.0, 1.0, 0.0, 1.0)
+    told = (lower, upper) if ends is None else ends
+    return Scale(*told, lower, upper)

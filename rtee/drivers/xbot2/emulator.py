@@ -1,0 +1,164 @@
+"""Plays XBot2 with some joints behind it, at the level of xbot2_zmq.
+
+Only that level is known: what the boards below say to XBot2 is not public. References are slewed
+as the real one interpolates them; the sign of an effort is an option of the driver, not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from rtee.buses.emulator import Emulator
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.properties import read_properties
+from rtee.drivers.xbot2 import codec
+from rtee.drivers.xbot2.codec import Command, Control, State
+from rtee.drivers.xbot2.messages import XBot2FrameError
+
+
+@dataclass(frozen=True, slots=True)
+class ServerProperties:
+    """What the emulated server is like.
+
+    Attributes:
+        joints: Its joints.
+        lower: Lower end of all joints.
+        upper: Upper end of all joints.
+        start: Where they stand.
+        speed: Speed to which references are slewed [1/s].
+        effort: Effort they are capable of.
+        rate: Rate of the states [Hz].
+    """
+
+    joints: tuple[str, ...] = ("dagana_1_claw_joint",)
+    lower: float = 0.0
+    upper: float = 1.0
+    start: float = 0.2
+    speed: float = 2.0
+    effort: float = 10.0
+    rate: float = 100.0
+
+
+class XBot2Emulator(Emulator):
+    """The server.
+
+    Attributes:
+        properties: What it is like.
+        axes: Its joints by name.
+        commands: Commands taken.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent"}
+
+    def __init__(self, properties: ServerProperties | None = None) -> None:
+        super().__init__()
+        self.properties = made = properties or ServerProperties()
+        self.period = 1.0 / made.rate
+        self.axes = {
+            name: Axis(
+                made.start,
+                lower=made.lower,
+                upper=made.upper,
+                max_velocity=made.speed,
+                max_effort=made.effort,
+                time_constant=0.01,
+                friction=0.02 * made.effort,
+                resolution=1e-4,
+            )
+            for name in made.joints
+        }
+        for axis in self.axes.values():
+            axis.enabled = True
+        self.commands = 0
+        self._sequence = 0
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make a server with the joints that a device's options name."""
+        given = options.get("joints") or {}
+        names = tuple(dict(j).get("joint") or actuator for actuator, j in given.items())
+        return cls(
+            read_properties(ServerProperties, options, **({"joints": names} if names else {}))
+        )
+
+    def power_cycle(self, now: float) -> None:
+        """Begin anew; the joints stay where they are."""
+        self._sequence = 0
+        for axis in self.axes.values():
+            axis.target = axis.position
+            axis.max_effort = self.properties.effort
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the server."""
+        super().inject(fault)
+        self._hamper()
+
+    def clear(self, fault: str | None = None) -> None:
+        """Take a fault away."""
+        super().clear(fault)
+        self._hamper()
+
+    def _hamper(self) -> None:
+        for axis in self.axes.values():
+            axis.stuck = "stuck" in self.faults
+
+    def hold(self, joint: str, position: float, stiffness: float = 200.0) -> None:
+        """Put an object in a joint's way, met at a position."""
+        self.axes[joint].obstacle = VirtualObject(position, stiffness)
+
+    def step(self, now: float) -> list[bytes]:
+        """Let time pass; return the state that is published."""
+        for axis in self.axes.values():
+            axis.step(now)
+        if "silent" in self.faults:
+            return []
+        self._sequence += 1
+        state = State(
+            self._sequence,
+            tuple(self.axes),
+            tuple(a.position for a in self.axes.values()),
+            tuple(a.velocity for a in self.axes.values()),
+            tuple(a.effort for a in self.axes.values()),
+            (),
+        )
+        return [state.to_bytes([a.target for a in self.axes.values()], int(now))]
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Take a command."""
+        try:
+            command = Command.from_bytes(data)
+        except XBot2FrameError:
+            return []
+        self.commands += 1
+        for i, name in enumerate(command.names):
+            axis = self.axes.get(name)
+            control = command.control[i] if command.control else Control(0)
+            if axis is None:
+                continue
+            if control & Control.POSITION and command.position:
+                axis.target = command.position[i]
+                axis.max_effort = self.properties.effort
+            elif control & Control.EFFORT and command.effort:
+                effort = command.effort[i]
+                axis.max_effort = min(abs(effort), self.properties.effort)
+                axis.target = axis.position if effort == 0.0 else 1e9 * effort
+        return []
+
+    def serve(self, request: bytes, now: float) -> bytes | None:
+        """Answer a request."""
+        if "silent" in self.faults:
+            return None
+        try:
+            kind = codec.read_yaml(request).get("type")
+        except XBot2FrameError as error:
+            return codec.answer(False, str(error))
+        if kind == "joint_names":
+            names = ["another_joint"] if "wrong_device" in self.faults else list(self.axes)
+            return codec.answer(True, data=names)
+        if kind in ("urdf", "srdf"):
+            return codec.answer(True, data="")
+        if kind in ("set_filter_frequency_hz", "start_plugin"):
+            return codec.answer(True)
+        return codec.answer(False, f"unknown request '{kind}'")
