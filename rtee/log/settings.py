@@ -58,7 +58,7 @@ class RecorderStatus:
         lost: Ticks lost because the disk did not take them.
         problem: Why the disk does not take them now, empty if it does.
         flight_seconds: What the flight recorder holds [s].
-        flight_files: Files that the flight recorder has written.
+        flight_files: Files that the flight recorder has written, the last ones.
     """
 
     recording: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -53,7 +54,7 @@ FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
 """Kinds of events that make the flight recorder write; so does every event of severity error."""
 
 _SECOND = 1_000_000_000
-_FLIGHT_PAUSE = 10.0
+_FLIGHT_FILES = 20
 
 
 class LogWriter:
@@ -72,7 +73,7 @@ class LogWriter:
     Attributes:
         sink: The files.
         flight: The flight recorder; ``None`` if there is none.
-        flight_files: Files that it has written.
+        flight_files: Files that it has written, the last ones.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class LogWriter:
             if settings.flight_recorder > 0
             else None
         )
-        self.flight_files: list[Path] = []
+        self.flight_files: deque[Path] = deque(maxlen=_FLIGHT_FILES)
         self.dropped: Callable[[], int] = lambda: 0
 
     @property
@@ -221,12 +222,12 @@ class LogWriter:
         self.sink.stop()
 
     def fault(self, cause: str) -> None:
-        """Have the flight recorder write soon; once for faults in quick succession."""
+        """Have the flight recorder write; not before what it wrote last has left its memory."""
         if self.flight is None or self._flight_due is not None:
             return
         now = self._monotonic()
         self._flight_cause = cause
-        self._flight_due = max(now, self._flight_done + _FLIGHT_PAUSE)
+        self._flight_due = max(now, self._flight_done + self._settings.flight_recorder)
 
     def waiting(self) -> float | None:
         """Return how long nothing needs to be done [s]; ``None``: until the next item."""
