@@ -153,7 +153,7 @@ class ActuatorState:
         temperature: Temperature ``(n,)`` [°C].
         stamp: When it was measured, CLOCK_MONOTONIC [s].
         fresh: ``False`` when it repeats an earlier measurement.
-        grasped: The device's own word per actuator: holding something, or ``None`` when it has none.
+        grasped: The device's own word per actuator: holding something; ``None``: it says nothing.
         extras: Further channels by name, for example ``pressure``.
         warnings: Conditions the device reports that are no faults.
     """
@@ -280,6 +280,7 @@ class DeviceStatus:
         recoverable: ``recover()`` may clear the fault.
         hint: What the user can do.
         message: The last error in words.
+        gains: Names of gains that can be tuned while it runs.
     """
 
     name: str
@@ -299,6 +300,7 @@ class DeviceStatus:
     recoverable: bool = False
     hint: str = ""
     message: str = ""
+    gains: tuple[str, ...] = ()
 
 
 # --- goals -----------------------------------------------------------------------------------
@@ -434,7 +436,8 @@ class Command:
     """A call that steered the controller, other than a goal; goals and commands replay the hand.
 
     Attributes:
-        kind: ``cancel``, ``hold``, ``freeze``, ``jog``, ``active``, ``accepts`` or ``fail``.
+        kind: ``cancel``, ``hold``, ``freeze``, ``jog``, ``holding``, ``active``, ``accepts``
+            or ``fail``.
         text: Its text argument, such as a goal's identifier.
         values: Its numbers by name.
         tick: The tick at which it took effect, before that tick's set-points were computed.

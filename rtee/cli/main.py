@@ -7,7 +7,6 @@ import os
 import sys
 from typing import Any
 
-
 import typer
 from typer import Context
 from typer.core import TyperCommand, TyperGroup
@@ -63,6 +62,7 @@ class LazyGroup(TyperGroup):
             return TyperCommand(cmd_name, callback=None, help=entry[1], short_help=entry[1])
         module = importlib.import_module(entry[0])
         app: Any = module.app
+        app._add_completion = False  # only `rtee` itself installs completion
         command: TyperCommand = typer.main.get_command(app)
         command.name = cmd_name
         command.short_help = entry[1]
@@ -88,7 +88,11 @@ def _show_version(value: bool) -> None:
 @cli.callback()
 def root(
     version: bool = typer.Option(
-        False, "--version", help="Print the version and leave.", callback=_show_version, is_eager=True
+        False,
+        "--version",
+        help="Print the version and leave.",
+        callback=_show_version,
+        is_eager=True,
     ),
 ) -> None:
     """Command any robotic hand or gripper by grasping actions."""

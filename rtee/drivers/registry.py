@@ -55,7 +55,9 @@ def find_driver(name: str, *, source: str = "") -> type[Driver]:
     try:
         found = getattr(importlib.import_module(module_name), class_name)
     except (ImportError, AttributeError) as error:
-        raise ConfigError(f"{where}driver '{name}' ({target}) cannot be imported: {error}") from error
+        raise ConfigError(
+            f"{where}driver '{name}' ({target}) cannot be imported: {error}"
+        ) from error
     if not (isinstance(found, type) and issubclass(found, Driver)):
         raise ConfigError(f"{where}driver '{name}' ({target}) is not a subclass of Driver")
     return found
