@@ -19,8 +19,8 @@ from rtee.types import FloatArray
 
 _ROUNDS: Final = 8
 _REFINEMENTS: Final = 8
-_EVALUATIONS: Final = 60
-_QUICK: Final = 40
+_EVALUATIONS: Final = 40
+_QUICK: Final = 30
 _WEIGHT: Final = 5.0
 _SHRINK: Final = 0.8
 _STRENGTHEN: Final = 2.0
@@ -31,7 +31,6 @@ _MARGIN: Final = 1e-4
 _CLOSE: Final = 5e-5
 _NEAR: Final = 2e-3
 _STATIONS: Final = 9
-_TRIED: Final = 2
 _WAYS: Final = 4
 
 
@@ -89,11 +88,12 @@ class ClearSearch:
         self._watch = watch
         self._constraints: list[Constraint] = []
 
-    def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
+    def run(self, starts: Sequence[FloatArray], tries: int) -> list[FloatArray]:
         """Return clear poses, the best one whose way is clear first, if there is any.
 
         Args:
             starts: Coordinates ``(k,)`` of good poses, the best first.
+            tries: How many of them, apart from the first, are followed up.
 
         Returns:
             Coordinates ``(k,)`` of clear poses; if no clear way was found, of poses behind
@@ -101,7 +101,7 @@ class ClearSearch:
         """
         poses = [self._push_out(starts[0])]
         again = [self._descend(y, _QUICK) for y in starts]
-        poses += [self._push_out(minimum.y) for minimum in distinct(again)[:_TRIED]]
+        poses += [self._push_out(minimum.y) for minimum in distinct(again)[:tries]]
         found = sorted((y for y in poses if y is not None), key=self._value)
         behind: list[FloatArray] = []
         for _ in range(_WAYS):
@@ -121,9 +121,13 @@ class ClearSearch:
     def _push_out(self, y: FloatArray) -> FloatArray | None:
         """Return a clear pose reached from a good one."""
         for _ in range(_ROUNDS):
-            hits = self._colliding(y)
+            hits = self._watch.near(self._posture(y)) or self._watch.at(self._posture(y))
             if not hits:
-                return self._refine(y)
+                better = self._refine(y)
+                hits = [] if better is y else self._watch.at(self._posture(better))
+                if not hits:
+                    return better
+                y = better
             for pair in hits:
                 self._learn(pair, y)
             y = self._descend(y, _EVALUATIONS).y
@@ -142,7 +146,7 @@ class ClearSearch:
                 value = self._value(trial)
                 if value >= best - _CLOSE:
                     continue
-                hits = self._colliding(trial)
+                hits = self._watch.near(self._posture(trial))
                 if not hits:
                     break
                 for pair in hits:
@@ -165,9 +169,6 @@ class ClearSearch:
 
     def _posture(self, y: FloatArray) -> FloatArray:
         return rounded(self._scene.hand, self._space.posture(y))
-
-    def _colliding(self, y: FloatArray) -> list[LinkPair]:
-        return self._watch.at(self._posture(y))
 
     def _blocked(self, y: FloatArray) -> Blocked | None:
         return self._watch.along(self._posture(y))
@@ -256,10 +257,10 @@ class ClearSearch:
                 if c.at != at:
                     at = c.at
                     scene.place(rest + at * (u - rest))
-                if scene.distance(c.pair) < -c.allowance:
-                    d, g = scene.slope(c.pair, space)
-                    value -= c.weight * (d + c.allowance)
-                    slope = slope - c.weight * at * g
+                gap = scene.distance(c.pair)
+                if gap < -c.allowance:
+                    value -= c.weight * (gap + c.allowance)
+                    slope = slope - c.weight * at * scene.derivative(c.pair, space)
             return value, slope
 
         return function

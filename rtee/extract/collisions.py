@@ -68,7 +68,8 @@ class Collisions:
         self.at_rest = tuple(sorted(touching))
         remaining = [pair for pair in candidates if pair.links not in touching]
         # Links nested in each other cost most to check and collide rarely.
-        self.checked = tuple(sorted(remaining, key=lambda pair: scene.distance(pair) <= 0.0))
+        self._nested = {pair.links for pair in remaining if scene.distance(pair) <= 0.0}
+        self.checked = tuple(sorted(remaining, key=lambda pair: pair.links in self._nested))
 
     def watch(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> Watch:
         """Return a watch over the links that some actuators move against each other.
@@ -83,7 +84,8 @@ class Collisions:
             for pair in self.checked
             if pair.actuators & moving and frozenset(pair.links) not in wanted
         ]
-        return Watch(self._scene, self._motion, pairs)
+        nested = sum(pair.links in self._nested for pair in pairs)
+        return Watch(self._scene, self._motion, pairs, nested)
 
 
 class Watch:
@@ -93,16 +95,26 @@ class Watch:
         pairs: The pairs of links.
     """
 
-    def __init__(self, scene: Scene, motion: Motion, pairs: Sequence[LinkPair]) -> None:
+    def __init__(
+        self, scene: Scene, motion: Motion, pairs: Sequence[LinkPair], nested: int
+    ) -> None:
+        """Watch some pairs of links, of which the last few are nested in each other."""
         self._scene = scene
         self._motion = motion
         self.pairs = tuple(pairs)
+        self._nested = nested
         self._ways: dict[bytes, Blocked | None] = {}
 
     def at(self, u: FloatArray) -> list[LinkPair]:
         """Return which links collide at a posture ``(n,)``."""
         self._scene.place(u)
         return [pair for pair in self.pairs if self._scene.touching(pair)]
+
+    def near(self, u: FloatArray) -> list[LinkPair]:
+        """Return which links collide at a posture, those left out that are nested at rest."""
+        self._scene.place(u)
+        count = len(self.pairs) - self._nested
+        return [pair for pair in self.pairs[:count] if self._scene.touching(pair)]
 
     def along(self, u: FloatArray) -> Blocked | None:
         """Return where the straight way from rest to a posture is first blocked, if it is.
@@ -141,9 +153,9 @@ class Watch:
         parts = {(0.0, 1.0): list(range(len(pairs)))}
         while parts:
             for t in sorted({t for ends in parts for t in ends}):
-                columns = {c for ends, columns in parts.items() if t in ends for c in columns}
+                concerned = {c for ends, columns in parts.items() if t in ends for c in columns}
                 scene.place(way.at(t))
-                for c in columns:
+                for c in concerned:
                     if t not in gaps[c]:
                         gaps[c][t] = scene.distance(pairs[c])
             halves: dict[tuple[float, float], list[int]] = {}

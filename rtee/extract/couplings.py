@@ -25,16 +25,14 @@ class Couplings:
     """
 
     def __init__(self, hand: Hand) -> None:
-        self._transmission = hand.transmission
+        self._matrix, self._offset = hand.transmission.matrix, hand.transmission.offset
         self.linear = hand.transmission.linear
         self._tables = [] if self.linear else _tables(hand)
         self._slope = np.array(hand.transmission.matrix)
 
     def joints(self, u: FloatArray) -> FloatArray:
         """Return joint positions ``(m,)`` at actuator positions ``(n,)`` [rad | m]."""
-        if self.linear:
-            return self._transmission.joints(u)
-        q: FloatArray = self._transmission.matrix @ u + self._transmission.offset
+        q: FloatArray = self._matrix @ u + self._offset
         for table in self._tables:
             q[table.rows] = table.at(float(u[table.actuator]))[0]
         return q
@@ -62,7 +60,7 @@ class _Table:
         self.rows = np.array(rows, dtype=np.intp)
         self._low, self._step = low, (high - low) / (_KNOTS - 1)
         # Two knots beyond both ends serve the central differences there.
-        x = low + self._step * np.arange(-2, _KNOTS + 2)
+        x: FloatArray = low + self._step * np.arange(-2.0, _KNOTS + 2.0)
         columns = []
         for coupling in couplings:
             key = (coupling.stages, low, high)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -130,7 +130,7 @@ def _linked_at(size: int, firsts: Sequence[tuple[tuple[int, int], float | None]]
     return None
 
 
-def posture_of(hand: Hand, u: FloatArray, involved: Sequence[str]) -> Posture:
+def posture_of(hand: Hand, u: FloatArray, involved: Collection[str]) -> Posture:
     """Return actuator positions as a posture."""
     values = dict(zip(hand.actuator_names, u.tolist(), strict=True))
     return Posture(values, tuple(name for name in hand.actuator_names if name in involved))

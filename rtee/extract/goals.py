@@ -133,12 +133,13 @@ class MultiPinch:
         self._scene = scene
         self._size = size
         self._links = links
+        self._ends = [link.ends for link in links]
         self._strangers = strangers
 
     def value(self) -> float:
         """Return the value [m]."""
         gaps = [self._scene.distance(link.tips) for link in self._links]
-        tree = spanning_tree(self._size, [link.ends for link in self._links], gaps)
+        tree = spanning_tree(self._size, self._ends, gaps)
         value = sum(min(gap, 0.0) for gap in gaps)
         value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in tree)
         for pair in self._strangers:
@@ -148,22 +149,20 @@ class MultiPinch:
     def slope(self, space: Space) -> tuple[float, FloatArray]:
         """Return the value [m] and its derivative ``(k,)``."""
         scene = self._scene
-        found = [scene.slope(link.tips, space) for link in self._links]
-        gaps = [gap for gap, _ in found]
-        tree = set(spanning_tree(self._size, [link.ends for link in self._links], gaps))
+        gaps = [scene.distance(link.tips) for link in self._links]
+        tree = set(spanning_tree(self._size, self._ends, gaps))
         value, slope = 0.0, np.zeros(space.size)
-        for i, (gap, rise) in enumerate(found):
-            if gap < 0.0:
-                value += gap
-                slope += rise
-            if i in tree and gap > -_MARGIN:
-                value += _PULL * (gap + _MARGIN)
-                slope += _PULL * rise
+        for i, (link, gap) in enumerate(zip(self._links, gaps, strict=True)):
+            pull = _PULL if i in tree and gap > -_MARGIN else 0.0
+            weight = pull + (1.0 if gap < 0.0 else 0.0)
+            if weight:
+                value += min(gap, 0.0) + pull * (gap + _MARGIN)
+                slope += weight * scene.derivative(link.tips, space)
         for pair in self._strangers:
-            if scene.distance(pair) < 0.0:
-                gap, rise = scene.slope(pair, space)
+            gap = scene.distance(pair)
+            if gap < 0.0:
                 value -= _PULL * gap
-                slope -= _PULL * rise
+                slope -= _PULL * scene.derivative(pair, space)
         return value, slope
 
     def reached(self) -> bool:

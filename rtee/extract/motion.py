@@ -83,7 +83,8 @@ class Motion:
         scene, shapes = self._scene, self._scene.shapes
         first, second = pair.shapes
         couples = [(a, b) for i in first for j in second for a, b in ((i, j), (j, i))]
-        total, last = [0.0], []
+        total = [0.0]
+        last: list[tuple[FloatArray, BoolArray]] = []
         for t in stations:
             scene.place(way.at(t))
             now = []

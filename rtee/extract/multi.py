@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
-from rtee.actions.types import Primitive, PrimitiveKind
-from rtee.extract.evidence import Inspector, posture_of
+from rtee.actions.types import PrimitiveKind
+from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Link, MultiPinch, Placed, linked, trees
 from rtee.extract.postures import clear_postures, stored
-from rtee.extract.ranking import Candidate, Rank, ranked
-from rtee.extract.search import minima
+from rtee.extract.ranking import Candidate, Found, Rank, ranked
+from rtee.extract.scene import LinkPair
+from rtee.extract.search import SEVERAL, minima
 from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
 
-_TRIED: Final = 4
-_STARTS: Final = 8
+_TRIED: Final = 3
 _MOST_TREES: Final = 8
 
-Pinches = Mapping[frozenset[str], Primitive]
+Pinches = Mapping[frozenset[str], Found]
 """The tight pinches and the smaller multi-pinches found so far, by their fingers."""
 
 
@@ -43,7 +43,7 @@ class MultiSearch:
     pinches: Pinches
     rank: Rank = "depth"
 
-    def run(self) -> Primitive | None:
+    def run(self) -> Found | None:
         """Return the multi-pinch, if there is one."""
         links = self._links()
         if not linked(len(self.fingers), [link.ends for link in links]):
@@ -53,7 +53,7 @@ class MultiSearch:
         strangers = self._strangers(moving)
         goal = MultiPinch(self.inspector.scene, len(self.fingers), links, strangers)
         function = Placed(self.inspector.scene, goal, space)
-        found = [m.y for m in minima(function, self._warm(space, links), _STARTS)]
+        found = [m.y for m in minima(function, self._warm(space, links), SEVERAL)]
         touching = stored(self.inspector, goal, space, found[:_TRIED])
         if not touching:
             return None
@@ -66,19 +66,11 @@ class MultiSearch:
         def candidate(u: FloatArray) -> Candidate:
             return Candidate(u, self.inspector.multi_pinch(u, names, links, watch))
 
-        candidates = [candidate(u) for u in touching]
-        if not candidates[0].usable:
-            candidates += map(candidate, clear_postures(self.inspector, goal, space, watch, found))
-        best = ranked(candidates, self.rank)
-        actuators = {name for finger in self.fingers for name in finger.actuators}
-        return Primitive(
-            PrimitiveKind.MULTI_PINCH_TIGHT,
-            names,
-            tuple(posture_of(self._hand, c.u, actuators) for c in best),
-            tuple(c.evidence for c in best),
-            tips=len(names),
-            fingers=names,
-        )
+        candidates = [candidate(touching[0])]
+        if not candidates[0].usable and self._promising():
+            clear = clear_postures(self.inspector, goal, space, watch, found, tries=1)
+            candidates += [candidate(u) for u in clear[:1]]
+        return Found(PrimitiveKind.MULTI_PINCH_TIGHT, names, ranked(candidates, self.rank))
 
     @property
     def _hand(self) -> Hand:
@@ -91,7 +83,7 @@ class MultiSearch:
                 found.append(Link((i, j), scene.tips[str(a.tip), str(b.tip)]))
         return found
 
-    def _strangers(self, moving: frozenset[int]) -> list:
+    def _strangers(self, moving: frozenset[int]) -> list[LinkPair]:
         mine = {finger.tip for finger in self.fingers}
         return [
             pair
@@ -99,31 +91,40 @@ class MultiSearch:
             if not set(pair.links) <= mine and pair.actuators & moving
         ]
 
+    def _promising(self) -> bool:
+        """Return whether clear pinches of fewer fingers link all of them."""
+        names = [finger.name for finger in self.fingers]
+        size = len(names)
+        if size > 3:
+            smaller = (frozenset(group) for group in combinations(names, size - 1))
+            return any(self._is_clear(group) for group in smaller)
+        ends = combinations(range(size), 2)
+        return linked(size, [(i, j) for i, j in ends if self._is_clear({names[i], names[j]})])
+
+    def _is_clear(self, group: Set[str]) -> bool:
+        pinch = self.pinches.get(frozenset(group))
+        return pinch is not None and pinch.best.evidence.clear
+
     def _warm(self, space: Space, links: Sequence[Link]) -> list[FloatArray]:
         """Return starts combined from the pinches of pairs that link the fingers."""
         starts = []
         ends = [link.ends for link in links]
         for tree in trees(len(self.fingers), ends)[:_MOST_TREES]:
-            parts = []
+            values: list[list[float]] = [[] for _ in self._hand.actuators]
             for i in tree:
-                a, b = (self.fingers[k].name for k in ends[i])
-                parts.append(self.pinches[frozenset((a, b))].posture)
-            values = {
-                name: [part.position[name] for part in parts if name in part.involved]
-                for name in self._hand.actuator_names
-            }
-            u = np.array(
-                [
-                    np.mean(values[spec.name]) if values[spec.name] else spec.rest
-                    for spec in self._hand.actuators
-                ]
-            )
+                names = frozenset(self.fingers[k].name for k in ends[i])
+                for actuator in links[i].tips.actuators:
+                    values[actuator].append(float(self.pinches[names].best.u[actuator]))
+            u = self._hand.rest.copy()
+            for actuator, chosen in enumerate(values):
+                if chosen:
+                    u[actuator] = np.mean(chosen)
             starts.append(space.coordinates(u))
         return starts
 
 
 def find_multi(
     inspector: Inspector, fingers: tuple[Finger, ...], pinches: Pinches, rank: Rank = "depth"
-) -> Primitive | None:
+) -> Found | None:
     """Return the multi-pinch of some fingers, if there is one."""
     return MultiSearch(inspector, fingers, pinches, rank).run()

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from rtee.actions.types import Primitive, PrimitiveKind
+from rtee.actions.types import PrimitiveKind
 from rtee.extract.collisions import Watch
 from rtee.extract.descent import descend
-from rtee.extract.evidence import Inspector, posture_of
+from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Gap, Pinch, Placed
 from rtee.extract.postures import clear_postures, stored
-from rtee.extract.ranking import Candidate, Rank, ranked
+from rtee.extract.ranking import Candidate, Found, Rank, ranked
 from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.search import minima
 from rtee.extract.space import Space, make_space, real_limits, rounded, widened_limits
@@ -21,6 +21,8 @@ from rtee.types import FloatArray
 
 _TRIED: Final = 4
 _SEEKING: Final = 40
+_MOST: Final[dict[Rank, int]] = {"depth": 3, "opposition": 6}
+"""How many postures are measured, and kept where they are distinct."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class PinchSearch:
     tips: LinkPair
     rank: Rank = "depth"
 
-    def run(self) -> Primitive | None:
+    def run(self) -> Found | None:
         """Return the pinch, tight or loose, if there is one."""
         space = self._space(real_limits(self._hand))
         found = minima(Placed(self._scene, Pinch(self._scene, self.tips), space))
@@ -91,21 +93,23 @@ class PinchSearch:
 
     def _tight(
         self, space: Space, touching: Sequence[FloatArray], deep: Sequence[FloatArray]
-    ) -> Primitive:
+    ) -> Found:
         watch = self._watch()
-        candidates = [self._candidate(u, watch) for u in touching]
+        most = _MOST[self.rank]
+        candidates = [self._candidate(touching[0], watch)]
         if not candidates[0].usable:
             goal = Pinch(self._scene, self.tips)
             clear = clear_postures(self.inspector, goal, space, watch, deep)
-            candidates += [self._candidate(u, watch) for u in clear]
-        return self._primitive(PrimitiveKind.PINCH_TIGHT, candidates)
+            candidates += [self._candidate(u, watch) for u in clear[: most - 1]]
+        candidates += [self._candidate(u, watch) for u in touching[1 : most + 1 - len(candidates)]]
+        return self._found(PrimitiveKind.PINCH_TIGHT, candidates)
 
-    def _loose(self, space: Space, found: Sequence[FloatArray]) -> Primitive:
+    def _loose(self, space: Space, found: Sequence[FloatArray]) -> Found:
         ends = [self._seek(space, y) for y in found[:_TRIED]]
         gap = Placed(self._scene, Gap(self._scene, self.tips), space)
         closest = min(ends, key=gap.value)
         u = rounded(self._hand, space.posture(closest))
-        return self._primitive(PrimitiveKind.PINCH_LOOSE, [self._candidate(u, self._watch())])
+        return self._found(PrimitiveKind.PINCH_LOOSE, [self._candidate(u, self._watch())])
 
     def _watch(self) -> Watch:
         moving = {self._hand.actuator_index(n) for f in self.fingers for n in f.actuators}
@@ -114,23 +118,14 @@ class PinchSearch:
     def _candidate(self, u: FloatArray, watch: Watch) -> Candidate:
         return Candidate(u, self.inspector.pinch(u, self.tips, watch))
 
-    def _primitive(self, kind: PrimitiveKind, candidates: Sequence[Candidate]) -> Primitive:
-        best = ranked(candidates, self.rank)
-        involved = {name for finger in self.fingers for name in finger.actuators}
+    def _found(self, kind: PrimitiveKind, candidates: Sequence[Candidate]) -> Found:
         names = tuple(finger.name for finger in self.fingers)
-        return Primitive(
-            kind,
-            names,
-            tuple(posture_of(self._hand, c.u, involved) for c in best),
-            tuple(c.evidence for c in best),
-            tips=2,
-            fingers=names,
-        )
+        return Found(kind, names, ranked(candidates, self.rank))
 
 
 def find_pinch(
     inspector: Inspector, first: Finger, second: Finger, rank: Rank = "depth"
-) -> Primitive | None:
+) -> Found | None:
     """Return the pinch of two fingers, tight or loose, if there is one."""
     tips = inspector.scene.tips.get((str(first.tip), str(second.tip)))
     if tips is None:

@@ -37,7 +37,12 @@ def stored(
 
 
 def clear_postures(
-    inspector: Inspector, goal: Goal, space: Space, watch: Watch, starts: Sequence[FloatArray]
+    inspector: Inspector,
+    goal: Goal,
+    space: Space,
+    watch: Watch,
+    starts: Sequence[FloatArray],
+    tries: int = 2,
 ) -> list[FloatArray]:
     """Return postures as stored that touch as wanted and in which nothing else collides.
 
@@ -47,6 +52,7 @@ def clear_postures(
         space: Where to search.
         watch: The links that may not collide.
         starts: Coordinates ``(k,)`` of good postures, the best first.
+        tries: How many of them, apart from the first, are followed up.
     """
     if space.size == 1:
         low, high = _free(inspector, space, watch)
@@ -55,7 +61,7 @@ def clear_postures(
         found = [m.y for m in on_a_line(Placed(inspector.scene, goal, space), low, high)]
     else:
         search = ClearSearch(inspector.scene, inspector.motion, goal, space, watch)
-        found = search.run(starts[:_STARTS])
+        found = search.run(starts[:_STARTS], tries)
     return stored(inspector, goal, space, found)
 
 

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from rtee.actions.types import Evidence
+from rtee.actions.types import Evidence, PrimitiveKind
 from rtee.types import FloatArray
 
 Rank = Literal["depth", "opposition"]
@@ -35,7 +35,27 @@ class Candidate:
         return self.evidence.clear and self.evidence.path_clear
 
 
-def ranked(candidates: Sequence[Candidate], rank: Rank) -> list[Candidate]:
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A pinch that was found.
+
+    Attributes:
+        kind: Tight, loose or of several.
+        fingers: The fingers.
+        candidates: Its postures, the best first.
+    """
+
+    kind: PrimitiveKind
+    fingers: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def best(self) -> Candidate:
+        """The posture that is executed."""
+        return self.candidates[0]
+
+
+def ranked(candidates: Sequence[Candidate], rank: Rank) -> tuple[Candidate, ...]:
     """Return distinct candidates, the best first.
 
     Those with a clear pose and a clear way come first, then those with a clear pose; among them the
@@ -46,7 +66,7 @@ def ranked(candidates: Sequence[Candidate], rank: Rank) -> list[Candidate]:
     for candidate in sorted(candidates, key=lambda c: _key(c, rank)):
         if all(np.abs(candidate.u - other.u).max() > _SAME for other in kept):
             kept.append(candidate)
-    return kept
+    return tuple(kept)
 
 
 def _key(candidate: Candidate, rank: Rank) -> tuple[float, ...]:

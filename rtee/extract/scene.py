@@ -113,7 +113,6 @@ class Scene:
                 self.pairs[first, second] = pair
         self._model = self.kinematics.model
         self._data = self.kinematics.data
-        self._row = np.empty(6)
         self._build()
         self.tips = self._tip_pairs()
 
@@ -166,7 +165,7 @@ class Scene:
     def _joined(self, pair: LinkPair) -> bool:
         first, second = pair.bodies
         parents = self._model.parents
-        return parents[first] == second or parents[second] == first
+        return bool(parents[first] == second or parents[second] == first)
 
     def _clipped(self, pair: LinkPair) -> LinkPair | None:
         moving = max(pair.bodies)
@@ -209,9 +208,30 @@ class Scene:
 
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
+        pairs = pair.pairs
+        if len(pairs) == 1:
+            found = pin.computeDistance(self._convex, self._convex_data, pairs[0])
+            return float(found.min_distance)
         return min(
-            pin.computeDistance(self._convex, self._convex_data, k).min_distance for k in pair.pairs
+            float(pin.computeDistance(self._convex, self._convex_data, k).min_distance)
+            for k in pairs
         )
+
+    def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
+        """Return the derivative of the distance that was last asked for.
+
+        Args:
+            pair: The links; `distance` must have been called since the scene was placed.
+            space: The space.
+
+        Returns:
+            The derivative by the coordinates of the space ``(k,)`` [m].
+        """
+        results, pairs = self._convex_data.distanceResults, pair.pairs
+        k = pairs[0] if len(pairs) == 1 else min(pairs, key=lambda k: results[k].min_distance)
+        result = results[k]
+        normal = -result.normal if pair.turned else result.normal
+        return self._derivative(normal, result.getNearestPoint1(), pair, space)
 
     def slope(self, pair: LinkPair, space: Space) -> tuple[float, FloatArray]:
         """Return the signed distance of two links and its derivative.
@@ -219,14 +239,7 @@ class Scene:
         Returns:
             The distance [m] and its derivative by the coordinates of the space ``(k,)`` [m].
         """
-        least, closest = np.inf, None
-        for k in pair.pairs:
-            result = pin.computeDistance(self._convex, self._convex_data, k)
-            if result.min_distance < least:
-                least, closest = result.min_distance, result
-        assert closest is not None  # noqa: S101 - a pair has shapes
-        normal, point = closest.normal, closest.getNearestPoint1()
-        return least, self._derivative(-normal if pair.turned else normal, point, pair, space)
+        return self.distance(pair), self.derivative(pair, space)
 
     def exact_slope(self, pair: LinkPair, space: Space) -> tuple[float, FloatArray]:
         """Return the distance of two links' geometry as given and its derivative, as `slope`.
@@ -241,14 +254,20 @@ class Scene:
     def _derivative(
         self, normal: FloatArray, point: FloatArray, pair: LinkPair, space: Space
     ) -> FloatArray:
-        row, n, p = self._row, normal, point
-        row[0], row[1], row[2] = n
-        row[3] = p[1] * n[2] - p[2] * n[1]
-        row[4] = p[2] * n[0] - p[0] * n[2]
-        row[5] = p[0] * n[1] - p[1] * n[0]
-        by_joint = (row @ self._data.J) * pair.moved_by
-        result: FloatArray = (by_joint @ self._slope[:, space.index]) * space.extent
+        x, y, z = normal.tolist()
+        a, b, c = point.tolist()
+        row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
+        result: FloatArray = (row @ self._data.J) @ self._levers(pair, space)
         return result
+
+    def _levers(self, pair: LinkPair, space: Space) -> FloatArray:
+        """Return how the coordinates move the joints between two links ``(m, k)``."""
+        key = (pair.pairs, pair.turned)
+        known = space.levers.get(key)
+        if known is None or not self.couplings.linear:
+            moved = self._slope[:, space.index] * space.extent
+            known = space.levers[key] = pair.moved_by[:, None] * moved
+        return known
 
     def witness(self, pair: LinkPair) -> Witness:
         """Return where two links' convex parts are closest or deepest in each other."""
@@ -266,10 +285,12 @@ class Scene:
         if overlap < 0.0:
             return False
         i, j = self._couples[k]
+        a, b = self.shapes[i], self.shapes[j]
+        if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
+            return True
         self._place_exact()
         if pin.computeCollision(self._exact, self._exact_data, k):
             return True
-        a, b = self.shapes[i], self.shapes[j]
         if overlap < min(a.least_width, b.least_width):
             return False
         to_a = self._exact_data.oMg[i].actInv(self._exact_data.oMg[j])

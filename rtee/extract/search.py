@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,11 +13,29 @@ from rtee.extract.goals import Placed
 from rtee.extract.space import Space, halton
 from rtee.types import FloatArray
 
-SCREENED: Final = 192
-STARTS: Final = 12
-KEPT: Final = 3
-_QUICK: Final = 45
-_THOROUGH: Final = 160
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much a search tries.
+
+    Attributes:
+        screened: Points of the low-discrepancy sequence at which the function is evaluated.
+        starts: How many of them, the best, a descent starts from.
+        quick: Most evaluations of these descents.
+        kept: How many of their ends, distinct ones, are descended from thoroughly.
+        thorough: Most evaluations of these descents.
+    """
+
+    screened: int = 192
+    starts: int = 12
+    quick: int = 45
+    kept: int = 3
+    thorough: int = 160
+
+
+PAIR: Final = Effort()
+SEVERAL: Final = Effort(screened=96, starts=5, quick=40, kept=2, thorough=100)
+
 _SAME: Final = 0.02
 _LINE: Final = 257
 _LINE_PRECISION: Final = 1e-8
@@ -25,14 +44,14 @@ _LINE_PRECISION: Final = 1e-8
 def minima(
     function: Placed,
     warm: Sequence[FloatArray] = (),
-    starts: int = STARTS,
+    effort: Effort = PAIR,
 ) -> list[Minimum]:
     """Return distinct local minima, the deepest first.
 
     Args:
         function: The function to minimise over its space.
         warm: Further starts, coordinates ``(k,)``.
-        starts: Number of starts from the low-discrepancy sequence.
+        effort: How much to try.
     """
     space = function.space
     if space.size == 0:
@@ -40,12 +59,16 @@ def minima(
         return [Minimum(y, function.value(y), 1)]
     if space.size == 1:
         return on_a_line(function)
-    points = np.concatenate([halton(space.size, max(SCREENED, starts)), _landmarks(space)])
+    points = np.concatenate(
+        [halton(space.size, max(effort.screened, effort.starts)), _landmarks(space)]
+    )
     values = np.array([function.value(y) for y in points])
-    order = np.argsort(values, kind="stable")[:starts]
-    first = [descend(function, y, evaluations=_QUICK) for y in (*warm, *(points[i] for i in order))]
-    best = distinct(first)[:KEPT]
-    done = [descend(function, m.y, evaluations=_THOROUGH) for m in best]
+    order = np.argsort(values, kind="stable")[: effort.starts]
+    first = [
+        descend(function, y, evaluations=effort.quick) for y in (*warm, *(points[i] for i in order))
+    ]
+    best = distinct(first)[: effort.kept]
+    done = [descend(function, m.y, evaluations=effort.thorough) for m in best]
     return distinct([*done, *first])
 
 

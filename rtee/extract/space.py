@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtee.hand.model import Hand
 from rtee.types import FloatArray, JointKind
@@ -28,15 +29,14 @@ class Space:
         index: The actuators that vary.
         lower: Their lower bounds [rad | m].
         extent: Their upper bounds minus the lower ones [rad | m].
+        levers: How the coordinates move the joints between links, kept by the scene.
     """
 
     base: FloatArray
-    index: tuple[int, ...]
+    index: NDArray[np.intp]
     lower: FloatArray
     extent: FloatArray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "index", np.array(self.index, dtype=np.intp))
+    levers: dict[object, FloatArray] = field(default_factory=dict, compare=False)
 
     @property
     def size(self) -> int:
@@ -91,9 +91,8 @@ def make_space(
 ) -> Space:
     """Return the space in which some actuators vary; those that cannot move are left out."""
     lower, upper = bounds
-    index = tuple(i for i in sorted(actuators) if upper[i] > lower[i])
-    chosen = list(index)
-    return Space(hand.rest, index, lower[chosen], upper[chosen] - lower[chosen])
+    index = np.array([i for i in sorted(actuators) if upper[i] > lower[i]], dtype=np.intp)
+    return Space(hand.rest, index, lower[index], upper[index] - lower[index])
 
 
 def rounded(hand: Hand, u: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from rtee.hand.geometry import Shape
 from rtee.types import FloatArray
@@ -30,7 +31,7 @@ def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
     return winding_number(point, *outer.triangles) > 0.5
 
 
-def winding_number(point: FloatArray, vertices: FloatArray, faces: FloatArray) -> float:
+def winding_number(point: FloatArray, vertices: FloatArray, faces: NDArray[np.int64]) -> float:
     """Return how often a surface winds around a point: 1 inside a closed one, 0 outside.
 
     Solid angles by Van Oosterom and Strackee (1983), summed as in Jacobson et al. (2013), so that

@@ -17,12 +17,10 @@ from rtee.hand.meshes import check_mesh
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
-from rtee.types import BoolArray, FloatArray
+from rtee.types import FloatArray
 
 _FLAT: Final = 1e-4
 """A mesh flatter than this part of its extent has no proper convex hull and is thickened."""
-
-_ROUNDING: Final = 1e-9
 
 _THICKNESS: Final = 1e-5
 """Half the thickness that a flat mesh gets [m]."""
@@ -81,21 +79,6 @@ class Shape:
         corners = (self.exact.tri_indices(i) for i in range(self.exact.num_tris))
         faces = [(c[0], c[1], c[2]) for c in corners]
         return np.array(self.exact.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
-
-    def contains(self, points: FloatArray) -> BoolArray:
-        """Return which points ``(k, 3)`` in the shape's own frame lie in its convex part."""
-        source = self.source
-        if source.kind == "box":
-            inside: BoolArray = (np.abs(points) <= np.array(source.size) / 2).all(axis=1)
-        elif source.kind == "sphere":
-            inside = np.linalg.norm(points, axis=1) <= source.radius
-        elif source.kind == "cylinder":
-            across = np.linalg.norm(points[:, :2], axis=1) <= source.radius
-            inside = across & (np.abs(points[:, 2]) <= source.length / 2)
-        else:
-            normals, offsets = np.array(self.convex.normals()), np.array(self.convex.offsets())
-            inside = (points @ normals.T + offsets <= _ROUNDING).all(axis=1)
-        return inside
 
     @property
     def box(self) -> tuple[FloatArray, FloatArray]:
