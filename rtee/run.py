@@ -200,6 +200,7 @@ async def run_hands(
             if serve is not None:
                 server = serve(one.loop, one.prepared.hand, one.prepared.config)
                 server.recording = partial(_path_of, one.recorder)
+                server.recorder = one.recorder
                 one.server = await stack.enter_async_context(server)
             say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
         for warning in set_up(realtime):
@@ -391,7 +392,8 @@ def _log_words(recorder: Recorder) -> str:
 
 
 def _path_of(recorder: Recorder) -> str:
-    return str(recorder.status().path or "")
+    status = recorder.status()
+    return str(status.path or "") if status.recording else ""
 
 
 def _network_words(server: Server | None) -> str:

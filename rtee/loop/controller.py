@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
@@ -67,6 +67,7 @@ class Controller:
     def __init__(self, hand: Hand, settings: LoopSettings) -> None:
         self.hand = hand
         self.settings = settings
+        self._grasp = settings.grasp
         limits = Limits.of(hand.actuators)
         n = len(hand.actuators)
         self._profile = make_profile(settings.profile, limits, settings.period)
@@ -102,6 +103,11 @@ class Controller:
     def running(self) -> Plan | None:
         """The plan under way."""
         return self._executor.running
+
+    @property
+    def holding_effort(self) -> float:
+        """Effort kept on what is held, as a fraction of the effort limit."""
+        return self._grasp.holding_effort
 
     @property
     def moving(self) -> bool:
@@ -155,6 +161,9 @@ class Controller:
                 self._seeding.update(frozen)
             case "jog":
                 self._jog(command)
+            case "holding":
+                self._grasp = replace(self._grasp, holding_effort=command.values["effort"])
+                self._set_efforts()
             case "active":
                 self._set_active(command)
             case "accepts":
@@ -272,7 +281,7 @@ class Controller:
 
     def _ease_off(self, stamp: float, measured: Measured) -> None:
         """Reduce the effort of blocked actuators after a time; tell when a grasp is lost."""
-        grasp = self.settings.grasp
+        grasp = self._grasp
         for i in self._contact.blocked_longer_than(grasp.holding_after, stamp):
             if i in self._holding:
                 continue
@@ -293,7 +302,7 @@ class Controller:
         return self._goal_effort.get(i, self.hand.actuators[i].effort)
 
     def _set_efforts(self) -> None:
-        grasp = self.settings.grasp
+        grasp = self._grasp
         for i, actuator in enumerate(self.hand.actuators):
             limit = self._effort_limit(i)
             if i in self._holding:

@@ -19,6 +19,9 @@ from rtee.types import Command, Event, Goal, Reference, Result
 log = logging.getLogger(__name__)
 
 ITSELF = "rtee"
+
+HOLDING_EFFORT = "holding_effort"
+"""The gain of the hand itself: the effort kept on what is held."""
 """The client of goals that the loop gives itself."""
 
 
@@ -208,6 +211,9 @@ class HandLoop(HandTicks):
     async def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
         """Change gains of a device, or of every device that has them.
 
+        Without a device, ``holding_effort`` is the effort kept on what is held, 0 to 1 of the
+        effort limit.
+
         Raises:
             ConfigError: if there is no such device, no device has such a gain, or a value is bad.
             RteeError: if a device doesn't take them.
@@ -215,6 +221,10 @@ class HandLoop(HandTicks):
         if device is not None and device not in self.devices:
             raise ConfigError(f"unknown device '{device}'; {suggestion(device, self.devices)}")
         chosen = [d for d in self.devices.values() if device in (None, d.name)]
+        gains = dict(gains)
+        holding = gains.pop(HOLDING_EFFORT, None) if device is None else None
+        if holding is not None and not 0.0 <= holding <= 1.0:
+            raise ConfigError(f"{HOLDING_EFFORT} must be 0 to 1, not {holding:g}")
         for name, value in gains.items():
             known = {gain for d in chosen for gain in d.driver.capabilities.gains}
             if name not in known:
@@ -225,6 +235,8 @@ class HandLoop(HandTicks):
             own = {k: v for k, v in gains.items() if k in supervisor.driver.capabilities.gains}
             if own:
                 await supervisor.set_gains(own)
+        if holding is not None:
+            self._pending.append(Command("holding", values={"effort": float(holding)}))
 
     # --- when nobody drives it ---------------------------------------------------------------
 

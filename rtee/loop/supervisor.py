@@ -38,6 +38,7 @@ class Supervisor(Exchange):
             recoverable=fault is not None and fault.recoverable,
             hint="" if fault is None else fault.hint,
             message=self._message,
+            gains=self.driver.capabilities.gains,
         )
 
     async def stop(self, within: float) -> bool:

@@ -41,7 +41,7 @@ def _names(kind: type, *converted: str) -> tuple[str, ...]:
 
 _GOAL_FIELDS = _names(Goal, "elements", "kind", "effort", "timeout", "stage")
 _RESULT_FIELDS = _names(Result, "grasped_fingers", "position")
-_DEVICE_FIELDS = _names(DeviceStatus, "lifecycle", "identity", "counters")
+_DEVICE_FIELDS = _names(DeviceStatus, "lifecycle", "identity", "counters", "gains")
 _STATISTICS_FIELDS = _names(LoopStatistics)
 
 
@@ -252,6 +252,7 @@ def device_status_fields(status: DeviceStatus, *, wall: int = 0) -> dict[str, An
         "identity_value": list(status.identity.values()),
         "counter_name": list(status.counters),
         "counter_value": list(status.counters.values()),
+        "gain": status.gains,
     }
 
 
@@ -276,6 +277,7 @@ def device_status_of(fields: Mapping[str, Any]) -> DeviceStatus:
         lifecycle=lifecycle,
         identity=_paired("identity", fields["identity_name"], fields["identity_value"]),
         counters=_paired("counter", fields["counter_name"], fields["counter_value"].tolist()),
+        gains=tuple(fields["gain"]),
     )
 
 

@@ -162,6 +162,7 @@ string fault_name            # empty for none
 bool recoverable             # recover may clear the fault
 string hint                  # what the user can do
 string message               # the last error in words
+string[] gain                # gains that can be tuned while it runs
 """,
     "rtee_msgs/msg/LoopStatistics": """\
 # The loop's clock; times in seconds.

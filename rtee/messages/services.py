@@ -29,6 +29,12 @@ string what                  # take, release or the device's name; empty: all
 string[] device              # devices
 bool[] confirmed             # whether each confirmed it
 """,
+    "rtee_msgs/msg/RecordRequest": """\
+# A client starts, stops or marks the recording.
+string client                # who asks
+string what                  # start, stop or mark
+string text                  # of the mark
+""",
     "rtee_msgs/msg/NamedValues": """\
 # Numbers by name: positions to jog to, gains of a device.
 string client                # who asks
@@ -201,6 +207,7 @@ string goal_id               # goal that runs, or empty
 string action                # its action
 bool recording               # a recording is written
 string recording_path        # to this file
+float64 holding_effort       # effort kept on what is held, as a fraction of the effort limit
 rtee_msgs/LoopStatistics statistics
 rtee_msgs/DeviceStatus[] devices
 """,

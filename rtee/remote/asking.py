@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from rtee.errors import RteeError
+from rtee.errors import RequestRejected, RteeError
 from rtee.messages.convert import device_status_fields, loop_statistics_fields
 from rtee.remote.actions import action_fields, group_fields, made_of
 from rtee.remote.asked import Asked
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from rtee.remote.server import Server
 
 Fields = Mapping[str, Any]
+
+_LONGEST_MARK = 1000
 
 
 class Asking:
@@ -35,6 +37,7 @@ class Asking:
             "actions": self._actions,
             "primitives": self._primitives,
             "partners": self._partners,
+            "record": self._record,
             "add": self._add,
             "store": self._store,
             "remove": self._remove,
@@ -70,6 +73,7 @@ class Asking:
             "action": goal.action if goal else "",
             "recording": bool(recording),
             "recording_path": recording,
+            "holding_effort": self._server.loop.controller.holding_effort,
             "statistics": loop_statistics_fields(statistics),
             "devices": [device_status_fields(status) for status in statuses],
         }
@@ -79,6 +83,27 @@ class Asking:
         if len(names) != len(positions):
             raise RteeError("a posture needs as many positions as names")
         return info_fields(self._hand, dict(zip(names, positions, strict=True)))
+
+    def _record(self, fields: Fields) -> Fields:
+        recorder, what, text = self._server.recorder, fields["what"], fields["text"]
+        if recorder is None:
+            raise RequestRejected(f"{self._hand.name} has no recorder")
+        match what:
+            case "start":
+                recorder.start()
+            case "stop":
+                recorder.stop()
+            case "mark":
+                if not 0 < len(text) <= _LONGEST_MARK or not text.isprintable():
+                    raise RequestRejected(
+                        f"a mark is one line of 1 to {_LONGEST_MARK} characters, not {len(text)}"
+                    )
+                recorder.mark(text)
+            case _:
+                raise RequestRejected(
+                    f"a recording cannot be told to '{what[:50]}'; start, stop or mark it"
+                )
+        return {"accepted": True, "error": "", "reason": "", "text": self._server.recording()}
 
     # --- actions
 

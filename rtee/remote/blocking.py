@@ -155,6 +155,10 @@ class BlockingHand:
         """Change gains of a device, or of every device that has them."""
         self._call(self._hand.set_gains, gains, device)
 
+    def record(self, what: str, text: str = "") -> None:
+        """Start, stop or mark the recording; see `RemoteHand.record`."""
+        self._call(self._hand.record, what, text)
+
     def take(self) -> None:
         """Hold the hand until `release`: nobody else may move it."""
         self._call(self._hand.take)

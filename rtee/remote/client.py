@@ -188,8 +188,24 @@ class RemoteHand(Library):
         await self._say("recover", device or "", within=_PATIENCE)
 
     async def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
-        """Change gains of a device, or of every device that has them."""
+        """Change gains of a device, or of every device that has them.
+
+        Without a device, ``holding_effort`` is the effort kept on what is held, 0 to 1 of the
+        effort limit.
+        """
         await self._values("gains", device or "", gains, None)
+
+    async def record(self, what: str, text: str = "") -> None:
+        """Start, stop or mark the recording; returns at once.
+
+        Args:
+            what: ``start`` a new one unless one is written, ``stop`` it, or put a ``mark`` into it.
+            text: Text of the mark, one line.
+
+        Raises:
+            RequestRejected: if the hand refuses it, with the reason.
+        """
+        await self._link.ask("record", {"client": self.client, "what": what, "text": text})
 
     async def take(self) -> None:
         """Hold the hand until `release`: nobody else may move it."""

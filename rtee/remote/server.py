@@ -66,6 +66,19 @@ class RemoteSettings(Protocol):
         """Rate of the topics that everybody gets [Hz]."""
 
 
+class Recording(Protocol):
+    """What the server needs of a recorder; every method returns at once, in any thread."""
+
+    def start(self) -> None:
+        """Begin a new recording."""
+
+    def stop(self) -> None:
+        """End the recording."""
+
+    def mark(self, text: str) -> None:
+        """Put a mark into the recording."""
+
+
 class Configured(Protocol):
     """What the server needs of a hand's configuration."""
 
@@ -88,12 +101,14 @@ class Server(Observer):
         latest: What was known at the last tick.
         endpoint: Where the hand can be reached from this computer.
         recording: Returns the path of the recording under way, or an empty string.
+        recorder: Starts, stops and marks recordings, if there is one.
     """
 
     def __init__(self, loop: HandLoop, hand: Hand, config: Configured) -> None:
         self.loop = loop
         self.hand = hand
         self.recording: Callable[[], str] = lambda: ""
+        self.recorder: Recording | None = None
         self.latest: TickRecord | None = None
         self.endpoint = ""
         self._settings = config.remote

@@ -30,6 +30,7 @@ class HandStatus:
         goal_id: The goal that runs, or an empty string.
         action: Its action.
         recording: Path of the recording under way, or an empty string.
+        holding_effort: Effort kept on what is held, as a fraction of the effort limit.
         statistics: The loop's clock.
         devices: The devices.
     """
@@ -39,6 +40,7 @@ class HandStatus:
     goal_id: str
     action: str
     recording: str
+    holding_effort: float
     statistics: LoopStatistics
     devices: tuple[DeviceStatus, ...]
 
@@ -125,6 +127,7 @@ class View:
             goal_id=reply["goal_id"],
             action=reply["action"],
             recording=reply["recording_path"],
+            holding_effort=reply["holding_effort"],
             statistics=loop_statistics_of(reply["statistics"]),
             devices=tuple(device_status_of(device) for device in reply["devices"]),
         )

@@ -68,6 +68,7 @@ STATUS = DeviceStatus(
     recoverable=True,
     hint="let it cool",
     message="motor 3",
+    gains=("kp", "kd"),
 )
 STATISTICS = LoopStatistics(1000.0, 999.9, 10, 1, *[x / 8 for x in range(8)], dropped=4)
 

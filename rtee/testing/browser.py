@@ -1,0 +1,75 @@
+"""A headless Chromium to test and picture the GUI with; software WebGL, no network but loopback."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from rtee.errors import ConfigError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import BrowserContext
+
+NAMES: Final = ("chromium", "chromium-browser", "google-chrome")
+"""What the program may be called; ``RTEE_BROWSER`` names another."""
+
+_ARGUMENTS: Final = (
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+_PATIENCE: Final = 60_000.0
+
+
+def find_browser() -> str | None:
+    """Return the path of a Chromium, or ``None`` if there is none."""
+    for name in (os.environ.get("RTEE_BROWSER", ""), *NAMES):
+        if name and (path := shutil.which(name)):
+            return path
+    return None
+
+
+@contextlib.contextmanager
+def browser(width: int = 800, height: int = 600) -> Iterator[BrowserContext]:
+    """Start a headless browser with a fresh profile for as long as the context lasts.
+
+    Args:
+        width: Of the windows [px].
+        height: Of the windows [px].
+
+    Raises:
+        ConfigError: if there is no Chromium, or Playwright is not installed.
+    """
+    program = find_browser()
+    if program is None:
+        raise ConfigError("no Chromium was found; install it, or name it in RTEE_BROWSER")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        raise ConfigError(f"a browser is driven by Playwright ({error}); install it") from error
+    with (
+        tempfile.TemporaryDirectory(prefix="rtee-browser-", ignore_cleanup_errors=True) as profile,
+        sync_playwright() as playwright,
+    ):
+        context = playwright.chromium.launch_persistent_context(
+            profile,
+            executable_path=program,
+            headless=True,
+            args=list(_ARGUMENTS),
+            viewport={"width": width, "height": height},
+        )
+        context.set_default_timeout(_PATIENCE)
+        try:
+            yield context
+        finally:
+            context.close()

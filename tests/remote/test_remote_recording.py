@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import pytest
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.errors import RequestRejected
+from rtee.hand.model import Hand
+
+from .serving import serving, until
+
+pytestmark = pytest.mark.anyio
+
+
+class Told:
+    """Keeps what a recorder is told."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.path = ""
+
+    def start(self) -> None:
+        self.calls.append("start")
+        self.path = "/logs/small.mcap"
+
+    def stop(self) -> None:
+        self.calls.append("stop")
+        self.path = ""
+
+    def mark(self, text: str) -> None:
+        self.calls.append(text)
+
+
+async def test_a_recording_is_started_marked_and_stopped(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    told = Told()
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        served.server.recorder, served.server.recording = told, lambda: told.path
+        await remote.record("start")
+        assert (await remote.status()).recording == "/logs/small.mcap"
+        await remote.record("mark", "the drill slipped")
+        await remote.record("stop")
+        assert (await remote.status()).recording == ""
+    assert told.calls == ["start", "the drill slipped", "stop"]
+
+
+@pytest.mark.parametrize(
+    ("what", "text", "reason"),
+    [
+        ("delete", "", "cannot be told to 'delete'"),
+        ("mark", "", "a mark is one line"),
+        ("mark", "two\nlines", "a mark is one line"),
+        ("mark", "x" * 1001, "not 1001"),
+    ],
+)
+async def test_nonsense_does_not_reach_the_recorder(
+    hand: Hand, library: ActionLibrary, what: str, text: str, reason: str
+) -> None:
+    told = Told()
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        served.server.recorder = told
+        with pytest.raises(RequestRejected, match=reason):
+            await remote.record(what, text)
+    assert told.calls == []
+
+
+async def test_without_a_recorder_that_is_said(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        with pytest.raises(RequestRejected, match="has no recorder"):
+            await remote.record("start")
+
+
+async def test_the_holding_effort_can_be_changed(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        before = (await remote.status()).holding_effort
+        assert before == served.loop.settings.grasp.holding_effort
+        await remote.set_gains({"holding_effort": 0.25})
+        await until(lambda: served.loop.controller.holding_effort == 0.25)
+        assert (await remote.status()).holding_effort == 0.25
+        for bad in (1.5, -0.1, float("nan")):
+            with pytest.raises(RequestRejected, match="must be 0 to 1"):
+                await remote.set_gains({"holding_effort": bad})
