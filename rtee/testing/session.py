@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
-from rtee.buses.simulated import SimulatedCan, SimulatedLine
+from rtee.buses.simulated import Simulation
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import owner_of
 from rtee.drivers.registry import find_driver
@@ -56,7 +56,7 @@ class Session:
         return self.pool.played(owner_of(self.spec))
 
     @property
-    def wire(self) -> SimulatedLine | SimulatedCan:
+    def wire(self) -> Simulation:
         """The simulated wire."""
         return self.pool.simulation(owner_of(self.spec))
 
