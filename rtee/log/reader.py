@@ -249,7 +249,7 @@ class _Collector:
             t=(wall - start) / _SECOND,
             wall=wall,
             names=table.names,
-            tick=table.column("tick")[order].reshape(-1),
+            tick=table.column("tick")[order].reshape(-1).astype(np.int64),
             time=table.column("time")[order].reshape(-1),
             **{key: table.column(key)[order] for key in wide},
         )

@@ -80,7 +80,7 @@ class ActuatorSeries(JointSeries):
         fresh: Whether it was measured since the tick before ``(k, n)``.
     """
 
-    tick: NDArray[np.uint64]
+    tick: NDArray[np.int64]
     time: FloatArray
     current: FloatArray
     temperature: FloatArray
