@@ -62,7 +62,7 @@ class LazyGroup(TyperGroup):
             return TyperCommand(cmd_name, callback=None, help=entry[1], short_help=entry[1])
         module = importlib.import_module(entry[0])
         app: Any = module.app
-        app._add_completion = False  # only `rtee` itself installs completion
+        app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
         command: TyperCommand = typer.main.get_command(app)
         command.name = cmd_name
         command.short_help = entry[1]
