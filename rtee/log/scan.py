@@ -77,7 +77,7 @@ def scan(stream: BinaryIO) -> Iterator[Record]:
 def _parsed(read: Callable[[ReadDataStream], Any], content: bytes) -> Any:
     try:
         return read(ReadDataStream(BytesIO(content)))
-    except (McapError, UnicodeDecodeError, struct.error, EOFError) as error:
+    except (McapError, ValueError, OverflowError, struct.error, EOFError) as error:
         raise DamagedRecordError(f"damaged record: {error}") from error
 
 
