@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from rtee.buses.can import CanBus
     from rtee.buses.canopen import CanopenBus
     from rtee.buses.dynamixel import DynamixelBus
+    from rtee.buses.ethercat import EthercatBus, Ring
     from rtee.buses.modbus import ModbusBus
     from rtee.buses.serial import SerialBus
-    from rtee.buses.simulated import SimulatedCan, SimulatedLine
+    from rtee.buses.simulated import SimulatedCan, Simulation
     from rtee.buses.simulated_zmq import SimulatedZmq
     from rtee.buses.zmq import Endpoints, ZmqBus
 
@@ -41,11 +42,11 @@ class BusPool:
         self.trace = trace
         self.wire_time = wire_time
         self._buses: dict[str, tuple[Bus, type[Bus], object]] = {}
-        self._simulations: dict[str, SimulatedLine | SimulatedCan | SimulatedZmq] = {}
+        self._simulations: dict[str, Simulation] = {}
         self._played: dict[str, Emulator] = {}
 
     @property
-    def simulations(self) -> Mapping[str, SimulatedLine | SimulatedCan | SimulatedZmq]:
+    def simulations(self) -> Mapping[str, Simulation]:
         """The simulated ends by the address they stand in for."""
         return MappingProxyType(self._simulations)
 
@@ -58,7 +59,7 @@ class BusPool:
         """Return the emulator that is played for a device; raises `KeyError`."""
         return self._played[owner]
 
-    def simulation(self, owner: str) -> SimulatedLine | SimulatedCan | SimulatedZmq:
+    def simulation(self, owner: str) -> Simulation:
         """Return the simulated wire of an emulated device; raises `KeyError`."""
         emulator = self._played[owner]
         return next(s for s in self._simulations.values() if emulator in s.emulators)
@@ -238,6 +239,31 @@ class BusPool:
             address, ZmqBus, ports, owner, lambda: ZmqBus(address, endpoints)
         )
 
+    async def ethercat(
+        self, interface: str, *, owner: str, emulator: EmulatorFactory | None = None
+    ) -> EthercatBus:
+        """Return the EtherCAT network at a network interface, its slaves pre-operational.
+
+        Args:
+            interface: For example ``eth1``.
+            owner: The device that asks; give it back with ``bus.release(owner)``.
+            emulator: Plays the slaves instead, at the level of process data.
+
+        Raises:
+            BusBroken: if it cannot be opened, or no slave answers.
+            ConfigError: if pysoem is not installed.
+        """
+        from rtee.buses.ethercat import EthercatBus, PysoemRing
+
+        ring = self._simulated_ethercat(interface, owner, emulator)
+        return await self._acquire(
+            interface,
+            EthercatBus,
+            None,
+            owner,
+            lambda: EthercatBus(interface, ring or (lambda: PysoemRing(interface))),
+        )
+
     async def aclose(self) -> None:
         """Close every bus and every simulation; idempotent."""
         for bus, _, _ in list(self._buses.values()):
@@ -339,13 +365,27 @@ class BusPool:
         self._play(owner, simulation, factory)
         return lambda: cast("SimulatedZmq", simulation).endpoints
 
+    def _simulated_ethercat(
+        self, interface: str, owner: str, factory: EmulatorFactory | None
+    ) -> Callable[[], Ring] | None:
+        if factory is None:
+            return None
+        from rtee.buses.simulated_ethercat import SimulatedEthercat, SimulatedRing
+
+        simulation = self._simulations.get(interface)
+        if simulation is None:
+            simulation = SimulatedEthercat(name=interface).start()
+            self._simulations[interface] = simulation
+        self._play(owner, simulation, factory)
+        return lambda: SimulatedRing(cast("SimulatedEthercat", simulation))
+
     def _can_simulation(self, channel: str) -> SimulatedCan | None:
         return cast("SimulatedCan | None", self._simulations.get(channel))
 
     def _play(
         self,
         owner: str,
-        simulation: SimulatedLine | SimulatedCan | SimulatedZmq,
+        simulation: Simulation,
         factory: EmulatorFactory,
     ) -> None:
         if owner not in self._played:

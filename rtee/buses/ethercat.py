@@ -1,0 +1,225 @@
+"""An EtherCAT network: one master in a worker thread, process data in and out by position."""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import Any, NamedTuple, TypeVar
+
+from rtee.buses.bus import Bus
+from rtee.buses.worker import Worker
+from rtee.errors import BusBroken, BusTimeout, ConfigError, RteeError
+
+T = TypeVar("T")
+
+
+class State(IntEnum):
+    """States of a slave."""
+
+    INIT = 1
+    PRE_OPERATIONAL = 2
+    SAFE_OPERATIONAL = 4
+    OPERATIONAL = 8
+
+
+class Slave(NamedTuple):
+    """A slave as it was found.
+
+    Attributes:
+        name: Its name.
+        vendor: Its vendor id.
+        product: Its product code.
+        revision: Its revision.
+    """
+
+    name: str
+    vendor: int
+    product: int
+    revision: int
+
+
+class Ring(ABC):
+    """A master and its slaves; blocking, used from one thread."""
+
+    @abstractmethod
+    def open(self) -> list[Slave]:
+        """Find the slaves, which are pre-operational then; raises `OSError`."""
+
+    @abstractmethod
+    def request(self, state: State, within: float) -> None:
+        """Bring all slaves to a state within a time [s]; raises `TimeoutError`."""
+
+    @abstractmethod
+    def exchange(self, outputs: Sequence[bytes]) -> list[bytes] | None:
+        """Send outputs and return inputs by position; ``None`` if not every slave took part."""
+
+    @abstractmethod
+    def read(self, position: int, index: int, subindex: int) -> bytes:
+        """Read an object of a slave; raises `OSError`."""
+
+    @abstractmethod
+    def write(self, position: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object of a slave; raises `OSError`."""
+
+    @abstractmethod
+    def watchdog(self, position: int, seconds: float) -> None:
+        """Set a slave's process data watchdog [s]; raises `OSError`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the slaves initialised and close the port; idempotent."""
+
+
+class PysoemRing(Ring):
+    """A ring on a network interface, through pysoem (the extra ``ethercat``)."""
+
+    def __init__(self, interface: str) -> None:
+        try:
+            import pysoem
+        except ImportError as error:
+            raise ConfigError("EtherCAT needs pysoem; install it with 'rtee[ethercat]'") from error
+        self._soem: Any = pysoem
+        self._interface = interface
+        self._master: Any = None
+
+    def open(self) -> list[Slave]:
+        """Find the slaves."""
+        master = self._soem.Master()
+        try:
+            master.open(self._interface)
+        except ConnectionError as error:
+            raise OSError(f"{error}; EtherCAT needs the right to raw sockets") from error
+        self._master = master
+        if master.config_init() <= 0:
+            raise OSError("no slave answers")
+        found = [Slave(s.name, s.man, s.id, s.rev) for s in master.slaves]
+        master.config_map()
+        return found
+
+    def request(self, state: State, within: float) -> None:
+        """Bring all slaves to a state."""
+        master = self._master
+        master.state = int(state)
+        master.write_state()
+        reached = master.state_check(int(state), round(within * 1e6))
+        if reached != int(state):
+            master.read_state()
+            behind = [f"{s.name} ({s.state:#x})" for s in master.slaves if s.state != int(state)]
+            raise TimeoutError(f"did not become {state.name.lower()}: {', '.join(behind)}")
+
+    def exchange(self, outputs: Sequence[bytes]) -> list[bytes] | None:
+        """Send outputs and return inputs."""
+        master = self._master
+        for slave, data in zip(master.slaves, outputs, strict=False):
+            slave.output = data
+        master.send_processdata()
+        count = master.receive_processdata(2000)
+        if count < master.expected_wkc:
+            return None
+        return [bytes(slave.input) for slave in master.slaves]
+
+    def read(self, position: int, index: int, subindex: int) -> bytes:
+        """Read an object."""
+        try:
+            return bytes(self._master.slaves[position].sdo_read(index, subindex))
+        except (self._soem.SdoError, self._soem.PacketError, self._soem.WkcError) as error:
+            raise OSError(f"object {index:04X}h:{subindex} cannot be read: {error}") from error
+
+    def write(self, position: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object."""
+        try:
+            self._master.slaves[position].sdo_write(index, subindex, data)
+        except (self._soem.SdoError, self._soem.PacketError, self._soem.WkcError) as error:
+            raise OSError(f"object {index:04X}h:{subindex} cannot be written: {error}") from error
+
+    def watchdog(self, position: int, seconds: float) -> None:
+        """Set the process data watchdog."""
+        self._master.slaves[position].set_watchdog("processdata", seconds * 1000.0)
+
+    def close(self) -> None:
+        """Leave the slaves initialised."""
+        master, self._master = self._master, None
+        if master is not None:
+            master.state = int(State.INIT)
+            master.write_state()
+            master.close()
+
+
+class EthercatBus(Bus):
+    """An EtherCAT network with this process as its master.
+
+    Attributes:
+        slaves: The slaves found, by position.
+    """
+
+    def __init__(self, name: str, ring: Callable[[], Ring]) -> None:
+        super().__init__(name)
+        self.slaves: list[Slave] = []
+        self._make = ring
+        self._ring: Ring | None = None
+        self._worker = Worker(f"ethercat {name}")
+
+    async def run(self, function: Callable[[Ring], T], deadline: float) -> T:
+        """Call a function with the ring in the worker thread.
+
+        Raises:
+            BusTimeout: if it has not returned in time.
+            BusBroken: if the network breaks.
+            BusClosed: if the bus is closed.
+        """
+        self.check()
+        ring = self._ring
+        if ring is None:
+            raise BusBroken(self.name, "no link")
+        self.counters.transactions += 1
+        try:
+            return await self._worker.run(lambda: function(ring), deadline)
+        except RteeError:
+            raise
+        except TimeoutError as error:
+            self.counters.timeouts += 1
+            text = str(error) or f"not done within {deadline:.3f} s"
+            raise BusTimeout(self.name, text) from None
+        except OSError as error:
+            self._broke(str(error))
+            raise BusBroken(self.name, str(error)) from error
+
+    async def exchange(self, outputs: Sequence[bytes], deadline: float) -> list[bytes]:
+        """Send process data and return what comes back, by position.
+
+        Raises:
+            BusTimeout: if not every slave took part, or not in time.
+            BusBroken: if the network breaks.
+            BusClosed: if the bus is closed.
+        """
+        inputs = await self.run(lambda ring: ring.exchange(outputs), deadline)
+        self.counters.bytes_sent += sum(len(data) for data in outputs)
+        if inputs is None:
+            self.counters.timeouts += 1
+            raise BusTimeout(self.name, "not every slave took part in the exchange")
+        self.counters.bytes_received += sum(len(data) for data in inputs)
+        if self.trace is not None:
+            now = asyncio.get_running_loop().time()
+            self.trace(self.name, "tx", b"".join(outputs), now)
+            self.trace(self.name, "rx", b"".join(inputs), now)
+        return inputs
+
+    async def _open(self) -> None:
+        await self._close()
+        ring = self._make()
+        try:
+            self.slaves = await self._worker.run(ring.open, 5.0)
+        except (OSError, TimeoutError) as error:
+            raise BusBroken(self.name, f"cannot be opened: {error}") from error
+        self._ring = ring
+
+    async def _close(self) -> None:
+        ring, self._ring = self._ring, None
+        if ring is not None:
+            try:
+                await self._worker.run(ring.close, 2.0)
+            except (OSError, TimeoutError) as error:
+                self._cause = str(error)
+        await self._worker.close()

@@ -1,0 +1,139 @@
+"""A simulated EtherCAT ring: emulated slaves at the level of process data and objects.
+
+There is no wire here: an Ethernet port cannot be simulated without privileges, so what is played is
+what a master's library hands to its user.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Sequence
+from typing import Protocol, cast
+
+from rtee.buses.ethercat import Ring, Slave, State
+from rtee.buses.faults import Faults
+from rtee.buses.simulated import Simulation
+
+
+class PlaysSlaves(Protocol):
+    """An emulator of one or several slaves."""
+
+    def slaves(self) -> list[Slave]:
+        """Return the slaves."""
+        ...
+
+    def become(self, state: State, now: float) -> bool:
+        """Bring the slaves to a state; whether they follow."""
+        ...
+
+    def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes]:
+        """Take outputs and return inputs, by position."""
+        ...
+
+    def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
+        """Return an object, or ``None`` if there is none."""
+        ...
+
+    def write_object(self, position: int, index: int, subindex: int, data: bytes) -> bool:
+        """Write an object; whether it is taken."""
+        ...
+
+    def set_watchdog(self, position: int, seconds: float) -> None:
+        """Set the process data watchdog [s]."""
+        ...
+
+
+class SimulatedEthercat(Simulation):
+    """The ring's far end: plays one emulator of slaves."""
+
+    def __init__(self, *, name: str = "ethercat", faults: Faults | None = None) -> None:
+        super().__init__(name)
+        self._faults = faults or Faults()
+        self._there = False
+
+    @property
+    def faults(self) -> Faults:
+        """What goes wrong: frames that are lost or damaged do not come back."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self._faults = faults
+
+    @property
+    def address(self) -> str:
+        """The interface it stands in for."""
+        return self.name
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the cable is there."""
+        return self._there
+
+    @property
+    def played(self) -> PlaysSlaves:
+        """The emulator of the slaves."""
+        return cast("PlaysSlaves", self.emulators[0])
+
+    def _plug(self) -> None:
+        self._there = True
+
+    def _unplug(self) -> None:
+        self._there = False
+
+    def _next_due(self) -> float | None:
+        return None
+
+    def _turn(self, timeout: float | None) -> None:
+        select.select([self._wake_out], [], [], timeout)
+
+
+class SimulatedRing(Ring):
+    """A master's view of a simulated ring."""
+
+    def __init__(self, simulation: SimulatedEthercat) -> None:
+        self._simulation = simulation
+
+    def _played(self) -> PlaysSlaves:
+        if not self._simulation.plugged:
+            raise OSError("no slave answers")
+        return self._simulation.played
+
+    def open(self) -> list[Slave]:
+        """Find the slaves."""
+        played = self._played()
+        played.become(State.PRE_OPERATIONAL, time.monotonic())
+        return played.slaves()
+
+    def request(self, state: State, within: float) -> None:
+        """Bring all slaves to a state."""
+        if not self._played().become(state, time.monotonic()):
+            raise TimeoutError(f"the slaves did not become {state.name.lower()}")
+
+    def exchange(self, outputs: Sequence[bytes]) -> list[bytes] | None:
+        """Send outputs and return inputs."""
+        played = self._played()
+        inputs = played.cycle(outputs, time.monotonic())
+        return None if self._simulation.faults.lost() else inputs
+
+    def read(self, position: int, index: int, subindex: int) -> bytes:
+        """Read an object."""
+        found = self._played().read_object(position, index, subindex)
+        if found is None:
+            raise OSError(f"object {index:04X}h:{subindex} cannot be read")
+        return found
+
+    def write(self, position: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object."""
+        if not self._played().write_object(position, index, subindex, data):
+            raise OSError(f"object {index:04X}h:{subindex} cannot be written")
+
+    def watchdog(self, position: int, seconds: float) -> None:
+        """Set the process data watchdog."""
+        self._played().set_watchdog(position, seconds)
+
+    def close(self) -> None:
+        """Leave the slaves initialised."""
+        if self._simulation.plugged and self._simulation.emulators:
+            self._simulation.played.become(State.INIT, time.monotonic())

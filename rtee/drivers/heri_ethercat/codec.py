@@ -1,0 +1,208 @@
+"""Process data and objects of HERI II's two-motor boards. No I/O.
+
+Layouts are those of a public packet header and of a program that ran on the hand; units marked
+uncertain there are uncertain here.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import ClassVar, Self
+
+MOTORS = 2
+PHALANXES = 3
+
+TORQUE_CONSTANT = 0.0418
+"""Motor torque per current [N·m/A]."""
+GEAR = 138.0
+EFFICIENCY = 0.9
+TORQUE_PER_AMPERE = TORQUE_CONSTANT * GEAR * EFFICIENCY
+"""Torque at the output shaft per current [N·m/A], at the gear's best efficiency."""
+
+COMMAND_OBJECT = (0x8001, 3)
+ACKNOWLEDGE_OBJECT = (0x8001, 4)
+FIRMWARE_OBJECT = (0x8001, 1)
+_DONE = 0x7800
+_REFUSED = 0xAA00
+
+
+class HeriFrameError(ValueError):
+    """Bytes that are no process data of these boards."""
+
+
+class Order(IntEnum):
+    """Commands to a board's controller."""
+
+    POWER_ON = 0xA5
+    POWER_OFF = 0x5A
+    DIRECT = 0x4F
+    POSITION = 0x3B
+
+
+class Fault(IntFlag):
+    """Bits of the fault word."""
+
+    POSITION_RANGE = 1 << 0
+    TORQUE_OFFSET_RANGE = 1 << 1
+    KP_RANGE = 1 << 2
+    KI_RANGE = 1 << 3
+    KD_RANGE = 1 << 4
+    ENCODER_1 = 1 << 5
+    ENCODER_2 = 1 << 6
+    HARDWARE = 1 << 7
+    PARAMETERS = 1 << 8
+    CURRENT_LIMITED = 1 << 9
+    ALIVE = 1 << 15
+
+
+ACKNOWLEDGE = 0x7FFF
+"""Bits of the fault word that an acknowledgement clears; the last one is only a sign of life."""
+WARNINGS = Fault.CURRENT_LIMITED
+"""Bits that are no faults: the board limits the current because it is hot."""
+
+
+def faults_of(word: int) -> Fault:
+    """Return the bits of a fault word that are faults."""
+    return Fault(word & ACKNOWLEDGE) & ~WARNINGS & Fault(0x1FF)
+
+
+def words(fault: Fault) -> str:
+    """Return faults in words."""
+    names = [bit.name.lower().replace("_", " ") for bit in fault if bit.name]
+    return ", ".join(names) or "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a board gets every cycle: 32 bytes.
+
+    Attributes:
+        positions: References of its two motors [rad].
+        velocity: Velocity reference of both [rad/s].
+        torque: Torque reference of both [N·m].
+        gains: Five raw gains.
+        acknowledge: Faults to clear.
+        stamp: The host's time, low 16 bits [µs]; the board sends it back.
+        operation: Operation and index of the auxiliary value.
+        value: The auxiliary value.
+    """
+
+    FORM: ClassVar[struct.Struct] = struct.Struct("<ffhh5HHHHf")
+
+    positions: tuple[float, float]
+    velocity: float = 0.0
+    torque: float = 0.0
+    gains: tuple[int, int, int, int, int] = (0, 0, 0, 0, 0)
+    acknowledge: int = 0
+    stamp: int = 0
+    operation: int = 0
+    value: float = 0.0
+
+    def to_bytes(self) -> bytes:
+        """Return the process data."""
+        return self.FORM.pack(
+            *self.positions,
+            _milli(self.velocity),
+            _milli(self.torque),
+            *(min(max(gain, 0), 0xFFFF) for gain in self.gains),
+            self.acknowledge & 0xFFFF,
+            self.stamp & 0xFFFF,
+            self.operation & 0xFFFF,
+            self.value,
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read the process data; raises `HeriFrameError`."""
+        if len(data) != cls.FORM.size:
+            raise HeriFrameError(f"a command has {cls.FORM.size} bytes, not {len(data)}")
+        first, second, velocity, torque, g0, g1, g2, g3, g4, *rest = cls.FORM.unpack(data)
+        gains = (g0, g1, g2, g3, g4)
+        return cls((first, second), velocity / 1e3, torque / 1e3, gains, *rest)
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What a board sends every cycle: 38 bytes.
+
+    Attributes:
+        positions: Of its two motors [rad].
+        velocities: Of its two motors [rad/s].
+        pressures: Of three phalanxes of either motor's finger, raw.
+        currents: Of its two motors [A]; the unit on the wire is taken for mA.
+        fault: The fault word.
+        round_trip: The stamp of the command it has seen.
+        acknowledged: Answer to the auxiliary operation.
+        value: The auxiliary value.
+    """
+
+    FORM: ClassVar[struct.Struct] = struct.Struct("<ffhh6HhhHHHf")
+
+    positions: tuple[float, float]
+    velocities: tuple[float, float] = (0.0, 0.0)
+    pressures: tuple[tuple[int, int, int], tuple[int, int, int]] = ((0, 0, 0), (0, 0, 0))
+    currents: tuple[float, float] = (0.0, 0.0)
+    fault: int = 0
+    round_trip: int = 0
+    acknowledged: int = 0
+    value: float = 0.0
+
+    def to_bytes(self) -> bytes:
+        """Return the process data."""
+        return self.FORM.pack(
+            *self.positions,
+            *(_milli(v) for v in self.velocities),
+            *self.pressures[0],
+            *self.pressures[1],
+            *(_milli(c) for c in self.currents),
+            self.fault & 0xFFFF,
+            self.round_trip & 0xFFFF,
+            self.acknowledged & 0xFFFF,
+            self.value,
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read the process data; raises `HeriFrameError`."""
+        if len(data) != cls.FORM.size:
+            raise HeriFrameError(f"a reply has {cls.FORM.size} bytes, not {len(data)}")
+        p1, p2, v1, v2, a1, a2, a3, b1, b2, b3, c1, c2, *rest = cls.FORM.unpack(data)
+        return cls(
+            (p1, p2),
+            (v1 / 1e3, v2 / 1e3),
+            ((a1, a2, a3), (b1, b2, b3)),
+            (c1 / 1e3, c2 / 1e3),
+            *rest,
+        )
+
+
+def _milli(value: float) -> int:
+    return min(max(round(value * 1000.0), -32768), 32767)
+
+
+def order(code: Order) -> bytes:
+    """Return the object's value that commands a board."""
+    return struct.pack("<H", code)
+
+
+def acknowledged(raw: bytes, code: Order) -> bool | None:
+    """Return what a board says to a command: done, refused, or ``None``: nothing yet.
+
+    Raises:
+        HeriFrameError: if it is no acknowledgement.
+    """
+    if len(raw) < 2:
+        raise HeriFrameError("an acknowledgement has two bytes")
+    word = raw[0] | raw[1] << 8
+    if word & 0xFF != code:
+        return None
+    if word & 0xFF00 == _DONE:
+        return True
+    return False if word & 0xFF00 == _REFUSED else None
+
+
+def acknowledgement(code: int, done: bool) -> bytes:
+    """Return what a board says to a command."""
+    return struct.pack("<H", (_DONE if done else _REFUSED) | code & 0xFF)

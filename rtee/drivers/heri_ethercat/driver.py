@@ -1,0 +1,328 @@
+"""Drives HERI II's two-motor boards on EtherCAT; never tried on the hand."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from rtee.buses.ethercat import EthercatBus, Ring, State
+from rtee.drivers.base import Driver
+from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.heri_ethercat import codec
+from rtee.drivers.heri_ethercat.codec import (
+    ACKNOWLEDGE_OBJECT,
+    COMMAND_OBJECT,
+    FIRMWARE_OBJECT,
+    MOTORS,
+    PHALANXES,
+    WARNINGS,
+    Command,
+    Fault,
+    HeriFrameError,
+    Order,
+    Reply,
+)
+from rtee.drivers.heri_ethercat.emulator import HeriEmulator
+from rtee.drivers.heri_ethercat.options import HeriEthercatOptions
+from rtee.drivers.options import read_options
+from rtee.errors import (
+    ConfigError,
+    DeviceFault,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+    RteeError,
+)
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+
+if TYPE_CHECKING:
+    from rtee.buses.pool import BusPool
+
+_REFUSED = 0x10000
+_POLL = 0.005
+_WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
+"""The motors of the public description, counted over its two boards."""
+_BEST_RATE = 1000.0
+
+
+class HeriEthercatDriver(Driver):
+    """The boards of a HERI II hand, with this program as their master.
+
+    The boards are brought to safe-operational to read where the motors stand, then to operational
+    with those positions for references, and powered only then: nothing jumps. A master that
+    starts takes the network over, so there is no attaching to a hand that another one holds.
+    """
+
+    Options: ClassVar[type[HeriEthercatOptions]] = HeriEthercatOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = read_options(HeriEthercatOptions, spec)
+        self._motors = _motors(spec, self.options)
+        self._boards = max(self._motors) // MOTORS + 1
+        self._bus: EthercatBus | None = None
+        self._references = [0.0] * (self._boards * MOTORS)
+        self._replies: list[Reply] = []
+        self._stamp = 0.0
+        self._fresh = False
+        self._powered = False
+        self._acknowledge = 0
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "velocity", "effort", "current", "pressure"}),
+            accepts=frozenset({"position"}),
+            best_rate=_BEST_RATE,
+            watchdog=self.options.watchdog > 0.0,
+            recoverable=True,
+        )
+
+    @property
+    def _ring(self) -> EthercatBus:
+        if self._bus is None:
+            raise NotConnected(self.spec.name, "is not connected")
+        return self._bus
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Take the network over, identify the boards and read where the motors stand."""
+        await self.close()
+        options = self.options
+        bus = self._bus = await self.buses.ethercat(
+            options.interface,
+            owner=owner_of(self.spec),
+            emulator=emulator_of(self.spec, HeriEmulator),
+        )
+        self._identify(bus)
+        firmware = [await bus.run(partial(self._firmware, i), 1.0) for i in range(self._boards)]
+        self.capabilities = replace(
+            self.capabilities,
+            identity={
+                "model": f"HERI II, {self._boards} boards (unverified on hardware)",
+                "firmware": ", ".join(dict.fromkeys(firmware)),
+            },
+        )
+        await bus.run(self._to_safe, 5.0)
+        await self._exchange()
+        self._seed()
+        await bus.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
+        await self._exchange()
+
+    def _identify(self, bus: EthercatBus) -> None:
+        if len(bus.slaves) < self._boards:
+            raise HandshakeError(
+                self.spec.name,
+                f"{self._boards} boards at {self.options.interface}",
+                f"{len(bus.slaves)} slaves",
+                hint="check cables and supply",
+            )
+        for position, slave in enumerate(bus.slaves[: self._boards]):
+            for what, wanted, found in (
+                ("vendor", self.options.vendor, slave.vendor),
+                ("product", self.options.product, slave.product),
+            ):
+                if wanted is not None and wanted != found:
+                    raise HandshakeError(
+                        self.spec.name,
+                        f"{what} {wanted:#x} as slave {position}",
+                        f"{what} {found:#x} ({slave.name})",
+                    )
+
+    @staticmethod
+    def _firmware(position: int, ring: Ring) -> str:
+        try:
+            return ring.read(position, *FIRMWARE_OBJECT).decode("ascii", "replace").strip("\x00 ")
+        except OSError:
+            return "not told"
+
+    def _to_safe(self, ring: Ring) -> None:
+        for position in range(self._boards):
+            ring.watchdog(position, self.options.watchdog)
+        ring.request(State.SAFE_OPERATIONAL, 2.0)
+
+    async def _exchange(self) -> None:
+        stamp = int(time.monotonic() * 1e6) & 0xFFFF
+        outputs = [
+            Command(
+                (self._references[MOTORS * b], self._references[MOTORS * b + 1]),
+                gains=self.options.gains,
+                acknowledge=self._acknowledge,
+                stamp=stamp,
+            ).to_bytes()
+            for b in range(self._boards)
+        ]
+        # Slaves behind the hand's boards get nothing from here.
+        inputs = await self._ring.exchange(outputs, self.options.deadline)
+        try:
+            self._replies = [Reply.from_bytes(data) for data in inputs[: self._boards]]
+        except HeriFrameError as error:
+            raise FrameError(self._ring.name, str(error), b"".join(inputs)) from error
+        self._stamp = time.monotonic()
+        self._fresh = True
+
+    def _seed(self) -> None:
+        self._references = [q for reply in self._replies for q in reply.positions]
+
+    async def activate(self) -> None:
+        """Power the motors where they stand."""
+        await self._exchange()
+        self._seed()
+        for code in (Order.POWER_OFF, Order.DIRECT, Order.POWER_ON, Order.POSITION):
+            for position in range(self._boards):
+                await self._order(position, code)
+            if code is Order.POWER_ON:
+                await self._clear_faults()
+        self._powered = True
+
+    async def _order(self, position: int, code: Order) -> None:
+        """Command a board's controller and wait for its word, keeping the frames going.
+
+        Raises:
+            DeviceFault: if it refuses or says nothing.
+            BusError: if the network fails.
+        """
+        bus = self._ring
+        await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)
+        end = time.monotonic() + self.options.order_timeout
+        done: bool | None = None
+        while done is None and time.monotonic() < end:
+            await self._exchange()
+            raw = await bus.run(lambda ring: ring.read(position, *ACKNOWLEDGE_OBJECT), 1.0)
+            try:
+                done = codec.acknowledged(raw, code)
+            except HeriFrameError as error:
+                raise FrameError(bus.name, str(error), raw) from error
+            if done is None:
+                await asyncio.sleep(_POLL)
+        if not done:
+            fault = codec.faults_of(self._replies[position].fault)
+            if fault:
+                raise self._fault(position, fault)
+            raise DeviceFault(
+                self.spec.name,
+                _REFUSED,
+                f"board {position} does not take '{code.name.lower().replace('_', ' ')}'",
+                hint="is its motor supply on?",
+            )
+
+    async def _clear_faults(self) -> None:
+        for reply in self._replies:
+            self._acknowledge |= reply.fault & codec.ACKNOWLEDGE
+        try:
+            for _ in range(3):
+                await self._exchange()
+        finally:
+            self._acknowledge = 0
+        await self._exchange()
+        self._refuse()
+
+    async def deactivate(self) -> None:
+        """Take the motors' power away."""
+        self._powered = False
+        if self._bus is not None:
+            for position in range(self._boards):
+                await self._order(position, Order.POWER_OFF)
+
+    async def close(self) -> None:
+        """Leave the network; without a master the boards do not hold."""
+        self._powered = False
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            await bus.release(owner_of(self.spec))
+
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of the network."""
+        return {} if self._bus is None else self._bus.counters.as_mapping()
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def sense(self) -> ActuatorState:
+        """Return what the last exchange brought, or exchange."""
+        self._ring.check()
+        if not self._fresh:
+            await self._exchange()
+        self._fresh = False
+        if self._powered:
+            self._refuse()
+        replies = [self._replies[m // MOTORS] for m in self._motors]
+        sides = [m % MOTORS for m in self._motors]
+        current = np.array([r.currents[s] for r, s in zip(replies, sides, strict=True)])
+        pressure = np.array(
+            [r.pressures[s] for r, s in zip(replies, sides, strict=True)], dtype=np.float64
+        ).reshape(len(self._motors) * PHALANXES)
+        return ActuatorState.measured(
+            [r.positions[s] for r, s in zip(replies, sides, strict=True)],
+            self._stamp,
+            velocity=[r.velocities[s] for r, s in zip(replies, sides, strict=True)],
+            effort=current * self.options.torque_per_ampere,
+            current=current,
+            extras={"pressure": pressure},
+            warnings=tuple(
+                f"board {b} limits its current because it is hot"
+                for b, reply in enumerate(self._replies)
+                if Fault(reply.fault & codec.ACKNOWLEDGE) & WARNINGS
+            ),
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """Exchange process data with the new references."""
+        for i, motor in enumerate(self._motors):
+            if reference.mask[i]:
+                actuator = self.spec.actuators[i]
+                wanted = float(reference.position[i])
+                self._references[motor] = min(max(wanted, actuator.lower), actuator.upper)
+        await self._exchange()
+
+    def _refuse(self) -> None:
+        for position, reply in enumerate(self._replies):
+            fault = codec.faults_of(reply.fault)
+            if fault:
+                raise self._fault(position, fault)
+
+    def _fault(self, position: int, fault: Fault) -> DeviceFault:
+        return DeviceFault(
+            self.spec.name,
+            int(fault),
+            f"board {position}: {codec.words(fault)}",
+            hint="remove the cause, then `rtee recover` acknowledges it",
+        )
+
+    async def stop(self) -> None:
+        """Hold the measured pose."""
+        with contextlib.suppress(RteeError, OSError):
+            await self._exchange()
+            self._seed()
+            await self._exchange()
+
+    async def release(self) -> None:
+        """Take the motors' power away; tendons without power let go."""
+        with contextlib.suppress(RteeError, OSError):
+            await self.deactivate()
+
+    async def recover(self) -> None:
+        """Acknowledge faults; the motors are powered again by `activate`."""
+        self._powered = False
+        await self._exchange()
+        await self._clear_faults()
+
+
+def _motors(spec: DeviceSpec, options: HeriEthercatOptions) -> list[int]:
+    """Return the motor of each actuator; raises `ConfigError`."""
+    names = [a.name for a in spec.actuators]
+    if not options.motors:
+        wired = all(name in _WIRING for name in names)
+        return [_WIRING[name] for name in names] if wired else list(range(len(names)))
+    missing = [name for name in names if name not in options.motors]
+    found = [options.motors[name] for name in names if name not in missing]
+    if missing or len(set(found)) != len(found):
+        raise ConfigError(
+            f"device '{spec.name}': option 'motors' must give each actuator a motor of its own; "
+            f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
+        )
+    return found

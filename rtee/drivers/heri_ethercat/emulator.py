@@ -1,0 +1,245 @@
+"""Plays HERI II's two boards at the level of process data and objects.
+
+The boards' EtherCAT identity, gains, auxiliary operations, pressure scale and what they do when
+frames stop are not public: here they are options, or missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from rtee.buses.emulator import Emulator
+from rtee.buses.ethercat import Slave, State
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.heri_ethercat import codec
+from rtee.drivers.heri_ethercat.codec import (
+    ACKNOWLEDGE_OBJECT,
+    COMMAND_OBJECT,
+    FIRMWARE_OBJECT,
+    MOTORS,
+    Command,
+    Fault,
+    HeriFrameError,
+    Order,
+    Reply,
+)
+from rtee.drivers.properties import read_properties
+
+
+@dataclass(frozen=True, slots=True)
+class BoardProperties:
+    """What the emulated boards are like.
+
+    Attributes:
+        boards: How many.
+        vendor: EtherCAT vendor id; the real one is not public.
+        product: EtherCAT product code; that of the two-motor board is not public.
+        firmware: What they say about their firmware.
+        start: Where the motors stand [rad].
+        speed: Of a motor [rad/s].
+        current: Largest current [A].
+        pressure: Raw pressure per ampere against an object.
+        lower: Mechanical stop [rad].
+        upper: Mechanical stop [rad].
+    """
+
+    boards: int = 2
+    vendor: int = 0
+    product: int = 0x0013
+    firmware: str = "emulated"
+    start: float = 0.3
+    speed: float = 3.0
+    current: float = 1.0
+    pressure: float = 2000.0
+    lower: float = -0.05
+    upper: float = 2.6
+
+
+class _Board:
+    def __init__(self, made: BoardProperties) -> None:
+        self.motors = [
+            Axis(
+                made.start,
+                lower=made.lower,
+                upper=made.upper,
+                max_velocity=made.speed,
+                max_effort=made.current,
+                friction=0.05 * made.current,
+                resolution=1e-4,
+            )
+            for _ in range(MOTORS)
+        ]
+        self.power = False
+        self.mode = 0
+        self.fault = 0
+        self.said = b"\x00\x00"
+        self.beat = 0
+        self.stamp = 0
+
+    def obey(self, code: int) -> bool:
+        if code == Order.POWER_ON:
+            self.power = not self.fault
+        elif code == Order.POWER_OFF:
+            self.power = False
+        elif code in (Order.DIRECT, Order.POSITION):
+            self.mode = code
+        else:
+            return False
+        self.drive()
+        return code != Order.POWER_ON or self.power
+
+    def drive(self) -> None:
+        for motor in self.motors:
+            motor.enabled = self.power and self.mode == Order.POSITION
+
+    def fail(self, fault: int) -> None:
+        self.fault |= fault
+        self.power = False
+        self.drive()
+
+
+class HeriEmulator(Emulator):
+    """The boards of one hand.
+
+    Attributes:
+        properties: What they are like.
+        boards: The boards by position.
+        state: Their EtherCAT state.
+        timeout: Process data watchdog [s]; 0: off.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"hardware", "encoder", "hot"}
+
+    def __init__(self, properties: BoardProperties | None = None) -> None:
+        super().__init__()
+        self.properties = properties or BoardProperties()
+        self.boards = [_Board(self.properties) for _ in range(self.properties.boards)]
+        self.state = State.INIT
+        self.timeout = 0.0
+        self._heard: float | None = None
+
+    @classmethod
+    def from_options(cls, options: Any) -> Self:
+        """Make the boards that the option ``emulator`` of a device describes."""
+        return cls(read_properties(BoardProperties, options))
+
+    def power_cycle(self, now: float) -> None:
+        """Begin anew; the motors stay where they are."""
+        self.state = State.INIT
+        for board in self.boards:
+            board.power = False
+            board.mode = board.fault = 0
+            board.drive()
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the first board (its faults) or all (the rest)."""
+        super().inject(fault)
+        if fault in ("hardware", "encoder"):
+            self.boards[0].fail(Fault.HARDWARE if fault == "hardware" else Fault.ENCODER_1)
+        elif fault == "hot":
+            self.boards[0].fault |= Fault.CURRENT_LIMITED
+        self._hamper()
+
+    def clear(self, fault: str | None = None) -> None:
+        """Take a fault away; what is latched stays until it is acknowledged."""
+        super().clear(fault)
+        self._hamper()
+
+    def _hamper(self) -> None:
+        for board in self.boards:
+            for motor in board.motors:
+                motor.stuck = "stuck" in self.faults
+
+    def hold(self, motor: int, position: float, stiffness: float = 10.0) -> None:
+        """Put an object in a motor's way [rad]; stiffness in A/rad."""
+        board, at = divmod(motor, MOTORS)
+        self.boards[board].motors[at].obstacle = VirtualObject(position, stiffness)
+
+    # --- what a ring asks ----------------------------------------------------------------------
+
+    def slaves(self) -> list[Slave]:
+        """Return the boards as a master finds them."""
+        made = self.properties
+        product = 0x0042 if "wrong_device" in self.faults else made.product
+        return [Slave("heri", made.vendor, product, 1) for _ in self.boards]
+
+    def become(self, state: State, now: float) -> bool:
+        """Bring the boards to a state."""
+        self.state = state
+        self._heard = now
+        if state < State.OPERATIONAL:
+            for board in self.boards:
+                for motor in board.motors:
+                    motor.target = motor.position
+        return True
+
+    def set_watchdog(self, position: int, seconds: float) -> None:
+        """Set the process data watchdog [s]."""
+        self.timeout = seconds
+
+    def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes]:
+        """Take outputs and return inputs."""
+        late = self._heard is not None and self.timeout and now - self._heard > self.timeout
+        if self.state is State.OPERATIONAL and late:
+            self.become(State.SAFE_OPERATIONAL, now)
+        self._heard = now
+        inputs = []
+        for board, data in zip(self.boards, outputs, strict=True):
+            self._take(board, data, now)
+            inputs.append(self._tell(board).to_bytes())
+        return inputs
+
+    def _take(self, board: _Board, data: bytes, now: float) -> None:
+        try:
+            command = Command.from_bytes(data)
+        except HeriFrameError:
+            return
+        if self.state is State.OPERATIONAL:
+            board.stamp = command.stamp
+            if command.acknowledge:
+                board.fault &= ~command.acknowledge
+                for fault, bit in (("hardware", Fault.HARDWARE), ("encoder", Fault.ENCODER_1)):
+                    if fault in self.faults and board is self.boards[0]:
+                        board.fault |= bit
+            for motor, reference in zip(board.motors, command.positions, strict=True):
+                motor.target = reference
+        for motor in board.motors:
+            motor.step(now)
+
+    def _tell(self, board: _Board) -> Reply:
+        board.beat ^= Fault.ALIVE
+        first, second = board.motors
+        return Reply(
+            (first.position, second.position),
+            (first.velocity, second.velocity),
+            (self._pressures(first), self._pressures(second)),
+            (first.effort, second.effort),
+            board.fault | board.beat,
+            board.stamp,
+        )
+
+    def _pressures(self, motor: Axis) -> tuple[int, int, int]:
+        thing = motor.obstacle
+        if thing is None or motor.position <= thing.contact:
+            return 0, 0, 0
+        raw = min(round(abs(motor.effort) * self.properties.pressure), 4095)
+        return raw // 4, raw // 2, raw
+
+    def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
+        """Return an object."""
+        if (index, subindex) == ACKNOWLEDGE_OBJECT:
+            return self.boards[position].said
+        if (index, subindex) == FIRMWARE_OBJECT:
+            return self.properties.firmware.encode("ascii")
+        return None
+
+    def write_object(self, position: int, index: int, subindex: int, data: bytes) -> bool:
+        """Write an object."""
+        if (index, subindex) != COMMAND_OBJECT or len(data) != 2:
+            return False
+        board = self.boards[position]
+        code = data[0] | data[1] << 8
+        board.said = codec.acknowledgement(code, board.obey(code))
+        return True
