@@ -20,6 +20,8 @@ BUILT_IN: dict[str, str] = {
     "dynamixel": "rtee.drivers.dynamixel.emulator:DynamixelEmulator",
     "cia402": "rtee.drivers.cia402.emulator:Cia402Emulator",
     "allegro": "rtee.drivers.allegro.emulator:AllegroEmulator",
+    "xbot2": "rtee.drivers.xbot2.emulator:XBot2Emulator",
+    "heri_ethercat": "rtee.drivers.heri_ethercat.emulator:HeriEmulator",
 }
 """Driver's name to its emulator as ``module:Class``, imported only when asked for."""
 
