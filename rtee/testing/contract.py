@@ -24,7 +24,7 @@ from rtee.errors import (
     RteeError,
 )
 from rtee.testing.case import DeviceCase
-from rtee.testing.session import Session, open_files, run
+from rtee.testing.session import Session, open_files, patiently, run
 from rtee.types import Reference
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
@@ -60,7 +60,7 @@ class DriverContract:
             async with self.session() as session:
                 await session.driver.configure()
                 assert session.driver.capabilities.identity
-                state = await session.driver.sense()
+                state = await session.sense()
                 assert state.position.shape == (len(self.case.actuators),)
                 assert all(math.isfinite(q) for q in state.position)
                 assert session.driver.capabilities.best_rate > 0.0
@@ -110,10 +110,9 @@ class DriverContract:
                 state = await session.start()
                 here = Reference.at(state.position)
                 for _ in range(5):
-                    await session.driver.sense()
-                    await session.driver.move(here)
+                    await session.cycle(here)
                     await asyncio.sleep(0.005)
-                after = await session.driver.sense()
+                after = await session.sense()
                 assert commands(session.emulator) == heard
                 assert session.near(after, [float(q) for q in state.position])
 
@@ -203,9 +202,9 @@ class DriverContract:
                     await session.cycle(Reference.at(list(far)))
                 await session.driver.stop()
                 await asyncio.sleep(0.1)
-                there = await session.driver.sense()
+                there = await session.sense()
                 await asyncio.sleep(0.2)
-                later = await session.driver.sense()
+                later = await session.sense()
                 assert session.near(later, [float(q) for q in there.position])
 
         run(test)
@@ -235,8 +234,8 @@ class DriverContract:
                 there = await session.reach(near)
                 session.emulator.inject("stuck")
                 for _ in range(20):
-                    state = await session.cycle(Reference.at(list(far)))
-                    assert state is not None
+                    await session.cycle(Reference.at(list(far)))
+                    state = await session.sense()
                     assert session.near(state, [float(q) for q in there.position])
                     await asyncio.sleep(0.005)
 
@@ -262,7 +261,7 @@ class DriverContract:
                     await self._recover(session)
                 session.emulator.clear()
                 await self._recover(session)
-                state = await session.driver.sense()
+                state = await session.sense()
                 here = [float(q) for q in state.position]
                 after = await session.reach(here)
                 assert session.near(after, here)
@@ -270,8 +269,8 @@ class DriverContract:
         run(test)
 
     async def _recover(self, session: Session) -> None:
-        await session.driver.recover()
-        await session.driver.activate()
+        await patiently(session.driver.recover)
+        await patiently(session.driver.activate)
 
     async def _fault_of(self, session: Session) -> DeviceFault:
         for _ in range(50):
@@ -395,9 +394,7 @@ class DriverContract:
                     await self._lost(session)
                     await session.driver.close()
                     session.wire.replug()
-                    await session.driver.configure()
-                    await session.driver.activate()
-                    state = await session.driver.sense()
+                    state = await session.start()
                     assert session.near(state, here)
                 assert len(asyncio.all_tasks()) == tasks
                 assert open_files() <= files + 1
@@ -428,7 +425,7 @@ class DriverContract:
                 waiting = asyncio.ensure_future(self._try(slow.driver.sense))
                 done = 0
                 while not waiting.done():
-                    await fast.driver.sense()
+                    await fast.sense()
                     done += 1
                 await waiting
                 assert done >= 3

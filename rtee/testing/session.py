@@ -6,7 +6,7 @@ import asyncio
 import os
 import time
 from collections.abc import Awaitable, Callable, Sequence
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
@@ -17,6 +17,27 @@ from rtee.drivers.registry import find_driver
 from rtee.errors import BusTimeout, FrameError
 from rtee.testing.case import DeviceCase
 from rtee.types import ActuatorState, Reference
+
+T = TypeVar("T")
+
+
+async def patiently(call: Callable[[], Awaitable[T]], times: int = 8) -> T:
+    """Call what may time out on a busy computer, again if it did.
+
+    Args:
+        call: What to call.
+        times: How often at most.
+
+    Raises:
+        BusTimeout: if it did every time.
+        FrameError: if it did every time.
+    """
+    for _ in range(times - 1):
+        try:
+            return await call()
+        except (BusTimeout, FrameError):
+            await asyncio.sleep(0.01)
+    return await call()
 
 
 def open_files() -> int:
@@ -69,8 +90,12 @@ class Session:
     async def start(self) -> ActuatorState:
         """Connect and activate; return the first state."""
         await self.driver.configure()
-        await self.driver.activate()
-        return await self.driver.sense()
+        await patiently(self.driver.activate)
+        return await self.sense()
+
+    async def sense(self) -> ActuatorState:
+        """Sense, patiently."""
+        return await patiently(self.driver.sense)
 
     async def cycle(self, reference: Reference) -> ActuatorState | None:
         """Sense and move as the loop does; ``None`` where the wire lost something."""
