@@ -8,7 +8,6 @@ import sys
 from typing import Any
 
 import typer
-from typer import Context
 from typer.core import TyperCommand, TyperGroup
 
 from rtee.errors import RteeError
@@ -49,11 +48,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
 class LazyGroup(TyperGroup):
     """Lists commands without importing them."""
 
-    def list_commands(self, ctx: Context) -> list[str]:
+    def list_commands(self, ctx: Any) -> list[str]:
         """Return the commands in the order of `COMMANDS`."""
         return list(COMMANDS)
 
-    def get_command(self, ctx: Context, cmd_name: str) -> TyperCommand | None:
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Import one command; while listing or completing names, stand in for it by its help."""
         entry = COMMANDS.get(cmd_name)
         if entry is None:
@@ -63,7 +62,7 @@ class LazyGroup(TyperGroup):
         module = importlib.import_module(entry[0])
         app: Any = module.app
         app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
-        command: TyperCommand = typer.main.get_command(app)
+        command: Any = typer.main.get_command(app)
         command.name = cmd_name
         command.short_help = entry[1]
         return command

@@ -127,7 +127,10 @@ class Painter:
         """Return the picture ``(height, width, 4)``: linear colours times cover, and cover."""
         width, height = self.camera.size
         y, x = self._window()
-        hits = self.tracer.cast(self.camera.position, self.camera.rays(x + 0.5, y + 0.5))
+        hits = self.tracer.cast(
+            self.camera.position,
+            self.camera.rays(x.astype(np.float64) + 0.5, y.astype(np.float64) + 0.5),
+        )
         seen = _Seen(hits, y[hits.which], x[hits.which], (height, width))
         seen.set_light(*self._lit(hits, x, y))
         picture = np.zeros((height, width, 4))
@@ -141,7 +144,10 @@ class Painter:
         total = np.zeros((height, width))
         y, x = self._window()
         for dx, dy in ((0.125, 0.625), (0.375, 0.125), (0.625, 0.875), (0.875, 0.375)):
-            hits = self.tracer.cast(self.camera.position, self.camera.rays(x + dx, y + dy))
+            hits = self.tracer.cast(
+                self.camera.position,
+                self.camera.rays(x.astype(np.float64) + dx, y.astype(np.float64) + dy),
+            )
             total[y[hits.which], x[hits.which]] += 0.25
         return total
 
@@ -198,7 +204,10 @@ class Painter:
             # A turned grid: no two samples share a row or a column.
             fx = (column + (row + 0.5) / _GRID) / _GRID
             fy = (row + (column + 0.5) / _GRID) / _GRID
-            hits = self.tracer.cast(self.camera.position, self.camera.rays(x + fx, y + fy))
+            hits = self.tracer.cast(
+                self.camera.position,
+                self.camera.rays(x.astype(np.float64) + fx, y.astype(np.float64) + fy),
+            )
             light, sky = seen.light_of(hits, y[hits.which], x[hits.which])
             total[hits.which] += self._shaded(hits, light, sky)
         picture[y, x] = total / _GRID**2
