@@ -74,7 +74,7 @@ _ALL = (
     _request(CONTROL, "recover", "ClientRequest", "Reply", "Bring devices out of a fault."),
     _request(CONTROL, "take", "ClientRequest", "Reply", "Take the hand: nobody else may move it."),
     _request(CONTROL, "release", "ClientRequest", "Reply", "Give the hand back."),
-    _request(CONTROL, "stream", "StreamRequest", "Reply", "Have states published at a rate."),
+    _request(ASK, "stream", "StreamRequest", "Reply", "Have states published at a rate."),
     _request(ASK, "state", "Empty", "State", "The newest state."),
     _request(ASK, "status", "Empty", "Status", "The loop and its devices."),
     _request(ASK, "info", "PostureRequest", "HandInfo", "The hand, for a grasp planner."),

@@ -1,4 +1,4 @@
-"""The requests that only want to know, or that change the actions; answered in a thread of Zenoh.
+"""The requests that only want to know, or that change the actions; answered in a thread of theirs.
 
 That thread is the only one that changes the library; the loop's thread only looks up in it.
 """
@@ -31,6 +31,7 @@ class Asking:
         self._hand = server.hand
         self._library = server.loop.library
         self._answers: dict[str, Callable[[Fields], Fields]] = {
+            "stream": self._stream,
             "status": self._status,
             "info": self._info,
             "robot_description": lambda _: {"data": self._hand.urdf.text},
@@ -62,6 +63,10 @@ class Asking:
         if record is None:
             raise RteeError(f"{self._hand.name}: the loop has not ticked yet")
         return self._server.streams.messages.state(record)
+
+    def _stream(self, fields: Fields) -> Fields:
+        key = self._server.streams.ask(fields["rate"])
+        return {"accepted": True, "error": "", "reason": "", "text": key}
 
     def _status(self, _: Fields) -> Fields:
         statuses, statistics, holder, goal = self._server.in_loop(self._server.status)

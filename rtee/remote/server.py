@@ -113,7 +113,6 @@ class Server(Observer):
         self.endpoint = ""
         self._settings = config.remote
         self._goal: Goal | None = None
-        self._workers: dict[str, Worker[zenoh.Query]] = {}
         self._exit = contextlib.AsyncExitStack()
         self.now = time.monotonic
 
@@ -140,10 +139,10 @@ class Server(Observer):
             stack.push_async_callback(anyio.to_thread.run_sync, self._outbox.close)
             self._control = Control(self)
             self._asking = Asking(self)
-            for group, take in ((CONTROL, self._steer), (ASK, self._ask)):
-                worker = Worker(f"{group} {self.hand.name}", partial(self._receive, group, take))
-                self._workers[group] = worker
-                stack.push_async_callback(anyio.to_thread.run_sync, worker.close)
+            self._worker: Worker[zenoh.Query] = Worker(
+                f"answer {self.hand.name}", partial(self._receive, ASK, self._asking.take)
+            )
+            stack.push_async_callback(anyio.to_thread.run_sync, self._worker.close)
             self.loop.add_observer(self)
             stack.callback(self.loop.remove_observer, self)
             self._declare(session)
@@ -156,9 +155,12 @@ class Server(Observer):
 
     def _declare(self, session: zenoh.Session) -> None:
         hand = self.hand.name
-        # A stop waits for nothing: it is taken in Zenoh's own thread.
-        takes = {group: partial(self._pass_on, worker) for group, worker in self._workers.items()}
-        takes[STOP] = partial(self._receive, STOP, self._stop)
+        # Control and stop wait for nothing: they are checked in Zenoh's own thread.
+        takes: dict[str, Callable[[zenoh.Query], None]] = {
+            STOP: partial(self._receive, STOP, self._stop),
+            CONTROL: partial(self._receive, CONTROL, self._steer),
+            ASK: self._pass_on,
+        }
         for group, take in takes.items():
             session.declare_queryable(network_key(hand, f"{group}/*"), direct(take))
         clients = network_key(hand, f"{CLIENTS}/*")
@@ -207,19 +209,13 @@ class Server(Observer):
         except Exception as error:
             refuse(query, error)
 
-    def _pass_on(self, worker: Worker[zenoh.Query], query: zenoh.Query) -> None:
-        if not worker.put(query):
+    def _pass_on(self, query: zenoh.Query) -> None:
+        if not self._worker.put(query):
             refuse(query, RequestRejected("too many requests are waiting"))
-
-    def _ask(self, asked: Asked) -> None:
-        self._asking.take(asked)
 
     def _steer(self, asked: Asked) -> None:
         self._control.check(asked)
-        if asked.request.name == "stream":
-            asked.accept(self.streams.ask(asked.fields["rate"]))
-        else:
-            self.call_soon(self._control.take, asked)
+        self.call_soon(self._control.take, asked)
 
     def _client(self, sample: zenoh.Sample) -> None:
         client = str(sample.key_expr).rpartition("/")[2]

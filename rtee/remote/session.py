@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -18,6 +19,9 @@ T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
 _ATTEMPTS = 5
+_CONNECT_WITHIN = 10
+_PROBE_WITHIN = 3.0
+_TCP = re.compile(r"tcp/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
 
 _COMMON: dict[str, Any] = {
     "mode": "peer",
@@ -30,7 +34,6 @@ _COMMON: dict[str, Any] = {
     "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE * 1000,
     "transport/shared_memory/enabled": False,
     "adminspace/enabled": False,
-    "connect/timeout_ms": 1500,
 }
 
 
@@ -89,7 +92,9 @@ def open_server(listen: Sequence[str], connect: Sequence[str]) -> tuple[zenoh.Se
             # Another process may have taken the free port in between.
             if listen or connect or attempt == _ATTEMPTS - 1:
                 where = ", ".join([*listen, *connect]) or local
-                raise ConfigError(f"the network endpoint {where} cannot be used: {error}") from None
+                raise ConfigError(
+                    f"the network endpoint {where} cannot be used: {_words(error)}"
+                ) from None
     raise AssertionError
 
 
@@ -103,8 +108,26 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
         "connect/exit_on_failure": True,
+        "connect/timeout_ms": _CONNECT_WITHIN * 1000,
     }
     try:
+        # Zenoh would try again and again where nobody listens.
+        for endpoint in endpoints:
+            _probe(endpoint)
         return zenoh.open(_configured(settings))
-    except zenoh.ZError as error:
-        raise NoHand(f"nobody answers at {', '.join(endpoints)}: {error}") from None
+    except (OSError, OverflowError, UnicodeError, zenoh.ZError) as error:
+        raise NoHand(f"nobody answers at {', '.join(endpoints)}: {_words(error)}") from None
+
+
+def _probe(endpoint: str) -> None:
+    """Raise `OSError` if nobody listens on a plain TCP endpoint."""
+    match = _TCP.fullmatch(endpoint)
+    if match is not None:
+        socket.create_connection((match[1].strip("[]"), int(match[2])), _PROBE_WITHIN).close()
+
+
+def _words(error: Exception) -> str:
+    """Return an error's text without the place in Zenoh's source."""
+    if isinstance(error, OSError):
+        return error.strerror or str(error) or "no answer"
+    return str(error).partition(" at /")[0]
