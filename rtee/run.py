@@ -26,7 +26,7 @@ from rtee.loop.clock import Clock
 from rtee.loop.configure import DeviceChoice, device_settings, loop_settings, realtime_settings
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
-from rtee.loop.realtime import Collector, set_up
+from rtee.loop.realtime import Collector, set_up, share_the_interpreter
 from rtee.loop.report import Tally, start_line, statistics_line
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings, RealtimeSettings
 from rtee.loop.stopping import bring_to_rest
@@ -206,6 +206,7 @@ async def run_hands(
         for warning in set_up(realtime):
             say(f"warning: {warning}")
             log.warning("%s", warning)
+        share_the_interpreter()
         collector.start()
         stack.callback(collector.stop)
         try:

@@ -91,6 +91,9 @@ class HandTicks:
             supervisor = Supervisor(device, driver, indices, self._observers.event, now=now)
             self.devices[device.spec.name] = supervisor
         self._check_devices(devices)
+        self._masks = {
+            name: np.ones(len(d.indices), dtype=np.bool_) for name, d in self.devices.items()
+        }
         self._gather = Gather(list(self.devices.values()))
         self._pending: deque[Plan | Command] = deque()
         self._was_active: dict[str, bool] = dict.fromkeys(self.devices, False)
@@ -190,19 +193,11 @@ class HandTicks:
     def _reference(self, device: Supervisor, record: TickRecord) -> Reference:
         top = np.array(self.controller.max_velocity)
         where = self._gather.where(device)
+        position, velocity = record.reference_position, record.reference_velocity
+        effort, mask = record.reference_effort, self._masks[device.name]
         if where is None:
-            return Reference.at(
-                record.reference_position,
-                max_effort=record.reference_effort,
-                max_velocity=top,
-                velocity=record.reference_velocity,
-            )
-        return Reference.at(
-            record.reference_position[where],
-            max_effort=record.reference_effort[where],
-            max_velocity=top[where],
-            velocity=record.reference_velocity[where],
-        )
+            return Reference(position, effort, top, mask, velocity)
+        return Reference(position[where], effort[where], top[where], mask, velocity[where])
 
     def _follow_devices(self) -> None:
         """Notice devices that may be moved now, or not any more."""

@@ -80,10 +80,14 @@ class TickStatistics:
 
     Args:
         rate: Configured rate [Hz].
+
+    Attributes:
+        started: Whether there was a first tick, which has no busy time yet.
     """
 
     def __init__(self, rate: float) -> None:
         self.rate = rate
+        self.started = False
         self.lateness = Histogram()
         self.busy = Histogram()
         self.ticks = 0

@@ -31,6 +31,8 @@ class Limiter:
         self._period = period
         step = float("inf") if max_step is None else max_step / period
         self._velocity = tuple(min(velocity, step) for velocity in limits.velocity)
+        # Rounding must not make a set-point at the limit count as beyond it.
+        self._change = tuple(a * period * (1 + _SLACK) for a in limits.acceleration)
         self.position = [0.0] * len(limits.lower)
         self.velocity = [0.0] * len(limits.lower)
         self.limited = [False] * len(limits.lower)
@@ -56,29 +58,45 @@ class Limiter:
         Returns:
             Whether anything was limited.
         """
-        dt = self._period
-        any_limited = False
+        limits, dt, any_limited = self._limits, self._period, False
+        position, velocity, limited = self.position, self.velocity, self.limited
         for i, target in enumerate(wanted):
-            here = self.position[i]
-            speed = self.velocity[i]
+            here, speed = position[i], velocity[i]
             if target == here and speed == 0.0:
-                self.limited[i] = False
+                limited[i] = False
                 continue
-            if target - target != 0.0:  # NaN or infinite
-                target = here
-            target, beyond = self._inside(i, here, target)
-            step = (target - here) / dt
-            acceleration = self._limits.acceleration[i]
-            # What lags behind must come to its target slowly enough to stop there.
-            follows = not self.limited[i] or abs(step) <= acceleration * dt
-            if follows and (self._easy(i, target, step) or self._close(i, step)):
-                self._take(i, target, step, limited=beyond)
-                any_limited |= beyond
-                continue
-            allowed = self._allowed(i, approach(here, target, acceleration, dt))
-            self._take(i, here + allowed * dt, allowed, limited=True)
-            any_limited = True
+            lower, upper = limits.lower[i], limits.upper[i]
+            # Nearly always a set-point is far from all limits; then this is all there is to do.
+            if lower <= target <= upper and not limited[i]:
+                step = (target - here) / dt
+                size, room = (step, upper - target) if step > 0.0 else (-step, target - lower)
+                acceleration, change = limits.acceleration[i], self._change[i]
+                if (
+                    size <= self._velocity[i]
+                    and -change <= step - speed <= change
+                    and room > size * size / acceleration + size * dt
+                ):
+                    position[i], velocity[i] = target, step
+                    continue
+            if self._limit(i, target):
+                any_limited = True
         return any_limited
+
+    def _limit(self, i: int, target: float) -> bool:
+        """Take a set-point that may be beyond a limit; return whether it was."""
+        here, dt, acceleration = self.position[i], self._period, self._limits.acceleration[i]
+        if target - target != 0.0:  # NaN or infinite
+            target = here
+        target, beyond = self._inside(i, here, target)
+        step = (target - here) / dt
+        # What lags behind must come to its target slowly enough to stop there.
+        follows = not self.limited[i] or abs(step) <= acceleration * dt
+        if follows and self._close(i, step):
+            self._take(i, target, step, limited=beyond)
+            return beyond
+        allowed = self._allowed(i, approach(here, target, acceleration, dt))
+        self._take(i, here + allowed * dt, allowed, limited=True)
+        return True
 
     def _inside(self, i: int, here: float, target: float) -> tuple[float, bool]:
         """Return a set-point inside the position limits, and whether it was well beyond them."""
@@ -86,18 +104,6 @@ class Limiter:
             max(target, min(self._limits.lower[i], here)), max(self._limits.upper[i], here)
         )
         return inside, abs(inside - target) > _SLACK
-
-    def _easy(self, i: int, target: float, step: float) -> bool:
-        """Return whether a set-point is far from all limits; most are, and this is quick."""
-        dt, acceleration = self._period, self._limits.acceleration[i]
-        size = abs(step)
-        # Rounding must not make a set-point at the limit count as beyond it.
-        if size > self._velocity[i] * (1 + _SLACK):
-            return False
-        if abs(step - self.velocity[i]) > acceleration * dt * (1 + _SLACK):
-            return False
-        room = self._limits.upper[i] - target if step > 0 else target - self._limits.lower[i]
-        return room > size * size / acceleration + size * dt
 
     def _close(self, i: int, step: float) -> bool:
         """Return whether a set-point is within what the limits allow."""

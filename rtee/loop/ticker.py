@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from rtee.loop.clock import AnyClock, ticking
+from rtee.loop.clock import AnyClock, Tick
 from rtee.loop.hand_ticks import HandTicks
 from rtee.loop.histogram import TickStatistics
 
@@ -28,14 +28,16 @@ async def drive(
     for loop in loops:
         loop.clock_statistics = statistics
     used = time.thread_time_ns()
-    first = True
-    async with ticking(clock) as ticks:
-        async for tick in ticks:
-            now = time.thread_time_ns()
-            if not first:
-                statistics.add(tick.woken_ns, tick.lateness_ns, now - used, tick.missed)
-            used, first = now, False
-            for loop in loops:
-                loop.tick(tick)
-            if idle is not None:
-                idle(tick.due_ns + period_ns)
+
+    def at_tick(tick: Tick) -> None:
+        nonlocal used
+        before, used = used, time.thread_time_ns()
+        if statistics.started:
+            statistics.add(tick.woken_ns, tick.lateness_ns, used - before, tick.missed)
+        statistics.started = True
+        for loop in loops:
+            loop.tick(tick)
+        if idle is not None:
+            idle(tick.due_ns + period_ns)
+
+    await clock.drive(at_tick)

@@ -109,3 +109,54 @@ async def test_manual_clock_moves_only_by_hand() -> None:
     assert clock.next(missed=2).number == 6
     assert ticks[3].stamp == pytest.approx(7.006)
     assert ticks[3].lateness_ns == 0
+
+
+@pytest.mark.parametrize("use_timerfd", [True, False])
+async def test_driving_a_function_is_the_same_as_iterating(use_timerfd: bool) -> None:
+    ticks: list[Tick] = []
+
+    class EnoughError(Exception):
+        pass
+
+    def take_tick(tick: Tick) -> None:
+        ticks.append(tick)
+        if len(ticks) == 3:
+            time.sleep(0.02)
+        if len(ticks) == 8:
+            raise EnoughError
+
+    clock = Clock(500, use_timerfd=use_timerfd)
+    with pytest.raises(EnoughError):
+        await clock.drive(take_tick)
+    await asyncio.sleep(0.01)
+    assert len(ticks) == 8, "it is over when the function raises"
+    start = ticks[0].due_ns - ticks[0].number * clock.period_ns
+    for before, tick in itertools.pairwise(ticks):
+        assert tick.due_ns == start + tick.number * clock.period_ns
+        assert tick.number == before.number + 1 + tick.missed
+    assert sum(tick.missed for tick in ticks) >= 9
+
+
+async def test_driving_ends_when_cancelled() -> None:
+    ticks: list[Tick] = []
+    enough = asyncio.Event()
+
+    def take_tick(tick: Tick) -> None:
+        ticks.append(tick)
+        if len(ticks) == 3:
+            enough.set()
+
+    task = asyncio.create_task(Clock(1000).drive(take_tick))
+    await enough.wait()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    done = len(ticks)
+    await asyncio.sleep(0.01)
+    assert len(ticks) == done
+
+
+async def test_a_manual_clock_drives_as_far_as_it_goes() -> None:
+    ticks: list[Tick] = []
+    await ManualClock(100, ticks=5).drive(ticks.append)
+    assert [tick.number for tick in ticks] == [0, 1, 2, 3, 4]
