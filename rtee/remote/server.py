@@ -6,6 +6,7 @@ import asyncio
 import concurrent.futures
 import contextlib
 import logging
+import sys
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from functools import partial
@@ -48,6 +49,9 @@ T = TypeVar("T")
 Status = tuple[list[DeviceStatus], LoopStatistics, str, Goal | None]
 
 _ANSWER_WITHIN = 2.0
+
+_SWITCH_INTERVAL = 1e-4
+"""Python's threads hand over to the loop's within this [s]; by default it would be 5 ms."""
 
 
 class RemoteSettings(Protocol):
@@ -123,7 +127,10 @@ class Server(Observer):
             ConfigError: if the hand runs already, or an endpoint cannot be used.
         """
         self._event_loop = asyncio.get_running_loop()
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(min(interval, _SWITCH_INTERVAL))
         async with contextlib.AsyncExitStack() as stack:
+            stack.callback(sys.setswitchinterval, interval)
             open_session = partial(
                 open_server, list(self._settings.listen), list(self._settings.connect)
             )
