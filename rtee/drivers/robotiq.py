@@ -71,10 +71,14 @@ class Blocks:
             function=self._function,
         )
 
-    async def write(self, values: Sequence[int]) -> None:
-        """Write the output block; errors as for `read`."""
+    async def write(self, values: Sequence[int], deadline: float | None = None) -> None:
+        """Write the output block, within another deadline [s] if given; errors as for `read`."""
         await self.bus.write(
-            self.unit, self._output, values, deadline=self.deadline, retries=self._retries
+            self.unit,
+            self._output,
+            values,
+            deadline=deadline or self.deadline,
+            retries=self._retries,
         )
 
     async def exchange(self, values: Sequence[int]) -> tuple[int, ...]:

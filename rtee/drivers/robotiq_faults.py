@@ -20,3 +20,7 @@ class Fault:
     hint: str = ""
     warning: bool = False
     major: bool = False
+
+
+NOT_ACTIVATED = 0x07
+"""The code of a gripper that was never activated, or lost its activation."""

@@ -165,6 +165,11 @@ class Status:
         return self.activated and self.activation is Activation.DONE
 
     @property
+    def reset(self) -> bool:
+        """Whether it is not activated, nor about to be."""
+        return self.activation is Activation.RESET
+
+    @property
     def current(self) -> float:
         """Motor current [A]."""
         return self.raw_current * _CURRENT

@@ -185,6 +185,11 @@ class Status:
         """Whether it is activated and takes commands."""
         return self.activated and self.progress is Progress.DONE
 
+    @property
+    def reset(self) -> bool:
+        """Whether it is not activated, nor about to be."""
+        return self.progress is Progress.RESET
+
     def to_registers(self) -> tuple[int, ...]:
         """Return the eight registers."""
         state = (

@@ -1,0 +1,385 @@
+"""The life of a Robotiq gripper: identify, attach or activate, exchange, stop, recover.
+
+It is the same for the two-finger and the three-finger gripper; the registers are not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from abc import abstractmethod
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from typing import ClassVar, Generic, Literal, Protocol, TypeVar
+
+from rtee.buses.emulator import EmulatorFactory
+from rtee.buses.modbus import ModbusBus
+from rtee.buses.pool import BusPool
+from rtee.drivers.base import Driver
+from rtee.drivers.emulators import owner_of
+from rtee.drivers.robotiq import Blocks, ExchangeKind
+from rtee.drivers.robotiq_faults import NOT_ACTIVATED, Fault
+from rtee.errors import (
+    BusError,
+    BusTimeout,
+    DeviceFault,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+)
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+
+PATIENT = 0.5
+"""What is written once and must arrive may take so long [s]."""
+
+SAME = 2
+"""A position this near to the measured one asks for no motion [counts]."""
+
+
+class RobotiqStatus(Protocol):
+    """What all of Robotiq's grippers say."""
+
+    @property
+    def activated(self) -> bool:
+        """GACT."""
+        ...
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is activated and takes commands."""
+        ...
+
+    @property
+    def reset(self) -> bool:
+        """Whether it is not activated, nor about to be."""
+        ...
+
+    @property
+    def fault(self) -> int:
+        """GFLT."""
+        ...
+
+
+class RobotiqSettings(Protocol):
+    """The options that all of Robotiq's grippers have."""
+
+    @property
+    def port(self) -> str:
+        """The address."""
+        ...
+
+    @property
+    def unit(self) -> int:
+        """The gripper's Modbus number."""
+        ...
+
+    @property
+    def baudrate(self) -> int:
+        """Bits per second."""
+        ...
+
+    @property
+    def home(self) -> Literal["on_demand", "on_connect"]:
+        """When it is activated."""
+        ...
+
+    @property
+    def exchange(self) -> ExchangeKind:
+        """How it is exchanged with."""
+        ...
+
+    @property
+    def activation_timeout(self) -> float:
+        """Longest time of an activation [s]."""
+        ...
+
+
+S = TypeVar("S", bound=RobotiqStatus)
+
+
+class RobotiqDriver(Driver, Generic[S]):
+    """A Robotiq gripper on Modbus.
+
+    It attaches to a gripper that is active without writing anything: the first write comes with the
+    first reference that differs from where the gripper is.
+
+    Attributes:
+        MODEL: What it is called when another device answers.
+        FAULTS: Its fault codes.
+        HINT: What to do about a gripper that is not activated.
+        COUNT: Registers of either block.
+        RESET: Registers that clear rACT.
+        ACTIVATE: Registers that set nothing but rACT.
+    """
+
+    MODEL: ClassVar[str]
+    FAULTS: ClassVar[Mapping[int, Fault]]
+    HINT: ClassVar[str]
+    COUNT: ClassVar[int]
+    RESET: ClassVar[Sequence[int]]
+    ACTIVATE: ClassVar[Sequence[int]]
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqSettings) -> None:
+        super().__init__(spec, buses)
+        self._settings = settings
+        self._bus: ModbusBus | None = None
+        self._blocks: Blocks | None = None
+        self._status = self._told(())
+        self._active = False
+        self._home_asked = False
+        self.capabilities = self._abilities(100.0)
+
+    # --- what differs ------------------------------------------------------------------------
+
+    @abstractmethod
+    def _told(self, block: Sequence[int]) -> S:
+        """Return what an input block says, an empty one nothing; raises `FrameError`."""
+
+    @abstractmethod
+    def _emulator(self) -> EmulatorFactory | None:
+        """Return what plays the gripper, if it is emulated."""
+
+    @abstractmethod
+    def _places(self) -> tuple[int, int, int]:
+        """Return where the output and the input block begin, and the function to read with."""
+
+    @abstractmethod
+    def _identity(self) -> Mapping[str, str]:
+        """Return what is known about the gripper."""
+
+    @abstractmethod
+    def _measured(self, status: S, stamp: float) -> ActuatorState:
+        """Return a status in SI units."""
+
+    @abstractmethod
+    def _asked(self, reference: Reference) -> Sequence[int] | None:
+        """Return what to write for a reference, ``None`` while it asks for what is there."""
+
+    @abstractmethod
+    def _stopping(self) -> Sequence[int]:
+        """Return what to write to stop, keeping all else."""
+
+    @abstractmethod
+    def _forget(self) -> None:
+        """Forget what was sent: what is there now is where to start from."""
+
+    # --- life --------------------------------------------------------------------------------
+
+    def _abilities(self, best_rate: float) -> Capabilities:
+        return Capabilities(
+            measures=frozenset({"position", "current", "grasped"}),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            best_rate=best_rate,
+            homing=True,
+            recoverable=True,
+            identity=self._identity(),
+        )
+
+    async def configure(self) -> None:
+        """Open the line and see whether such a gripper answers; moves nothing."""
+        await self.close()
+        settings = self._settings
+        self._bus = bus = await self.buses.modbus(
+            settings.port,
+            owner=owner_of(self.spec),
+            baudrate=settings.baudrate,
+            emulator=self._emulator(),
+        )
+        output, source, function = self._places()
+        # Where both blocks begin at the same place, function 23 cannot tell them apart.
+        mixed = output == source and settings.exchange == "auto"
+        self._blocks = Blocks(
+            bus,
+            settings.unit,
+            output=output,
+            source=source,
+            count=self.COUNT,
+            deadline=PATIENT,
+            kind="separate" if mixed else settings.exchange,
+            function=function,
+        )
+        best = self._blocks.best_rate(self.COUNT)
+        self.capabilities = self._abilities(best)
+        await self._identify()
+        every = self.spec.every or math.ceil(self.spec.rate / best)
+        self._blocks.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 3.0 / best)
+
+    async def _identify(self) -> None:
+        try:
+            self._status = await self._read()
+        except BusTimeout as error:
+            raise NotConnected(
+                self.spec.name,
+                f"no answer from unit {self._settings.unit} at {self._settings.port}",
+                hint="check supply, wiring, `unit` and `baudrate`; `rtee doctor` helps",
+            ) from error
+        except FrameError as error:
+            raise HandshakeError(
+                self.spec.name,
+                f"a {self.MODEL}",
+                error.message,
+                hint="is it another gripper, or is another program using the line?",
+            ) from error
+
+    async def activate(self) -> None:
+        """Attach to an active gripper; activate an inactive one where that was asked for."""
+        status = self._status = await self._read()
+        self._refuse(status)
+        allowed = self._settings.home == "on_connect" or self._home_asked
+        if not status.ready:
+            if not allowed:
+                raise self._fault(NOT_ACTIVATED)
+            await self._within(self._activate)
+        await self._prepare(allowed)
+        self._home_asked = False
+        self._forget()
+        self._active = True
+
+    async def _prepare(self, allowed: bool) -> None:
+        """Do what else is needed before it can be moved, if that is ``allowed`` to move it."""
+
+    async def _activate(self) -> None:
+        await self._write(self.RESET)
+        await self._until(lambda status: status.reset)
+        await self._write(self.ACTIVATE)
+        await self._until(lambda status: status.ready)
+
+    async def _within(self, steps: Callable[[], Awaitable[None]]) -> None:
+        """Do what moves the gripper by itself, in time; cancelling stops it."""
+        try:
+            async with asyncio.timeout(self._settings.activation_timeout):
+                await steps()
+        except BusTimeout:
+            raise
+        except TimeoutError:
+            raise DeviceFault(
+                self.spec.name,
+                0x0D,
+                "activation not done in time",
+                hint="free the fingers, then `rtee recover`",
+            ) from None
+        except asyncio.CancelledError:
+            with contextlib.suppress(BusError):
+                await self._write(self.RESET)
+            raise
+
+    async def _until(self, done: Callable[[S], bool]) -> None:
+        missed = 0
+        while True:
+            try:
+                status = self._status = await self._read()
+            except (BusTimeout, FrameError):
+                missed += 1
+                if missed > 5:
+                    raise
+                continue
+            missed = 0
+            if done(status):
+                return
+            self._refuse(status)
+            await asyncio.sleep(0.01)
+
+    async def deactivate(self) -> None:
+        """Stop; the gripper stays activated, for it would lose its grip otherwise."""
+        await self.stop()
+        self._active = False
+
+    async def close(self) -> None:
+        """Give the line back."""
+        self._active = False
+        bus, self._bus, self._blocks = self._bus, None, None
+        if bus is not None:
+            await bus.release(owner_of(self.spec))
+
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of the line."""
+        return {} if self._bus is None else self._bus.counters.as_mapping()
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def sense(self) -> ActuatorState:
+        """Return what the last exchange brought, or read it."""
+        blocks = self._open()
+        period = (self.spec.every or 1) / self.spec.rate
+        kept = blocks.fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
+        if kept is None:
+            self._status = await self._read()
+        stamp = time.monotonic() if kept is None else kept[1]
+        status = self._status
+        if self._active:
+            self._refuse(status)
+            if not status.activated or status.reset:
+                raise self._fault(NOT_ACTIVATED, "lost its activation; was its supply cut?")
+        return self._measured(status, stamp)
+
+    async def move(self, reference: Reference) -> None:
+        """Send positions, speeds and forces in one frame, and read what the gripper says to it."""
+        blocks = self._open()
+        registers = self._asked(reference)
+        if registers is None:
+            return
+        block = await blocks.exchange(registers)
+        self._status = self._told(block)
+        blocks.keep(block)
+
+    # --- stop and faults ---------------------------------------------------------------------
+
+    async def stop(self) -> None:
+        """Clear rGTO: the fingers stop where they are, and what they hold stays held."""
+        if self._blocks is None:
+            return
+        registers = self._stopping()
+        for _ in range(3):
+            with contextlib.suppress(BusError):
+                await self._blocks.write(registers)
+                self._forget()
+                return
+
+    async def recover(self) -> None:
+        """Clear a fault; where that costs the activation, the next `activate` may move."""
+        status = self._status = await self._read()
+        fault = self.FAULTS.get(status.fault)
+        if fault is not None and fault.major:
+            await self._clear()
+        self._refuse(self._status)
+        self._home_asked = True
+
+    async def _clear(self) -> None:
+        """Reset the gripper, and wait a moment for its fault to go."""
+        await self._write(self.RESET)
+        end = time.monotonic() + PATIENT
+        while self._status.fault or self._status.activated:
+            if time.monotonic() > end:
+                raise self._fault(self._status.fault or NOT_ACTIVATED)
+            await asyncio.sleep(0.01)
+            self._status = await self._read()
+
+    def _refuse(self, status: S) -> None:
+        """Raise the fault that the gripper reports, unless it is only a warning."""
+        fault = self.FAULTS.get(status.fault)
+        if fault is not None and not fault.warning and status.fault != NOT_ACTIVATED:
+            raise self._fault(status.fault)
+
+    def _fault(self, code: int, name: str = "") -> DeviceFault:
+        self._active = False
+        fault = self.FAULTS.get(code, Fault("a fault that no manual names", "recover"))
+        hint = self.HINT if code == NOT_ACTIVATED else fault.hint
+        return DeviceFault(self.spec.name, code, name or fault.name, hint=hint)
+
+    def _warnings(self, status: S) -> tuple[str, ...]:
+        fault = self.FAULTS.get(status.fault)
+        return (fault.name,) if fault is not None and fault.warning else ()
+
+    # --- the wire ----------------------------------------------------------------------------
+
+    def _open(self) -> Blocks:
+        if self._blocks is None:
+            raise NotConnected(self.spec.name, "is not connected")
+        return self._blocks
+
+    async def _read(self) -> S:
+        return self._told(await self._open().read())
+
+    async def _write(self, registers: Sequence[int]) -> None:
+        await self._open().write(registers, PATIENT)
