@@ -38,6 +38,9 @@ class ActionLibrary:
         actions: Its actions; what they refer to must be among them.
         folder: Where they are stored, or ``None`` to keep them in memory.
 
+    Attributes:
+        version: Counts the changes, so that what was derived from the actions can be kept.
+
     Raises:
         ActionError: if two actions have the same name, or one refers to a missing one.
     """
@@ -47,6 +50,7 @@ class ActionLibrary:
     ) -> None:
         self.hand = hand
         self.folder = folder
+        self.version = 0
         self._index = Index(hand, tuple(actions))
         self._stored: dict[str, str] = {}
         self._seen: dict[Path, int] = {}
@@ -76,6 +80,7 @@ class ActionLibrary:
         self._index = Index(self.hand, (*actions, *keep))
         self._stored = {normalise(action.name): action.name for action in custom}
         self._seen = seen
+        self.version += 1
         for action in custom:
             for warning in warnings_of(action):
                 log.warning("%s", warning)
@@ -192,6 +197,7 @@ class ActionLibrary:
         if store:
             self._write(index, action)
         self._index = index
+        self.version += 1
 
     def store(self, name: str, elements: Sequence[str] = ()) -> None:
         """Write one action to its file.
@@ -201,6 +207,7 @@ class ActionLibrary:
             ConfigError: if the file cannot be written.
         """
         self._write(self._index, self.find(name, elements))
+        self.version += 1
 
     def _write(self, index: Index, action: Action) -> None:
         from rtee.actions.store import write_custom, write_primitives
@@ -250,6 +257,7 @@ class ActionLibrary:
             del self._stored[normalise(action.name)]
             self._note()
         self._index = Index(self.hand, self._index.without(action))
+        self.version += 1
 
     def rename(self, name: str, new_name: str) -> None:
         """Give a composed, timed or generic action another name, everywhere it is used.
@@ -287,6 +295,7 @@ class ActionLibrary:
             self._stored[new] = new_name
             self._note()
         self._index = index
+        self.version += 1
 
     def save(self, folder: Path | None = None) -> None:
         """Write all actions to their files, each atomically; nothing is written that is equal.
@@ -307,6 +316,7 @@ class ActionLibrary:
         for action in self._index.custom.values():
             write_custom(home, action)
             self._stored[normalise(action.name)] = action.name
+        self.version += 1
         self._note()
 
     def changed(self) -> bool:

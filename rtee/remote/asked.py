@@ -42,18 +42,18 @@ class Asked:
 
     Attributes:
         request: Which request it is.
-        fields: The fields of the question.
+        question: The question.
+        fields: Its fields.
     """
 
-    __slots__ = ("_key", "_query", "fields", "request")
+    __slots__ = ("_key", "_query", "fields", "question", "request")
 
-    def __init__(
-        self, query: zenoh.Query, key: str, request: Request, fields: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, query: zenoh.Query, key: str, request: Request, question: bytes) -> None:
         self._query = query
         self._key = key
         self.request = request
-        self.fields = fields
+        self.question = question
+        self.fields = request.question.decode(question) if question else {}
 
     def answer(self, fields: Mapping[str, Any]) -> None:
         """Answer with a message of the request's type."""
@@ -97,6 +97,5 @@ def read(query: zenoh.Query, hand: str, group: str) -> Asked:
     if payload is None or not size:
         if request.question is not _EMPTY:
             raise MessageError(f"the request '{name}' needs a {request.question.name}")
-        return Asked(query, request.key(hand), request, {})
-    fields = request.question.decode(payload.to_bytes())
-    return Asked(query, request.key(hand), request, fields)
+        return Asked(query, request.key(hand), request, b"")
+    return Asked(query, request.key(hand), request, payload.to_bytes())

@@ -23,6 +23,12 @@ Fields = Mapping[str, Any]
 _LONGEST_MARK = 1000
 
 
+_CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
+"""Requests whose answer changes only with the actions."""
+
+_MOST_KEPT = 64
+
+
 class Asking:
     """Answers the requests of the group ``ask``."""
 
@@ -30,6 +36,8 @@ class Asking:
         self._server = server
         self._hand = server.hand
         self._library = server.loop.library
+        self._answered: dict[tuple[str, bytes], bytes] = {}
+        self._version = -1
         self._answers: dict[str, Callable[[Fields], Fields]] = {
             "stream": self._stream,
             "status": self._status,
@@ -51,10 +59,29 @@ class Asking:
         Raises:
             RteeError: if it cannot be answered.
         """
-        if asked.request.name == "state":
+        name = asked.request.name
+        if name == "state":
             asked.answer_bytes(self._state())
+        elif name in _CONSTANT:
+            asked.answer_bytes(self._kept(asked))
         else:
-            asked.answer(self._answers[asked.request.name](asked.fields))
+            asked.answer(self._answers[name](asked.fields))
+
+    def _kept(self, asked: Asked) -> bytes:
+        """Return an answer that changes only with the actions; worked out once for each question.
+
+        Working it out takes milliseconds of Python's lock, which the loop also needs.
+        """
+        if asked.request.name not in ("info", "robot_description"):
+            self._reload()
+        if self._version != self._library.version or len(self._answered) >= _MOST_KEPT:
+            self._answered.clear()
+            self._version = self._library.version
+        key = (asked.request.name, asked.question)
+        if key not in self._answered:
+            fields = self._answers[asked.request.name](asked.fields)
+            self._answered[key] = asked.request.answer.encode(fields)
+        return self._answered[key]
 
     # --- what is known
 
@@ -113,7 +140,6 @@ class Asking:
     # --- actions
 
     def _actions(self, fields: Fields) -> Fields:
-        self._reload()
         found = self._library.all(
             fields["kind"] or None, fields["name"] or None, fields["elements"]
         )
@@ -122,7 +148,6 @@ class Asking:
         return {"actions": [action_fields(a, custom[a.name]) for a in found]}
 
     def _primitives(self, _: Fields) -> Fields:
-        self._reload()
         return {"groups": [group_fields(group) for group in self._library.primitives()]}
 
     def _partners(self, fields: Fields) -> Fields:
