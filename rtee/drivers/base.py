@@ -58,6 +58,8 @@ class Driver(ABC):
     async def sense(self) -> ActuatorState:
         """Return what the device measures now, in SI units and the order of ``spec.actuators``.
 
+        Every state has arrays of its own, which the driver must not change afterwards.
+
         Raises:
             DeviceFault: if the device reports a fault.
             BusError: if the exchange fails.

@@ -54,7 +54,7 @@ def find_driver(name: str, *, source: str = "") -> type[Driver]:
     module_name, _, class_name = target.partition(":")
     try:
         found = getattr(importlib.import_module(module_name), class_name)
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # whatever a module of somebody else's does when it is imported
         raise ConfigError(
             f"{where}driver '{name}' ({target}) cannot be imported: {error}"
         ) from error

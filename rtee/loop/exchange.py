@@ -254,7 +254,7 @@ class Exchange:
                 self._begin(REQUEST_WITHIN)
                 await self._activate()
         except Exception as error:
-            if not isinstance(error, RteeError | OSError):
+            if not isinstance(error, RteeError | OSError | EOFError):
                 log.exception("the driver of device '%s' failed", self.name)
             if not isinstance(error, DeviceFault):
                 self.lifecycle = Lifecycle.UNCONFIGURED
@@ -324,6 +324,8 @@ class Exchange:
                 await self._lose(error)
             case RteeError() | TimeoutError():
                 await self._miss(error)
+            case OSError() | EOFError():
+                await self._lose(error)
             case _:
                 log.error("the driver of device '%s' failed", self.name, exc_info=error)
                 await self._lose(error)
