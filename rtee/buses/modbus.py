@@ -26,7 +26,7 @@ logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 _FOR_EVER = 3600.0
 
 
-class ModbusRefusal(BusError):  # noqa: N818 - as all bus errors are named
+class ModbusRefusal(BusError):
     """The device answered with a Modbus exception.
 
     Attributes:

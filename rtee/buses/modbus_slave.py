@@ -27,7 +27,7 @@ ILLEGAL_VALUE = 3
 Framing = Literal["rtu", "tcp"]
 
 
-class Refused(Exception):  # noqa: N818 - a refusal is no error of ours
+class Refused(Exception):
     """The device refuses a request; with silence where it has no exceptions.
 
     Attributes:

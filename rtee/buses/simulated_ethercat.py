@@ -27,8 +27,8 @@ class PlaysSlaves(Protocol):
         """Bring the slaves to a state; whether they follow."""
         ...
 
-    def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes]:
-        """Take outputs and return inputs, by position."""
+    def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes] | None:
+        """Take outputs and return inputs by position; ``None``: not every slave takes part."""
         ...
 
     def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
@@ -115,7 +115,12 @@ class SimulatedRing(Ring):
         """Send outputs and return inputs."""
         played = self._played()
         inputs = played.cycle(outputs, time.monotonic())
-        return None if self._simulation.faults.lost() else inputs
+        late = self._simulation.faults.copies()
+        if not late:
+            return None
+        if late[0] > 0.0:
+            time.sleep(late[0])
+        return inputs
 
     def read(self, position: int, index: int, subindex: int) -> bytes:
         """Read an object."""
