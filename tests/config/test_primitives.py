@@ -1,0 +1,48 @@
+"""The primitives in config/: found again they are the same, and measured hands have them too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rtee.actions.store import write_primitives
+from rtee.extract.extraction import extract
+from rtee.hand.load import load_hand, load_model
+from rtee.hand.model import Hand
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+MEASURED = {
+    "dagana": "dagana",
+    "heri_ii": "heri_II",
+    "onrobot_3fg15": "onrobot_3fg15",
+    "qb_softhand": "qbhand",
+    "robotiq_2f_140": "robotiq_2f_140",
+    "robotiq_2f_85": "robotiq_2f_85",
+    "robotiq_3f": "robotiq_3f",
+}
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*.yaml"))}
+
+
+def kinds(hand: Hand) -> set[tuple[str, tuple[str, ...]]]:
+    return {(p.name, tuple(sorted(p.elements))) for p in extract(hand).primitives}
+
+
+@pytest.mark.parametrize("name", ["dagana", "robotiq_2f_85", "robotiq_2f_140"])
+def test_found_again_they_are_the_same_files(name: str, tmp_path: Path) -> None:
+    hand = load_hand(CONFIG / name)
+    write_primitives(tmp_path, hand, extract(hand).primitives)
+    assert files(tmp_path / "primitives") == files(CONFIG / name / "actions" / "primitives")
+
+
+@pytest.mark.parametrize(("name", "measured"), MEASURED.items())
+def test_the_measured_hand_has_the_same(name: str, measured: str, shared: Path) -> None:
+    folder = shared / "hands" / measured
+    model = load_model(
+        folder / f"{measured}.urdf", folder / f"{measured}.srdf", package_dirs=[folder]
+    )
+    assert kinds(load_hand(CONFIG / name)) == kinds(model)
