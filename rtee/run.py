@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import signal
+import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
@@ -139,6 +140,7 @@ def prepare(name: str, options: RunOptions) -> PreparedHand:
         tuple(options.driver_options.items()),
         str(file),
         {device: document.line(("devices", device)) or 1 for device in config.devices},
+        str(folder),
     )
     return PreparedHand(
         hand=hand,
@@ -206,7 +208,7 @@ async def run_hands(
         for warning in set_up(realtime):
             say(f"warning: {warning}")
             log.warning("%s", warning)
-        share_the_interpreter()
+        stack.callback(sys.setswitchinterval, share_the_interpreter())
         collector.start()
         stack.callback(collector.stop)
         try:

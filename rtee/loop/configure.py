@@ -78,6 +78,7 @@ class DeviceChoice:
         options: Options for a driver that hand.yaml has no device for.
         source: The hand.yaml, for messages.
         lines: Where in it each device stands.
+        folder: The hand's folder.
     """
 
     driver: str | None = None
@@ -85,6 +86,7 @@ class DeviceChoice:
     options: tuple[tuple[str, object], ...] = ()
     source: str = ""
     lines: Mapping[str, int] = field(default_factory=dict)
+    folder: str = ""
 
 
 def device_settings(
@@ -133,6 +135,7 @@ def device_settings(
         rate=rate,
         emulated=choice.emulated,
         source=choice.source,
+        folder=choice.folder,
     )
     return [*made, DeviceSettings(spec)]
 
@@ -160,5 +163,6 @@ def _made(
         deadline=device.deadline,
         emulated=choice.emulated,
         source=f"{choice.source}:{choice.lines[name]}" if name in choice.lines else choice.source,
+        folder=choice.folder,
     )
     return DeviceSettings(spec, reconnect_active=device.reconnect == "active")

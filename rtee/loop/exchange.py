@@ -107,6 +107,7 @@ class Exchange:
         self._offered = False
         self._next_due = 0
         self._busy = False
+        self._exchanging = False
         self._give_up_at = math.inf
         self._limit: asyncio.Timeout | None = None
         self._deadline = settings.spec.deadline or LEAST_DEADLINE
@@ -140,7 +141,7 @@ class Exchange:
         """Have one exchange done: read the state, then send the reference if there is one."""
         now = self._now()
         if self._busy:
-            self._accounts.overruns += self.lifecycle is not Lifecycle.UNCONFIGURED
+            self._accounts.overruns += self._exchanging
             if now >= self._give_up_at:
                 self._interrupt(0.0)
             return
@@ -199,7 +200,7 @@ class Exchange:
         self._give_up_at = self._now() + within
 
     def _end(self) -> None:
-        self._busy = False
+        self._busy = self._exchanging = False
         limit = self._limit
         if limit is not None and limit.when() is not None and not limit.expired():
             limit.reschedule(None)
@@ -216,6 +217,7 @@ class Exchange:
 
     async def _exchange(self) -> None:
         self._begin(self._deadline)
+        self._exchanging = True
         reference, self._reference = self._reference, None
         try:
             self._take(await self.driver.sense())

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Self
+from zlib import crc32
 
 import anyio
 import anyio.abc
@@ -187,8 +188,12 @@ class HandTicks:
         if controller.outbox:
             self._deliver()
         if stamp >= self._status_at:
-            self._status_at = stamp + self.settings.statistics_window
-            self._observers.status(self.statuses(), self.statistics())
+            window = self.settings.statistics_window
+            if self._status_at > 0.0:
+                self._status_at = stamp + window
+                self._observers.status(self.statuses(), self.statistics())
+            else:  # hands on one clock take turns
+                self._status_at = stamp + crc32(self.name.encode()) / 2**32 * window
 
     def _reference(self, device: Supervisor, record: TickRecord) -> Reference:
         top = np.array(self.controller.max_velocity)

@@ -199,7 +199,7 @@ class HandLoop(HandTicks):
         async def one(supervisor: Supervisor) -> None:
             try:
                 await supervisor.recover()
-            except (RteeError, TimeoutError) as error:
+            except RteeError as error:
                 errors.append(error)
 
         async with anyio.create_task_group() as group:

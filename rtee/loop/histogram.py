@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from itertools import accumulate
+
 from rtee.types import LoopStatistics
 
 _FIRST = 5
@@ -38,20 +41,12 @@ class Histogram:
         return self.percentiles((percent,))[0]
 
     def percentiles(self, percents: tuple[float, ...]) -> list[float]:
-        """Return several percentiles [s] in one pass; ``percents`` must ascend."""
-        found: list[float] = []
+        """Return several percentiles [s] at once."""
         if not self.count:
             return [0.0] * len(percents)
-        seen = 0
-        bucket = -1
-        for percent in percents:
-            wanted = percent / 100 * self.count
-            while seen < wanted:
-                bucket += 1
-                seen += self._counts[bucket]
-            upper = _upper(max(bucket, 0))
-            found.append(min(upper, self.maximum) * 1e-9)
-        return found
+        seen = list(accumulate(self._counts))
+        buckets = (bisect_left(seen, percent / 100 * self.count) for percent in percents)
+        return [min(_upper(min(k, self._last)), self.maximum) * 1e-9 for k in buckets]
 
     def clear(self) -> None:
         """Forget everything."""

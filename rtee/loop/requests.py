@@ -8,6 +8,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any
 
+from rtee.errors import RteeError
+
 
 @dataclass(slots=True)
 class _Request:
@@ -61,7 +63,7 @@ class Requests:
                 result = await request.action()
             except asyncio.CancelledError:
                 if not request.answer.done():
-                    request.answer.set_exception(TimeoutError(f"{request.name} was interrupted"))
+                    request.answer.set_exception(RteeError(f"'{request.name}' was interrupted"))
                 raise
             except Exception as error:
                 if not request.answer.done():

@@ -103,8 +103,7 @@ class Supervisor(Exchange):
         """Bring it out of a fault, or connect and activate it; it starts where it is measured.
 
         Raises:
-            RteeError: if it does not work.
-            TimeoutError: if it takes too long.
+            RteeError: if it does not work, or was interrupted by a stop.
         """
         self._backoff = BACKOFF[0]
         await self._requests.ask("recover", self._recover)
