@@ -74,13 +74,23 @@ async def test_silence_is_a_timeout(pool: BusPool) -> None:
 async def test_faults_are_retried_and_no_wrong_value_gets_through(pool: BusPool) -> None:
     bus = await bus_in(pool, "/dev/ttyUSB9")
     simulation = pool.simulation("a")
-    simulation.faults = Faults(
-        drop=0.05, corrupt=0.05, duplicate=0.05, split=0.05, noise=0.05, seed=5
-    )
+    simulation.faults = Faults(drop=0.05, corrupt=0.05, split=0.05, noise=0.05, seed=5)
     for value in range(100):
         got = await bus.exchange(9, 5, [value], 5, 1, deadline=2.0, retries=40)
         assert got == (value,)
     assert bus.counters.retries >= simulation.faults.injected["drop"] > 0
+
+
+async def test_an_answer_that_comes_twice_makes_the_next_one_late_at_most() -> None:
+    async with BusPool(wire_time=False) as pool:
+        bus = await bus_in(pool, "/dev/ttyUSB9")
+        pool.simulation("a").faults = Faults(duplicate=0.3, seed=5)
+        for value in range(100):
+            [got] = await bus.exchange(9, 5, [value], 5, 1, deadline=2.0, retries=40)
+            assert value - 3 <= got <= value
+        pool.simulation("a").faults = Faults()
+        await asyncio.sleep(0.05)
+        assert await bus.exchange(9, 5, [777], 5, 1, deadline=2.0) == (777,)
 
 
 async def test_nothing_but_garbage_is_a_frame_error(pool: BusPool) -> None:
