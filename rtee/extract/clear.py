@@ -12,26 +12,38 @@ from rtee.extract.collisions import Blocked, Watch, bisect
 from rtee.extract.descent import Minimum, Objective, descend
 from rtee.extract.goals import Goal
 from rtee.extract.motion import Motion, Way
+from rtee.extract.polish import polish
 from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.search import distinct
 from rtee.extract.space import Space, rounded
 from rtee.types import FloatArray
 
 _ROUNDS: Final = 8
-_REFINEMENTS: Final = 8
+_LEAPS: Final = 6
+_LITTLE: Final = 0.03
+_CREEPS: Final = 14
+_RADIUS: Final = 0.08
+_TIGHTER: Final = 0.4
+_WIDER: Final = 1.6
+_SMALLEST: Final = 0.002
 _EVALUATIONS: Final = 40
 _QUICK: Final = 30
+_POLISH: Final = 20
 _WEIGHT: Final = 5.0
-_SHRINK: Final = 0.8
+_SHRINK: Final = 0.2
 _STRENGTHEN: Final = 2.0
+_STRONGEST: Final = 40.0
 _GAIN: Final = 0.01
+_SAME: Final = 0.05
+_AT_LEAST: Final = 2
 _COARSE: Final = 0.01
 _SAFE: Final = 2e-5
 _MARGIN: Final = 1e-4
 _CLOSE: Final = 5e-5
-_NEAR: Final = 2e-3
+_NEAR: Final = 5e-3
 _STATIONS: Final = 9
 _WAYS: Final = 4
+_FOLLOWED: Final = 2
 
 
 @dataclass(slots=True)
@@ -93,37 +105,60 @@ class ClearSearch:
 
         Args:
             starts: Coordinates ``(k,)`` of good poses, the best first.
-            tries: How many of them, apart from the first, are followed up.
+            tries: How many poses are pushed out of their collisions at most.
 
         Returns:
             Coordinates ``(k,)`` of clear poses; if no clear way was found, of poses behind
             collisions on the way.
         """
-        poses = [self._push_out(starts[0])]
-        again = [self._descend(y, _QUICK) for y in starts]
-        poses += [self._push_out(minimum.y) for minimum in distinct(again)[:tries]]
-        found = sorted((y for y in poses if y is not None), key=self._value)
         behind: list[FloatArray] = []
         for _ in range(_WAYS):
-            if not found:
+            found = self._explore(starts, tries)
+            blocks = [(y, self._blocked(y)) for y in found[:_FOLLOWED]]
+            free = [y for y, blocked in blocks if blocked is None]
+            behind += [y for y, blocked in blocks if blocked is not None]
+            if free or not blocks:
+                return [*free, *behind]
+            for y, blocked in blocks:
+                if blocked is not None:
+                    self._learn_way(blocked, y)
+        return behind
+
+    def _explore(self, starts: Sequence[FloatArray], tries: int) -> list[FloatArray]:
+        """Return clear poses, the best first.
+
+        All starts are kept at minima of the goal under the constraints learned so far. The best of
+        them is pushed out of its collisions, which teaches new constraints; and so on, until none
+        promises more than what was reached.
+        """
+        pool = list(starts)
+        tried: list[FloatArray] = []
+        found: list[FloatArray] = []
+        best = np.inf
+        for _ in range(tries):
+            minima = [self._descend(y, _QUICK) for y in pool]
+            pool = [minimum.y for minimum in minima]
+            new = [
+                minimum
+                for minimum in distinct(minima)
+                if all(np.abs(minimum.y - y).max() > _SAME for y in tried)
+            ]
+            if not new or (len(tried) >= _AT_LEAST and new[0].value >= best):
                 break
-            blocked = self._blocked(found[0])
-            if blocked is None:
-                return [*found, *behind]
-            worst = found.pop(0)
-            behind.append(worst)
-            self._learn_way(blocked, worst)
-            better = self._push_out(self._descend(worst, _EVALUATIONS).y)
-            if better is not None:
-                found = sorted([*found, better], key=self._value)
-        return [*found, *behind]
+            tried.append(new[0].y)
+            pose = self._push_out(new[0].y)
+            if pose is not None and self._touches(pose):
+                found.append(pose)
+                best = min(best, self._value(pose))
+                self._calibrate(pose)
+        return sorted(found, key=self._value)
 
     def _push_out(self, y: FloatArray) -> FloatArray | None:
         """Return a clear pose reached from a good one."""
         for _ in range(_ROUNDS):
             hits = self._watch.near(self._posture(y)) or self._watch.at(self._posture(y))
             if not hits:
-                better = self._refine(y)
+                better = self._creep(self._leap(y))
                 hits = [] if better is y else self._watch.at(self._posture(better))
                 if not hits:
                     return better
@@ -135,37 +170,93 @@ class ClearSearch:
                 return None
         return None
 
-    def _refine(self, y: FloatArray) -> FloatArray:
-        """Return a better clear pose near a clear one."""
+    def _leap(self, y: FloatArray) -> FloatArray:
+        """Return a better clear pose, some way from a clear one.
+
+        The gaps at the pose tell how much more the convex parts may overlap; with these allowances
+        the goal is improved, and the pose moves on as far as it stays clear.
+        """
         best = self._value(y)
-        for _ in range(_REFINEMENTS):
+        for _ in range(_LEAPS):
             self._calibrate(y)
             step = self._descend(y, _EVALUATIONS).y - y
             for share in (1.0, 0.5, 0.25, 0.125):
                 trial = y + share * step
                 value = self._value(trial)
-                if value >= best - _CLOSE:
-                    continue
-                hits = self._watch.near(self._posture(trial))
-                if not hits:
+                if value < best - _CLOSE and not self._watch.near(self._posture(trial)):
                     break
-                for pair in hits:
-                    if not any(c.pair is pair and c.at == 1.0 for c in self._constraints):
-                        self._learn(pair, trial)
             else:
                 return y
             gain, y, best = best - value, trial, value
-            if gain < _GAIN * abs(best):
+            if gain < _LITTLE * abs(best):
                 return y
         return y
 
+    def _creep(self, y: FloatArray) -> FloatArray:
+        """Return a better clear pose near a clear one.
+
+        Near the pose the exact gaps of near links are linear functions of the coordinates. The goal
+        is improved within these walls and a radius that shrinks when the pose found is not clear.
+        """
+        best, radius = self._value(y), _RADIUS
+        concerned = {c.pair.links: c.pair for c in self._constraints if c.at == 1.0}
+        walls = self._walls(y, concerned)
+        for _ in range(_CREEPS):
+            bounds = (np.maximum(self._low, y - radius), np.minimum(self._high, y + radius))
+            function = self._walled(y, walls)
+            trial = polish(function, y, evaluations=_POLISH, bounds=bounds).y
+            value = self._value(trial)
+            if value >= best - _CLOSE:
+                radius *= _TIGHTER
+            else:
+                hits = self._watch.near(self._posture(trial))
+                if hits:
+                    radius *= _TIGHTER
+                    new = {pair.links: pair for pair in hits if pair.links not in concerned}
+                    concerned |= new
+                    walls += self._walls(y, new) if new else []
+                else:
+                    y, best, radius = trial, value, radius * _WIDER
+                    walls = self._walls(y, concerned)
+            if radius < _SMALLEST:
+                break
+        return y
+
     def _calibrate(self, y: FloatArray) -> None:
-        """Set the allowances by the links' gaps at a clear pose."""
-        self._scene.place(self._space.posture(y))
+        """Allow at least the overlaps at which links would touch near a clear pose."""
+        self._scene.place(self._posture(y))
         for c in self._constraints:
             overlap = -self._scene.distance(c.pair)
             if c.at == 1.0 and overlap > -_NEAR:
-                c.allowance = self._scene.exact_distance(c.pair) + overlap - _CLOSE
+                gap = self._scene.exact_distance(c.pair)
+                c.allowance = max(c.allowance, overlap + gap - _CLOSE)
+                c.weight = _WEIGHT
+
+    def _walls(
+        self, y: FloatArray, concerned: dict[tuple[str, str], LinkPair]
+    ) -> list[tuple[float, FloatArray]]:
+        """Return the exact gaps of near links at a clear pose, with their derivatives."""
+        self._scene.place(self._posture(y))
+        return [
+            self._scene.exact_slope(pair, self._space)
+            for pair in concerned.values()
+            if self._scene.distance(pair) < _NEAR
+        ]
+
+    def _walled(self, at: FloatArray, walls: Sequence[tuple[float, FloatArray]]) -> Objective:
+        goal = self._objective(ways_only=True)
+
+        def function(y: FloatArray) -> tuple[float, FloatArray]:
+            value, slope = goal(y)
+            step = y - at
+            for gap, rise in walls:
+                left = gap + float(rise @ step) - _CLOSE
+                if left < 0.0:
+                    value -= _WEIGHT * left
+                    slope = slope - _WEIGHT * rise
+            return value, slope
+
+        return function
 
     def _posture(self, y: FloatArray) -> FloatArray:
         return rounded(self._scene.hand, self._space.posture(y))
@@ -179,8 +270,7 @@ class ClearSearch:
             return
         known = next((c for c in self._constraints if c.pair is pair and c.at == 1.0), None)
         if known is not None:
-            known.allowance = min(known.allowance, self._overlap(pair, self._way(y), 1.0)) * _SHRINK
-            known.weight *= _STRENGTHEN
+            self._tighten(known, self._overlap(pair, self._way(y), 1.0))
             return
         way = self._way(y)
         at = bisect(self._scene, pair, way, 0.0, 1.0, _COARSE)
@@ -197,11 +287,16 @@ class ClearSearch:
         at = float(times[int(np.argmax(overlaps))])
         for known in self._constraints:
             if known.pair is blocked.pair and known.at != 1.0 and abs(known.at - at) < 0.1:
-                known.allowance = min(known.allowance, max(overlaps)) * _SHRINK
-                known.weight *= _STRENGTHEN
+                self._tighten(known, max(overlaps))
                 known.at = at
                 return
-        self._constraints.append(Constraint(blocked.pair, at, overlaps[0]))
+        self._constraints.append(Constraint(blocked.pair, at, overlaps[0], _WEIGHT / at))
+
+    def _tighten(self, constraint: Constraint, overlap: float) -> None:
+        """Allow less than an overlap at which the links do collide."""
+        least = min(constraint.allowance, overlap)
+        constraint.allowance = least - max(_CLOSE, _SHRINK * least)
+        constraint.weight = min(_STRONGEST / constraint.at, constraint.weight * _STRENGTHEN)
 
     def _bound(self, pair: LinkPair, y: FloatArray) -> bool:
         """Bound an actuator that alone moves two links, where they first collide on its way."""
@@ -227,6 +322,10 @@ class ClearSearch:
     def _way(self, y: FloatArray) -> Way:
         return self._motion.way(self._space.posture(y))
 
+    def _touches(self, y: FloatArray) -> bool:
+        self._scene.place(self._posture(y))
+        return self._goal.touching()
+
     def _value(self, y: FloatArray) -> float:
         self._scene.place(self._space.posture(y))
         return self._goal.value()
@@ -243,10 +342,15 @@ class ClearSearch:
         bounds = (self._low, self._high)
         return descend(self._objective(), y, evaluations=evaluations, bounds=bounds)
 
-    def _objective(self) -> Objective:
+    def _polish(self, y: FloatArray) -> Minimum:
+        bounds = (self._low, self._high)
+        return polish(self._objective(), y, evaluations=_POLISH, bounds=bounds)
+
+    def _objective(self, *, ways_only: bool = False) -> Objective:
         """Return the goal with a penalty for overlaps beyond the allowances."""
         scene, space, goal, rest = self._scene, self._space, self._goal, self._scene.hand.rest
-        constraints = sorted(self._constraints, key=lambda c: -c.at)
+        known = [c for c in self._constraints if c.at != 1.0 or not ways_only]
+        constraints = sorted(known, key=lambda c: -c.at)
 
         def function(y: FloatArray) -> tuple[float, FloatArray]:
             u = space.posture(y)

@@ -68,7 +68,7 @@ class MultiSearch:
 
         candidates = [candidate(touching[0])]
         if not candidates[0].usable and self._promising():
-            clear = clear_postures(self.inspector, goal, space, watch, found, tries=1)
+            clear = clear_postures(self.inspector, goal, space, watch, found, tries=2)
             candidates += [candidate(u) for u in clear[:1]]
         return Found(PrimitiveKind.MULTI_PINCH_TIGHT, names, ranked(candidates, self.rank))
 

@@ -42,7 +42,7 @@ def clear_postures(
     space: Space,
     watch: Watch,
     starts: Sequence[FloatArray],
-    tries: int = 2,
+    tries: int = 4,
 ) -> list[FloatArray]:
     """Return postures as stored that touch as wanted and in which nothing else collides.
 
@@ -52,7 +52,7 @@ def clear_postures(
         space: Where to search.
         watch: The links that may not collide.
         starts: Coordinates ``(k,)`` of good postures, the best first.
-        tries: How many of them, apart from the first, are followed up.
+        tries: How many postures are pushed out of their collisions at most.
     """
     if space.size == 1:
         low, high = _free(inspector, space, watch)

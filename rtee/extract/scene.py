@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.extract.couplings import Couplings
+from rtee.extract.forms import Forms
 from rtee.extract.hinge import Jaw, clip_jaws
 from rtee.extract.space import Space
 from rtee.extract.surface import encloses
@@ -133,16 +134,8 @@ class Scene:
 
     def _build(self) -> None:
         """Make Pinocchio's models of all shapes and of all couples of them."""
-        self._convex, self._exact = pin.GeometryModel(), pin.GeometryModel()
-        for i, shape in enumerate(self.shapes):
-            for model, form in ((self._convex, shape.convex), (self._exact, shape.exact)):
-                placed = pin.GeometryObject(str(i), shape.body, shape.placement, form)
-                model.addGeometryObject(placed)
-        for i, j in self._couples:
-            self._convex.addCollisionPair(pin.CollisionPair(i, j))
-            self._exact.addCollisionPair(pin.CollisionPair(i, j))
-        self._convex_data = self._convex.createData()
-        self._exact_data = self._exact.createData()
+        self._convex = Forms(self.shapes, self._couples, convex=True)
+        self._exact = Forms(self.shapes, self._couples, convex=False)
         self._slope = self.couplings.slope(self.hand.rest)
         self.place(self.hand.rest)
 
@@ -201,7 +194,7 @@ class Scene:
             u: Actuator positions ``(n,)`` [rad | m].
         """
         pin.computeJointJacobians(self._model, self._data, self.couplings.joints(u))
-        pin.updateGeometryPlacements(self._model, self._data, self._convex, self._convex_data)
+        self._convex.place(self._model, self._data)
         if not self.couplings.linear:
             self._slope = self.couplings.slope(u)
         self._exact_placed = False
@@ -210,12 +203,8 @@ class Scene:
         """Return the signed distance of two links [m]."""
         pairs = pair.pairs
         if len(pairs) == 1:
-            found = pin.computeDistance(self._convex, self._convex_data, pairs[0])
-            return float(found.min_distance)
-        return min(
-            float(pin.computeDistance(self._convex, self._convex_data, k).min_distance)
-            for k in pairs
-        )
+            return self._convex.distance(pairs[0])
+        return min(self._convex.distance(k) for k in pairs)
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return the derivative of the distance that was last asked for.
@@ -227,7 +216,7 @@ class Scene:
         Returns:
             The derivative by the coordinates of the space ``(k,)`` [m].
         """
-        results, pairs = self._convex_data.distanceResults, pair.pairs
+        results, pairs = self._convex.results, pair.pairs
         k = pairs[0] if len(pairs) == 1 else min(pairs, key=lambda k: results[k].min_distance)
         result = results[k]
         normal = -result.normal if pair.turned else result.normal
@@ -271,7 +260,7 @@ class Scene:
 
     def witness(self, pair: LinkPair) -> Witness:
         """Return where two links' convex parts are closest or deepest in each other."""
-        return _witness(pair, self._convex, self._convex_data)
+        return _witness(pair, self._convex)
 
     def touching(self, pair: LinkPair) -> bool:
         """Return whether two links touch: their geometry as given, meshes not convexified.
@@ -281,7 +270,7 @@ class Scene:
         return any(self._touching(k) for k in pair.pairs)
 
     def _touching(self, k: int) -> bool:
-        overlap = -pin.computeDistance(self._convex, self._convex_data, k).min_distance
+        overlap = -self._convex.distance(k)
         if overlap < 0.0:
             return False
         i, j = self._couples[k]
@@ -289,11 +278,11 @@ class Scene:
         if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
             return True
         self._place_exact()
-        if pin.computeCollision(self._exact, self._exact_data, k):
+        if self._exact.collide(k):
             return True
         if overlap < min(a.least_width, b.least_width):
             return False
-        to_a = self._exact_data.oMg[i].actInv(self._exact_data.oMg[j])
+        to_a = self._convex.pose(i).actInv(self._convex.pose(j))
         return encloses(a, b, to_a) or encloses(b, a, to_a.inverse())
 
     def exact_distance(self, pair: LinkPair) -> float:
@@ -301,18 +290,12 @@ class Scene:
         if self.touching(pair):
             return 0.0
         self._place_exact()
-        return max(
-            0.0,
-            min(
-                float(pin.computeDistance(self._exact, self._exact_data, k).min_distance)
-                for k in pair.pairs
-            ),
-        )
+        return max(0.0, min(self._exact.distance(k) for k in pair.pairs))
 
     def exact_witness(self, pair: LinkPair) -> Witness:
         """Return where two links that do not touch are closest, in their geometry as given."""
         self._place_exact()
-        found = _witness(pair, self._exact, self._exact_data)
+        found = _witness(pair, self._exact)
         gap = found.second - found.first
         length = float(np.linalg.norm(gap))
         return found if length == 0.0 else replace(found, normal=gap / length)
@@ -331,22 +314,18 @@ class Scene:
 
     def shape_pose(self, shape: int) -> pin.SE3:
         """Return the pose of a shape in the base frame."""
-        return self._convex_data.oMg[shape]
+        return self._convex.pose(shape)
 
     def _place_exact(self) -> None:
         if not self._exact_placed:
-            pin.updateGeometryPlacements(self._model, self._data, self._exact, self._exact_data)
+            self._exact.place(self._model, self._data)
             self._exact_placed = True
 
 
-def _witness(pair: LinkPair, model: pin.GeometryModel, data: pin.GeometryData) -> Witness:
-    least, result = np.inf, None
-    for k in pair.pairs:
-        pin.computeDistance(model, data, k)
-        if data.distanceResults[k].min_distance < least:
-            result = data.distanceResults[k]
-            least, chosen = result.min_distance, k
-    assert result is not None  # noqa: S101 - a pair has shapes
+def _witness(pair: LinkPair, forms: Forms) -> Witness:
+    distances = {k: forms.distance(k) for k in pair.pairs}
+    chosen = min(pair.pairs, key=lambda k: distances[k])
+    least, result = distances[chosen], forms.results[chosen]
     points = [np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())]
     normal = np.array(result.normal)
     if pair.turned:

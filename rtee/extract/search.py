@@ -10,6 +10,7 @@ import numpy as np
 
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.goals import Placed
+from rtee.extract.polish import polish
 from rtee.extract.space import Space, halton
 from rtee.types import FloatArray
 
@@ -22,19 +23,19 @@ class Effort:
         screened: Points of the low-discrepancy sequence at which the function is evaluated.
         starts: How many of them, the best, a descent starts from.
         quick: Most evaluations of these descents.
-        kept: How many of their ends, distinct ones, are descended from thoroughly.
-        thorough: Most evaluations of these descents.
+        kept: How many of their ends, distinct ones, are polished.
+        polish: Most evaluations of the polishing of one.
     """
 
     screened: int = 192
     starts: int = 12
     quick: int = 45
-    kept: int = 3
-    thorough: int = 160
+    kept: int = 4
+    polish: int = 25
 
 
 PAIR: Final = Effort()
-SEVERAL: Final = Effort(screened=96, starts=5, quick=40, kept=2, thorough=100)
+SEVERAL: Final = Effort(screened=128, starts=6, quick=45, kept=3, polish=25)
 
 _SAME: Final = 0.02
 _LINE: Final = 257
@@ -68,7 +69,7 @@ def minima(
         descend(function, y, evaluations=effort.quick) for y in (*warm, *(points[i] for i in order))
     ]
     best = distinct(first)[: effort.kept]
-    done = [descend(function, m.y, evaluations=effort.thorough) for m in best]
+    done = [polish(function, m.y, evaluations=effort.polish) for m in best]
     return distinct([*done, *first])
 
 
