@@ -66,6 +66,8 @@ class DeviceCase:
         fault: A fault of the emulator that the driver must report as `DeviceFault`.
         homes: A power cycle costs the device what only homing brings back.
         checksums: Frames carry checksums, so corrupted ones are noticed.
+        wire_faults: Faults that its wire can have; by default all. Whole frames (CAN) or messages
+            cannot be split, and no noise comes between them.
         cycles: Cycles for which every fault of the wire lasts.
         share: Part of the cycles that must succeed at 5 % faults.
     """
@@ -85,6 +87,7 @@ class DeviceCase:
     fault: str | None = None
     homes: bool = True
     checksums: bool = True
+    wire_faults: frozenset[str] | None = None
     cycles: int = field(default_factory=cycles)
     share: float = 0.5
 

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 _STALE = 0.25
 _SERVO_OFF = 0x100
 _PAUSE = 0.0005
+_PATIENCE = 6.0
 
 
 class AllegroDriver(Driver):
@@ -130,7 +131,7 @@ class AllegroDriver(Driver):
             )
         await self._bus.send(Periods(self._period(version)).to_frame(options.hand))
         await self._first_set()
-        serial = await self._ask(Command.SERIAL, least=1)
+        serial = await self._ask(Command.SERIAL, least=1, within=_PATIENCE * options.deadline)
         self.capabilities = replace(
             self.capabilities,
             best_rate=1000.0 / self._period(version),
@@ -144,7 +145,7 @@ class AllegroDriver(Driver):
     async def _identify(self) -> HandInfo:
         options = self.options
         try:
-            info = await self._read_info()
+            info = await self._read_info(_PATIENCE * options.deadline)
         except BusTimeout as error:
             raise NotConnected(
                 self.spec.name,
@@ -164,23 +165,23 @@ class AllegroDriver(Driver):
             raise HandshakeError(self.spec.name, f"a {options.side} hand", f"a {side} one")
         return info
 
-    async def _ask(self, command: Command, *, least: int) -> CanFrame:
+    async def _ask(self, command: Command, *, least: int, within: float) -> CanFrame:
         wanted = identifier(command, self.options.hand)
 
         def answers(frame: CanFrame) -> bool:
             return frame.id == wanted and not frame.remote and len(frame.data) >= least
 
         return await self._can.request(
-            codec.request(command, self.options.hand), answers, self.options.deadline, retries=2
+            codec.request(command, self.options.hand), answers, within, retries=2
         )
 
-    async def _read_info(self) -> HandInfo:
-        frame = await self._ask(Command.HAND_INFO, least=7)
+    async def _read_info(self, within: float | None = None) -> HandInfo:
+        frame = await self._ask(Command.HAND_INFO, least=7, within=within or self.options.deadline)
         self._info = HandInfo.from_bytes(frame.data)
         return self._info
 
     async def _first_set(self) -> None:
-        end = time.monotonic() + 10.0 * self.options.deadline
+        end = time.monotonic() + _PATIENCE * self.options.deadline
         while not self.control.sets:
             if time.monotonic() > end:
                 raise NotConnected(self.spec.name, "the hand does not tell its positions")

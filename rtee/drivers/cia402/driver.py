@@ -155,6 +155,14 @@ class Cia402Driver(Driver):
 
     async def _first_answer(self) -> None:
         """Wait for the drives' state without telling them anything."""
+        await self._settled()
+        for drive in self.drives:
+            enabled = drive.state is State.ENABLED
+            drive.controlword = Control.ENABLE if enabled else Control.DISABLE_VOLTAGE
+            drive.stand(self._measured(drive))
+
+    async def _settled(self) -> None:
+        """Have the drives tell their state, patiently; raises `BusTimeout` in the end."""
         end = time.monotonic() + self.options.enable_timeout
         while True:
             try:
@@ -163,11 +171,7 @@ class Cia402Driver(Driver):
                 if time.monotonic() > end:
                     raise
                 continue
-            break
-        for drive in self.drives:
-            enabled = drive.state is State.ENABLED
-            drive.controlword = Control.ENABLE if enabled else Control.DISABLE_VOLTAGE
-            drive.stand(self._measured(drive))
+            return
 
     @staticmethod
     def _measured(drive: DriveLink) -> int:
@@ -300,7 +304,7 @@ class Cia402Driver(Driver):
 
     async def activate(self) -> None:
         """Enable the drives where they stand; homes first where that is needed and allowed."""
-        await self._synchronise()
+        await self._settled()
         needy = [
             d
             for d in self.drives
@@ -367,7 +371,8 @@ class Cia402Driver(Driver):
             while True:
                 word = Control.ENABLE | (codec.HOMING_START if started else 0)
                 drive.controlword = word
-                await self._exchange()
+                with contextlib.suppress(BusTimeout):
+                    await self._exchange()
                 if drive.state is State.FAULT:
                     raise self._fault(drive)
                 status = 0 if drive.status is None else drive.status.statusword
@@ -425,8 +430,8 @@ class Cia402Driver(Driver):
         """Reset faults; the drives stay disabled until `activate`."""
         self._active = False
         end = time.monotonic() + self.options.enable_timeout
+        await self._settled()
         while True:
-            await self._synchronise()
             broken = [d for d in self.drives if d.state in (State.FAULT, State.FAULT_REACTION)]
             if not broken:
                 break
@@ -437,7 +442,8 @@ class Cia402Driver(Driver):
                 edge = drive.controlword == Control.DISABLE_VOLTAGE
                 drive.controlword = Control.FAULT_RESET if edge else Control.DISABLE_VOLTAGE
                 drive.forget()
-            await self._exchange()
+            with contextlib.suppress(BusTimeout):
+                await self._exchange()
         for drive in self.drives:
             drive.emergency = None
             drive.controlword = (

@@ -78,6 +78,7 @@ class Drive:
         node: Its CANopen side.
         axis: Its motor [counts]; effort in 0.1 % of the rated torque.
         state: Its state.
+        cause: Error code whose cause lasts: a reset brings it back; 0: none.
     """
 
     def __init__(self, number: int, properties: DriveProperties) -> None:
@@ -96,6 +97,7 @@ class Drive:
         self.state = State.SWITCH_ON_DISABLED
         self.emergencies: list[Emergency] = []
         self.homed = properties.homed
+        self.cause = 0
         self._control = 0
         self._acknowledged = False
         self._homing = False
@@ -225,6 +227,9 @@ class Drive:
         self.state = State.FAULT
 
     def _recover(self) -> None:
+        if self.cause:
+            self.fail(self.cause)
+            return
         self.node.set(Object.ERROR_CODE, 0)
         self.node.set(Object.ERROR_REGISTER, 0)
         self.emergencies.append(Emergency(0))
@@ -332,12 +337,16 @@ class Cia402Emulator(Emulator):
         super().inject(fault)
         code = self._CODES.get(fault)
         if code is not None:
-            next(iter(self.drives.values())).fail(code)
+            first = next(iter(self.drives.values()))
+            first.cause = code
+            first.fail(code)
         self._hamper()
 
     def clear(self, fault: str | None = None) -> None:
         """Take a fault away; a drive stays in fault until it is reset."""
         super().clear(fault)
+        for drive in self.drives.values():
+            drive.cause = 0
         self._hamper()
 
     def _hamper(self) -> None:

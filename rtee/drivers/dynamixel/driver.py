@@ -223,8 +223,10 @@ class DynamixelDriver(Driver):
 
     async def activate(self) -> None:
         """Set up and power the servos that are without torque, where they stand."""
+        self._line.patient = True
         await self._unwrap()
         await self._line.run(self._power, _SLOW)
+        self._line.patient = False
         self._active = True
 
     def _power(self) -> None:
@@ -402,6 +404,7 @@ class DynamixelDriver(Driver):
     async def recover(self) -> None:
         """Reboot the servos with a hardware error; they are powered again by `activate`."""
         link = self._line
+        link.patient = True
         self._active = False
         broken = await link.run(lambda: setup.hurt(link), _SLOW)
         for number in broken:
@@ -416,8 +419,8 @@ class DynamixelDriver(Driver):
         self._found = await link.run(
             lambda: setup.find(link, self.spec.name, named, self.options.port), _SLOW
         )
-        _, errors = await link.run(lambda: link.read_group(table.STATE, table.STATE_SIZE))
-        await link.run(lambda: setup.refuse(link, self.spec.name, self._names, errors))
+        _, errors = await link.run(lambda: link.read_group(table.STATE, table.STATE_SIZE), _SLOW)
+        await link.run(lambda: setup.refuse(link, self.spec.name, self._names, errors), _SLOW)
 
     # --- calibration -------------------------------------------------------------------------
 

@@ -104,12 +104,14 @@ class DynamixelEmulator(Emulator):
         """Put a fault into the first servo (hardware errors) or all (the rest)."""
         super().inject(fault)
         if fault in _HARDWARE:
+            self._all[0].cause |= _HARDWARE[fault]
             self._all[0].fail(_HARDWARE[fault])
         self._hamper()
 
     def clear(self, fault: str | None = None) -> None:
         """Take a fault away; hardware errors stay latched until a reboot."""
         super().clear(fault)
+        self._all[0].cause = Hardware(0)
         self._hamper()
 
     def _hamper(self) -> None:

@@ -15,6 +15,9 @@ from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError
 
 T = TypeVar("T")
 _NO_ERROR = 0x7F
+_LATENCY = 0.004
+_PATIENT_LATENCY = 0.03
+"""Time allowed for an answer beyond that of its bytes [s]."""
 
 
 class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
@@ -73,6 +76,8 @@ class DynamixelLink:
         bus: The line.
         ids: The device's servos, in the order of its actuators.
         fast: Whether groups are read with the fast sync read.
+        patient: Answers may take long: set-up has no cycle to keep, and must not fail because the
+            computer was busy for a moment.
         delay: Sum of the servos' return delays [s], waited for on top of the wire's time.
     """
 
@@ -82,6 +87,7 @@ class DynamixelLink:
         self.bus = bus
         self.ids = tuple(ids)
         self.fast = False
+        self.patient = True
         self.delay = 0.0
         self._deadline = deadline
         self._retries = retries
@@ -96,21 +102,21 @@ class DynamixelLink:
         """
         return await self.bus.run(function, deadline or 2.0 * (self._deadline + self.delay))
 
-    def repeated(self, attempt: Callable[[], int], *, deadline: float | None = None) -> None:
+    def repeated(self, attempt: Callable[[], int]) -> None:
         """Try until it succeeds, within deadline and retries; in the worker thread.
 
         Args:
             attempt: Returns the SDK's result.
-            deadline: Longest time [s], by default the link's.
 
         Raises:
             BusTimeout: if nothing came in time.
             FrameError: if something came but no valid packet.
             BusBroken: if nothing could be sent.
         """
-        end = time.monotonic() + (deadline or self._deadline + self.delay)
+        latency = _PATIENT_LATENCY if self.patient else _LATENCY
+        end = time.monotonic() + self.delay + max(self._deadline, 5.0 * latency)
         counters, result = self.bus.counters, int(sdk.COMM_SUCCESS)
-        self.bus.port.latency = 4.0 + self.delay * 1000.0
+        self.bus.port.latency = (latency + self.delay) * 1000.0
         for number in range(self._retries + 1):
             if number:
                 if time.monotonic() >= end:

@@ -52,6 +52,7 @@ class Servo:
         axis: Its shaft, in pulses counted over turns.
         silent_until: It answers nothing before this time [s].
         unplugged: It answers nothing at all.
+        cause: Hardware errors whose cause lasts: a reboot brings them back.
     """
 
     def __init__(self, number: int, properties: ServoProperties) -> None:
@@ -67,6 +68,7 @@ class Servo:
         )
         self.silent_until = -math.inf
         self.unplugged = False
+        self.cause = Hardware(0)
         self._memory = bytearray(table.END)
         self._indirect = list(table.INDIRECT_DATA)
         self._registered: tuple[int, bytes] | None = None
@@ -224,7 +226,7 @@ class Servo:
         self._act()
 
     def _start(self) -> None:
-        self.set(table.HARDWARE_ERROR, 0)
+        self.set(table.HARDWARE_ERROR, self.cause)
         self._strained = None
         self._lose_turns()
         self._enter_mode()

@@ -10,7 +10,7 @@ from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.options import DynamixelOptions, ServoOptions
-from rtee.drivers.dynamixel.table import Mode, Register, model_of
+from rtee.drivers.dynamixel.table import MODELS, Mode, Register, model_of
 from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
 
 MODES: Mapping[str, Mode] = {
@@ -100,6 +100,14 @@ def find(
             "; ".join(told + wrong),
             hint="check ids and cables; `rtee scan` lists the servos there are",
         )
+    for name, servo in servos.items():
+        if servo.model is None and models[servo.id] not in MODELS:
+            raise HandshakeError(
+                device,
+                f"an X-series servo as {servo.id} ({name})",
+                f"model {models[servo.id]}",
+                hint="if it has the same control table, say so by 'model'",
+            )
     found: dict[int, Found] = {}
     for number in models:
         eeprom, _ = link.read_group(0, _EEPROM, [number])

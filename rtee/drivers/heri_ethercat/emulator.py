@@ -119,6 +119,7 @@ class HeriEmulator(Emulator):
         self.state = State.INIT
         self.timeout = 0.0
         self._heard: float | None = None
+        self._dropped = False
 
     @classmethod
     def from_options(cls, options: Any) -> Self:
@@ -168,6 +169,7 @@ class HeriEmulator(Emulator):
     def become(self, state: State, now: float) -> bool:
         """Bring the boards to a state."""
         self.state = state
+        self._dropped = False
         self._heard = now
         if state < State.OPERATIONAL:
             for board in self.boards:
@@ -179,12 +181,15 @@ class HeriEmulator(Emulator):
         """Set the process data watchdog [s]."""
         self.timeout = seconds
 
-    def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes]:
-        """Take outputs and return inputs."""
+    def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes] | None:
+        """Take outputs and return inputs; ``None`` when the boards have left their state."""
         late = self._heard is not None and self.timeout and now - self._heard > self.timeout
         if self.state is State.OPERATIONAL and late:
             self.become(State.SAFE_OPERATIONAL, now)
+            self._dropped = True
         self._heard = now
+        if self._dropped or self.state < State.SAFE_OPERATIONAL:
+            return None
         inputs = []
         for board, data in zip(self.boards, outputs, strict=True):
             self._take(board, data, now)

@@ -140,6 +140,7 @@ class QbSoftHandDriver(Driver):
 
     async def activate(self) -> None:
         """Activate the motors where they stand; leaves a hand that is active alone."""
+        self._hand.patient = True
         if self.options.watchdog > 0.0:
             byte = codec.watchdog_byte(self.options.watchdog)
             await self._hand.send(Command.SET_WATCHDOG, bytes([byte]))
@@ -148,6 +149,7 @@ class QbSoftHandDriver(Driver):
             await self._confirm()
         self._active = True
         self._closure = await self._measured()
+        self._hand.patient = False
 
     async def _confirm(self) -> None:
         end = time.monotonic() + _ACTIVATION
@@ -229,6 +231,7 @@ class QbSoftHandDriver(Driver):
 
     async def recover(self) -> None:
         """Activate the motors again, where they stand."""
+        self._hand.patient = True
         await self._hand.send(Command.ACTIVATE, _BOTH)
         await self._confirm()
         self._active = True

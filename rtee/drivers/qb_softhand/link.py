@@ -9,6 +9,8 @@ from rtee.drivers.qb_softhand.parameters import ListParser, Parameter
 from rtee.errors import BusTimeout, FrameError
 
 _LIST_DEADLINE = 0.4
+PATIENCE = 0.2
+"""Longest time for an exchange that belongs to no cycle [s]."""
 
 
 class QbLink:
@@ -19,6 +21,7 @@ class QbLink:
         device: The hand's number on it.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
+        patient: Exchanges may take `PATIENCE`: set-up has no cycle to keep.
     """
 
     def __init__(self, bus: SerialBus, device: int, deadline: float, retries: int) -> None:
@@ -26,6 +29,7 @@ class QbLink:
         self.device = device
         self.deadline = deadline
         self.retries = retries
+        self.patient = True
         self._parser = Parser()
 
     async def request(self, command: Command, data: bytes = b"") -> bytes:
@@ -35,8 +39,9 @@ class QbLink:
         def answers(reply: Frame) -> bool:
             return reply.device == self.device and reply.command == command
 
+        deadline = max(self.deadline, PATIENCE) if self.patient else self.deadline
         reply: Frame = await self.bus.transact(
-            frame.to_bytes(), self._parser, self.deadline, self.retries, accept=answers
+            frame.to_bytes(), self._parser, deadline, self.retries, accept=answers
         )
         return reply.data
 

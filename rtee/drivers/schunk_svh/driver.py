@@ -48,6 +48,8 @@ _HOMING = (
     "`rtee recover` homes it: every finger moves to its open stop, so nothing may be in the way; "
     "or set `home: on_connect`"
 )
+_LEEWAY = 1000
+"""Change of a position that may be noise, at any speed [ticks]."""
 
 
 class SchunkSvhDriver(Driver):
@@ -80,6 +82,7 @@ class SchunkSvhDriver(Driver):
         self._home_asked = False
         self._baseline = codec.ControllerState()
         self._answer: tuple[codec.FeedbackAll, float] | None = None
+        self._last: tuple[codec.FeedbackAll, float] | None = None
         self._count = 0
         self._warnings: tuple[str, ...] = ()
         exchange = 2 * codec.PACKET * 10.0 / codec.BAUDRATE + self.options.turnaround
@@ -175,10 +178,12 @@ class SchunkSvhDriver(Driver):
 
     async def activate(self) -> None:
         """Enable the channels where they stand; homes first if that is needed and allowed."""
+        self._hand.patient = True
         wanted = sum(1 << channel for channel in self._index)
         homed = set(self._index) <= set(self.stops)
         if homed and self._enabled & wanted == wanted:
             await self._seed()
+            self._hand.patient = False
             return
         if not homed:
             if self.options.home == "on_demand" and not self._home_asked:
@@ -186,6 +191,7 @@ class SchunkSvhDriver(Driver):
             await self.home()
         self._home_asked = False
         await self._enable()
+        self._hand.patient = False
 
     async def home(self) -> None:
         """Look for every channel's stop, one after the other; this moves the fingers.
@@ -221,7 +227,7 @@ class SchunkSvhDriver(Driver):
 
     async def _seed(self) -> None:
         """Take the measured positions for targets, so that nothing moves when power comes."""
-        self._answer = None
+        self._answer = self._last = None
         feedback = await self._hand.feedback_all()
         self._targets = list(feedback.positions)
 
@@ -234,7 +240,21 @@ class SchunkSvhDriver(Driver):
         if answer is None:
             feedback = await self._hand.feedback_all()
             answer = feedback, time.monotonic()
+        if self._jumped(*answer):
+            # No finger is that fast: the encoders have begun anew, as after a cut of the supply.
+            self._check(await self._hand.state())
         return self._state(*answer)
+
+    def _jumped(self, feedback: codec.FeedbackAll, stamp: float) -> bool:
+        before, self._last = self._last, (feedback, stamp)
+        if before is None:
+            return False
+        dt = stamp - before[1]
+        return any(
+            abs(feedback.positions[i] - before[0].positions[i])
+            > _LEEWAY + 2.0 * dt * self._limits.position[i].max_rate
+            for i in self._index
+        )
 
     def _state(self, feedback: codec.FeedbackAll, stamp: float) -> ActuatorState:
         n = len(self._index)
@@ -304,6 +324,7 @@ class SchunkSvhDriver(Driver):
 
         Where it isn't, the next `activate` homes the hand, which moves it.
         """
+        self._hand.patient = True
         await power.disable(self._hand)
         self._enabled = 0
         self._warnings = ()

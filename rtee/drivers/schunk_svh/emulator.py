@@ -247,6 +247,8 @@ class SchunkSvhEmulator(Emulator):
         if packet.command is Command.SET_CONTROLLER_STATE:
             state = ControllerState.from_bytes(packet)
             self._fault &= ~state.pwm_fault
+            if "driver_fault" in self.faults:
+                self._fault |= 0x01
             self._hot &= ~state.pwm_otw
             self._state = ControllerState() if self._fault else state
             self._apply()

@@ -12,6 +12,9 @@ from rtee.errors import FrameError
 
 T = TypeVar("T")
 
+PATIENCE = 0.4
+"""Longest time for an exchange that belongs to no cycle [s]."""
+
 
 class SvhLink:
     """Exchanges packets with one hand.
@@ -20,6 +23,8 @@ class SvhLink:
         bus: The line to it.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
+        patient: Exchanges may take `PATIENCE` and twice the retries: set-up and homing have no
+            cycle to keep, and must not fail for a lost packet.
         echoes: The hand's replies carry the index of their request, so a late one is recognised.
     """
 
@@ -27,6 +32,7 @@ class SvhLink:
         self.bus = bus
         self.deadline = deadline
         self.retries = retries
+        self.patient = True
         self.echoes = False
         self._index = 0
         self._parser = Parser()
@@ -44,8 +50,10 @@ class SvhLink:
             same = reply.command is command and reply.channel == channel
             return same and (not self.echoes or reply.index == request.index)
 
+        deadline = max(self.deadline, PATIENCE) if self.patient else self.deadline
+        retries = 2 * self.retries + 1 if self.patient else self.retries
         return await self.bus.transact(
-            request.to_bytes(), self._parser, self.deadline, self.retries, accept=answers
+            request.to_bytes(), self._parser, deadline, retries, accept=answers
         )
 
     def _read(self, reply: Packet, read: Callable[[Packet], T]) -> T:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
 
 _STALE = 0.3
+_SAME = 2e-3
 
 
 class XBot2Driver(Driver):
@@ -66,7 +67,8 @@ class XBot2Driver(Driver):
         self._state: State | None = None
         self._index: list[int] = []
         self._stamp = -math.inf
-        self._seen = -1.0
+        self._seen = -math.inf
+        self._touched = False
         self._arrived = asyncio.Event()
         effort = self.options.control == "effort"
         self.capabilities = Capabilities(
@@ -157,6 +159,7 @@ class XBot2Driver(Driver):
             self._undo()
             self._undo = None
         self._state = None
+        self._touched = False
         bus, self._bus = self._bus, None
         if bus is not None:
             await bus.release(owner_of(self.spec))
@@ -168,9 +171,14 @@ class XBot2Driver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Return the newest state that XBot2 has published."""
+        """Return the newest state that XBot2 has published; waits a moment for a new one."""
         bus = self._server
         bus.check()
+        if self._stamp == self._seen:
+            self._arrived.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(1.5 / self.options.rate):
+                    await self._arrived.wait()
         state = self._state
         if state is None or time.monotonic() - self._stamp > _STALE:
             bus.counters.timeouts += 1
@@ -189,7 +197,7 @@ class XBot2Driver(Driver):
     async def move(self, reference: Reference) -> None:
         """Send position references, or efforts where that is how it is controlled."""
         chosen = [i for i in range(len(self._names)) if reference.mask[i]]
-        if not chosen:
+        if not chosen or not self._asked(chosen, reference):
             return
         if self.options.control == "position":
             self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
@@ -207,6 +215,17 @@ class XBot2Driver(Driver):
         control = tuple(Control.EFFORT if effort else Control.POSITION for effort in efforts)
         names = tuple(self._names[i] for i in chosen)
         self._server.send_now(Command(names, positions, efforts, control).to_bytes())
+
+    def _asked(self, chosen: list[int], reference: Reference) -> bool:
+        """Return whether anything was ever asked of the joints but to stay where they are."""
+        if not self._touched and self._state is not None:
+            for i in chosen:
+                actuator = self.spec.actuators[i]
+                here = self._told[i].to_position(self._state.position[self._index[i]])
+                span = actuator.upper - actuator.lower
+                near = _SAME * (span if math.isfinite(span) else 1.0)
+                self._touched |= abs(float(reference.position[i]) - here) > near
+        return self._touched
 
     def _effort(self, i: int, reference: Reference) -> float:
         """Return the effort that drives a joint to its reference; 0 where it is near enough."""

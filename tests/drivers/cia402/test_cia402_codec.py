@@ -193,6 +193,7 @@ def test_a_fault_is_told_and_reset_by_the_edge_of_its_bit() -> None:
     host.emulator.inject("overcurrent")
     assert "085 10 23 01 00 00 00 00 00" in host.wait(0.02)
     assert host.send("605 40 3F 60 00 00 00 00 00") == ["585 4B 3F 60 00 10 23 00 00"]
+    host.emulator.clear()
     host.send("605 2B 40 60 00 80 00 00 00")
     assert "085 00 00 00 00 00 00 00 00" in host.wait(0.02)
     assert host.send("605 40 41 60 00 00 00 00 00")[0].startswith("585 4B 41 60 00 50")

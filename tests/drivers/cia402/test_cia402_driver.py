@@ -34,7 +34,11 @@ def device(n: int = 1, *, kind: JointKind = JointKind.REVOLUTE, **options: Any) 
         actuators=tuple(
             ActuatorSpec(f"jaw{i}", kind, -1.0, 3.0, 8.0, 20.0, 400.0, 0.5, 0.0) for i in range(n)
         ),
-        options={"nodes": {f"jaw{i}": {"id": 5 + i} for i in range(n)}, **options},
+        options={
+            "nodes": {f"jaw{i}": {"id": 5 + i} for i in range(n)},
+            "deadline": 0.3,
+            **options,
+        },
         emulated=True,
     )
 
@@ -155,6 +159,9 @@ async def test_faults_are_named_and_recovered_without_motion() -> None:
         assert told.value.code == 0x2310
         with pytest.raises(DeviceFault, match="overcurrent"):
             await made.activate()
+        with pytest.raises(DeviceFault, match="overcurrent"):
+            await made.recover()
+        drives(pool).clear()
         await made.recover()
         await made.activate()
         assert (await made.sense()).position == pytest.approx(where, abs=2e-3)

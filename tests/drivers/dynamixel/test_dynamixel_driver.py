@@ -45,6 +45,7 @@ def device(n: int = 2, *, limits: tuple[float, float] = (-1.0, 2.0), **options: 
         ),
         options={
             "port": "/dev/dxl",
+            "deadline": 0.2,
             "servos": {f"j{i}": {"id": i} for i in range(n)},
             **options,
         },

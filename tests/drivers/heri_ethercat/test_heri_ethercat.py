@@ -99,7 +99,7 @@ def device(*names: str, **options: Any) -> DeviceSpec:
             ActuatorSpec(n, JointKind.REVOLUTE, 0.0, 2.5, 2.0, 15.0, 300.0, 3.3, 0.0)
             for n in names or NAMES
         ),
-        options=options,
+        options={"deadline": 0.5, "watchdog": 1.0, **options},
         emulated=True,
     )
 
@@ -205,7 +205,8 @@ async def test_heat_is_a_warning() -> None:
 
 @pytest.mark.anyio
 async def test_release_takes_the_power_and_stop_holds() -> None:
-    async with BusPool() as pool, connected(pool, device(emulator={"speed": 0.5})) as made:
+    spec = device(emulator={"speed": 0.5}, watchdog=0.0)
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         await made.move(Reference.at([2.0] * 4))
         await anyio.sleep(0.1)

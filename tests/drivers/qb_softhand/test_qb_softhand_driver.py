@@ -41,6 +41,7 @@ def device(
         options={
             "port": "/dev/qb",
             "motors": len(names),
+            "deadline": 0.3,
             "emulator": {"speed": 500_000.0, **(emulator or {})},
             **options,
         },

@@ -44,6 +44,7 @@ def device(
         options={
             "port": PORT,
             "home": "on_connect",
+            "deadline": 0.5,
             "emulator": {"haste": 100.0, "start": 0.1, **(emulator or {})},
             **options,
         },

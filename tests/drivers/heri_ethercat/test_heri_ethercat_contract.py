@@ -1,0 +1,25 @@
+"""HERI II's boards pass the suite of all drivers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+
+NAMES = ("motor_finger1", "motor_finger2", "motor_finger3", "motor_thumb")
+
+
+def powered(emulator: Any) -> int:
+    return sum(board.power for board in emulator.boards)
+
+
+class TestHeriII(DriverContract):
+    case = DeviceCase(
+        driver="heri_ethercat",
+        actuators=tuple(actuator(name, 0.0, 2.5) for name in NAMES),
+        options={"emulator": {"speed": 20.0}, "product": 0x13, "watchdog": 0.0},
+        commands=powered,
+        fault="hardware",
+        wire_faults=frozenset({"drop", "corrupt", "delay"}),
+        cycles=cycles(100),
+    )

@@ -1,0 +1,27 @@
+"""The SoftHand passes the suite of all drivers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rtee.drivers.qb_softhand.codec import Command
+from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+
+
+def held(emulator: Any) -> None:
+    emulator.hold(0.3)
+    emulator._activate(3)
+    emulator.axes[0].position = emulator.axes[0].target = 5700.0
+
+
+class TestSoftHand(DriverContract):
+    case = DeviceCase(
+        driver="qb_softhand",
+        actuators=(actuator("qbhand_synergy_joint", 0.0, 1.0, effort=3.0),),
+        options={"emulator": {"speed": 200_000.0}},
+        hold=held,
+        commands=lambda emulator: emulator.frames.get(Command.ACTIVATE, 0),
+        fault="low_supply",
+        homes=False,
+        cycles=cycles(100),
+    )

@@ -1,0 +1,18 @@
+"""Joints behind XBot2 pass the suite of all drivers."""
+
+from __future__ import annotations
+
+from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+
+
+class TestXBot2(DriverContract):
+    case = DeviceCase(
+        driver="xbot2",
+        actuators=(actuator("claw", 0.0, 1.0), actuator("other", 0.0, 1.0)),
+        options={"emulator": {"rate": 500.0, "speed": 10.0}, "deadline": 0.3, "rate": 500.0},
+        hold=lambda emulator: emulator.hold("claw", 0.15),
+        commands=lambda emulator: emulator.commands,
+        homes=False,
+        wire_faults=frozenset({"drop", "corrupt", "duplicate", "delay"}),
+        cycles=cycles(100),
+    )
