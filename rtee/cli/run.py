@@ -43,6 +43,17 @@ def _options(values: Sequence[str]) -> dict[str, object]:
     return found
 
 
+def _scene(driver: str | None, shape: str | None, gravity: float | None) -> dict[str, object]:
+    """Return what is around the hand as options of the simulation."""
+    from rtee.errors import ConfigError
+
+    given = {"object": shape, "gravity": gravity}
+    found: dict[str, object] = {k: value for k, value in given.items() if value is not None}
+    if found and driver != "mujoco":
+        raise ConfigError(f"--{next(iter(found))} needs --driver mujoco")
+    return found
+
+
 @app.command()
 def run(
     hands: Annotated[
@@ -61,6 +72,18 @@ def run(
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Option of a driver that hand.yaml doesn't have."),
+    ] = None,
+    object_: Annotated[
+        str | None,
+        typer.Option(
+            "--object",
+            metavar="SHAPE",
+            help="With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R [m], drill, or a mesh.",
+        ),
+    ] = None,
+    gravity: Annotated[
+        float | None,
+        typer.Option(metavar="A", help="With --driver mujoco: along z [m/s²], -9.81 unless given."),
     ] = None,
     emulated: Annotated[
         bool, typer.Option("--emulated", help="Talk to emulators instead of the real devices.")
@@ -97,7 +120,7 @@ def run(
     options = RunOptions(
         driver=driver,
         emulated=emulated,
-        driver_options=_options(option or []),
+        driver_options=_options(option or []) | _scene(driver, object_, gravity),
         rate=rate,
         realtime=realtime,
         log=log,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -62,6 +63,16 @@ def touching_pairs(hand: Hand) -> tuple[TouchingPair, ...]:
             always = all(checker.at(u, link1, link2) for u in _spread(hand))
             pairs.append(TouchingPair(link1, link2, ALWAYS if always else AT_REST))
     return tuple(pairs)
+
+
+def touch_at_rest(hand: Hand) -> Callable[[str, str], bool]:
+    """Return a function that says whether two links touch at rest, on the exact geometry.
+
+    Raises:
+        ModelError: A mesh cannot be read.
+    """
+    checker = _Checker(hand)
+    return lambda link1, link2: checker.at(hand.rest, link1, link2)
 
 
 class _Checker:

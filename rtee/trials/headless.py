@@ -29,9 +29,11 @@ class HeadlessHand:
     Attributes:
         hand: The hand.
         simulation: The simulated hand and its surroundings.
+        library: Its actions.
+        observers: Who is told everything.
         controller: The loop's pure core.
         time: Simulated time since the start [s].
-        events: What happened, besides feedback and results.
+        results: How the goals ended, by their identifiers.
     """
 
     def __init__(
@@ -55,11 +57,11 @@ class HeadlessHand:
         self.simulation = simulation
         self.controller = Controller(hand, settings)
         self.time = 0.0
-        self._library = library
+        self.library = library
         self._settings = settings
-        self._observers = tuple(observers)
+        self.observers = tuple(observers)
         self._tick = 0
-        self._results: dict[str, Result] = {}
+        self.results: dict[str, Result] = {}
         self._before: list[Callable[[float], None]] = []
         n = len(hand.actuators)
         self._everything = np.ones(n, dtype=bool)
@@ -75,7 +77,7 @@ class HeadlessHand:
 
     def _command(self, kind: str, values: dict[str, float]) -> None:
         command = Command(kind, values=values, tick=self._tick, stamp=self.time)
-        for observer in self._observers:
+        for observer in self.observers:
             observer.on_command(command)
         self.controller.apply(command)
 
@@ -89,17 +91,20 @@ class HeadlessHand:
         """
         self.start(goal)
         deadline = self.time + _PATIENCE
-        while goal.goal_id not in self._results:
+        while goal.goal_id not in self.results:
             self.tick()
             if self.time > deadline:
                 raise LoopError(f"'{goal.action}' did not end within {_PATIENCE:g} s of simulation")
-        return self._results[goal.goal_id]
+        return self.results[goal.goal_id]
 
     def start(self, goal: Goal) -> None:
         """Begin a goal without waiting for its end; raises as `do`."""
-        plan = make_plan(goal, self.hand, self._library, self._settings)
-        for observer in self._observers:
+        plan = make_plan(goal, self.hand, self.library, self._settings)
+        for observer in self.observers:
             observer.on_goal(goal, self.time)
+            tell = getattr(observer, "on_plan", None)
+            if tell is not None:
+                tell(plan, self.time)
         self.controller.take(plan, self.time)
         self._tell()
 
@@ -122,7 +127,7 @@ class HeadlessHand:
         reference = np.array(controller.reference_position)
         limit = np.array(controller.reference_effort)
         simulation.command(reference, limit, self._everything)
-        if self._observers:
+        if self.observers:
             self._record(position, effort, reference, limit)
         self._tell()
 
@@ -155,7 +160,7 @@ class HeadlessHand:
             reference_effort=limit,
             extras=extras,
         )
-        for observer in self._observers:
+        for observer in self.observers:
             observer.on_tick(record)
 
     def _tell(self) -> None:
@@ -164,8 +169,8 @@ class HeadlessHand:
             return
         for item in outbox.items:
             if isinstance(item, Result):
-                self._results[item.goal_id] = item
-            for observer in self._observers:
+                self.results[item.goal_id] = item
+            for observer in self.observers:
                 if isinstance(item, Result):
                     observer.on_result(item)
                 elif isinstance(item, Feedback):

@@ -60,6 +60,11 @@ def effort_limit(actuator: ActuatorSpec, options: SimOptions) -> float:
     return actuator.effort if 0.0 < actuator.effort <= most else most
 
 
+def coupling_name(joint: str) -> str:
+    """Return the name of the equality that couples a joint to its actuator."""
+    return f"coupling/{joint}"
+
+
 def _check(hand: Hand) -> None:
     for actuator in hand.actuators:
         if actuator.kind is JointKind.CONTINUOUS:
@@ -70,6 +75,28 @@ def _check(hand: Hand) -> None:
                 "<limit> in the URDF",
                 path=hand.urdf.path,
             )
+    for joint in hand.joints:
+        if joint.role is JointRole.PASSIVE and not _has_substance(hand, joint.child):
+            links = ", ".join(f"'{link}'" for link in _below(hand, joint.child))
+            raise ModelError(
+                f"passive joint '{joint.name}' carries no mass and no collision geometry (links "
+                f"{links}), so its motion is undetermined; give a link mass, or fix the joint",
+                path=hand.urdf.path,
+                line=joint.line or None,
+            )
+
+
+def _below(hand: Hand, link: str) -> list[str]:
+    """Return a link and all links below it."""
+    found = [link]
+    for name in found:
+        found += [j.child for j in hand.urdf.joints.values() if j.parent == name]
+    return found
+
+
+def _has_substance(hand: Hand, link: str) -> bool:
+    links = [hand.urdf.links[name] for name in _below(hand, link)]
+    return any(found.collisions or found.mass > 0.0 for found in links)
 
 
 def _add_shape(
@@ -208,7 +235,7 @@ def _add_couplings(spec: mujoco.MjSpec, hand: Hand) -> tuple[tuple[Polynomial, .
     notes = []
     for polynomial in polynomials:
         equality = spec.add_equality(
-            name=f"{polynomial.joint}~{polynomial.actuator}",
+            name=coupling_name(polynomial.joint),
             name1=polynomial.joint,
             name2=polynomial.actuator,
             type=mujoco.mjtEq.mjEQ_JOINT,
@@ -219,8 +246,9 @@ def _add_couplings(spec: mujoco.MjSpec, hand: Hand) -> tuple[tuple[Polynomial, .
         equality.solimp = [0.95, 0.99, 0.001, 0.5, 2.0]
         if polynomial.error > 1e-6:
             notes.append(
-                f"joint '{polynomial.joint}' follows '{polynomial.actuator}' by a fitted "
-                f"polynomial, at most {polynomial.error:.2g} off"
+                f"joint '{polynomial.joint}' follows '{polynomial.actuator}' by a curve; its "
+                f"tangent is renewed at every exchange (a single polynomial would be up to "
+                f"{polynomial.error:.2g} off)"
             )
     return polynomials, notes
 
@@ -234,8 +262,13 @@ def _finger_of(hand: Hand) -> dict[str, str]:
     return {link: next(iter(names)) for link, names in found.items() if len(names) == 1}
 
 
-def _exclude_touching_at_rest(spec: mujoco.MjSpec, hand: Hand) -> list[str]:
+def _exclude_touching_at_rest(
+    spec: mujoco.MjSpec, hand: Hand, touch: Callable[[str, str], bool]
+) -> list[str]:
     """Exclude pairs that touch at rest, as the extraction does.
+
+    MuJoCo takes the convex hulls of meshes. Where only the hulls touch at rest and not the links,
+    the pair is excluded too, and noted.
 
     Raises:
         ModelError: if links of two fingers are deep inside each other at rest.
@@ -254,6 +287,13 @@ def _exclude_touching_at_rest(spec: mujoco.MjSpec, hand: Hand) -> list[str]:
     notes = []
     for (first, second), distance in sorted(touching.items()):
         fingers = (finger.get(first), finger.get(second))
+        spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
+        if not touch(first, second):
+            notes.append(
+                f"the convex hulls of links '{first}' and '{second}' overlap at rest, so their "
+                "contact is not simulated"
+            )
+            continue
         if None not in fingers and fingers[0] != fingers[1] and distance < -_INTERPENETRATING:
             raise ModelError(
                 f"links '{first}' and '{second}' of two fingers are {-distance * 1e3:.1f} mm "
@@ -261,7 +301,6 @@ def _exclude_touching_at_rest(spec: mujoco.MjSpec, hand: Hand) -> list[str]:
                 "shapes or the rest posture, or disable the pair in the SRDF",
                 path=hand.urdf.path,
             )
-        spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
         notes.append(f"links '{first}' and '{second}' touch at rest and are not checked")
     return notes
 
@@ -274,7 +313,12 @@ def rest_position(model: mujoco.MjModel, hand: Hand) -> FloatArray:
     return np.asarray(position, dtype=np.float64)
 
 
-def build(hand: Hand, options: SimOptions, triangles: Triangles) -> Built:
+def build(
+    hand: Hand,
+    options: SimOptions,
+    triangles: Triangles,
+    touch: Callable[[str, str], bool] = lambda first, second: True,
+) -> Built:
     """Make a MuJoCo model from a hand.
 
     The transmission becomes joint equalities (polynomials of degree 4 at most), actuators get
@@ -285,6 +329,7 @@ def build(hand: Hand, options: SimOptions, triangles: Triangles) -> Built:
         hand: The hand.
         options: How to simulate it.
         triangles: Gives the collision meshes of a link; asked only for links that have meshes.
+        touch: Says whether two links touch at rest on their exact geometry.
 
     Raises:
         ModelError: if the hand cannot be simulated, with the links or joints that are the reason.
@@ -309,5 +354,5 @@ def build(hand: Hand, options: SimOptions, triangles: Triangles) -> Built:
     notes += coupling_notes
     for first, second, _ in hand.disabled_collisions:
         spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
-    notes += _exclude_touching_at_rest(spec, hand)
+    notes += _exclude_touching_at_rest(spec, hand, touch)
     return Built(spec, polynomials, tuple(notes))

@@ -1,4 +1,4 @@
-"""Objects to grasp: a box, a cylinder, a sphere or a mesh."""
+"""Objects to grasp: a box, a cylinder, a sphere, a mesh, or a drill with a trigger."""
 
 from __future__ import annotations
 
@@ -7,17 +7,31 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from rtee.errors import ConfigError
 from rtee.types import FloatArray
 
 OBJECT = "object"
-"""Name of the object's body, joint and geom."""
+"""Name of the object's body, joint and (first) geom."""
 
-_FORMS = "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS (in metres), or the path of a mesh"
+TRIGGER = "object/trigger"
+"""Name of the body and joint of a trigger."""
+
+TRIGGER_TRAVEL = 0.012
+"""How far a drill's trigger can be pressed [m]."""
+
+_FORMS = (
+    "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS (in metres), drill, or the path of a mesh"
+)
 _NUMBERS = {"box": 3, "cylinder": 2, "sphere": 1}
 _LARGEST = 2.0
 _MESHES = (".stl", ".obj")
+_HANDLE = (0.018, 0.130)
+_BODY = (0.050, 0.140, 0.050)
+_PLATE = (0.024, 0.010, 0.028)
+_SPRING = 250.0
+_PRELOAD = 0.004
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +39,8 @@ class ObjectShape:
     """The shape of an object.
 
     Attributes:
-        kind: ``box``, ``cylinder``, ``sphere`` or ``mesh``.
-        size: Edge lengths, radius and height, or radius [m]; empty for a mesh.
+        kind: ``box``, ``cylinder``, ``sphere``, ``drill`` or ``mesh``.
+        size: Edge lengths, radius and height, or radius [m]; empty for a drill and a mesh.
         path: The mesh file.
     """
 
@@ -36,20 +50,32 @@ class ObjectShape:
 
     @property
     def name(self) -> str:
-        """A short name, such as ``sphere:0.03``."""
+        """How it is written on the command line, such as ``sphere:0.03``."""
         if self.path is not None:
-            return self.path.stem
+            return str(self.path)
+        if not self.size:
+            return self.kind
         return f"{self.kind}:{'x'.join(f'{value:g}' for value in self.size)}"
 
-    @property
-    def half_height(self) -> float:
-        """Half its height along its z axis [m]; 0 for a mesh, which is placed by its own origin."""
+    def lowest(self, pose: FloatArray) -> float:
+        """Return the height of its lowest point [m] at a pose ``(4, 4)`` in the world.
+
+        A mesh is taken to stand on its origin.
+        """
+        down = pose[:3, :3].T @ np.array([0.0, 0.0, -1.0])
         match self.kind:
-            case "box" | "cylinder":
-                return 0.5 * self.size[-1]
+            case "box":
+                reach = float(np.abs(down) @ np.array(self.size)) / 2.0
+            case "cylinder":
+                radius, height = self.size
+                reach = radius * math.hypot(down[0], down[1]) + 0.5 * height * abs(down[2])
             case "sphere":
-                return self.size[0]
-        return 0.0
+                reach = self.size[0]
+            case "drill":
+                reach = 0.5 * _HANDLE[1]
+            case _:
+                reach = 0.0
+        return float(pose[2, 3]) - reach
 
 
 def parse_object(text: str) -> ObjectShape:
@@ -59,6 +85,8 @@ def parse_object(text: str) -> ObjectShape:
         ConfigError: if it is none of the forms there are.
     """
     kind, _, numbers = text.partition(":")
+    if text == "drill":
+        return ObjectShape("drill")
     if kind in _NUMBERS and numbers:
         try:
             size = tuple(float(part) for part in numbers.split("x"))
@@ -82,7 +110,7 @@ def add_object(
     shape: ObjectShape,
     *,
     mass: float,
-    position: FloatArray,
+    pose: FloatArray,
     friction: float = 0.8,
 ) -> mujoco.MjsBody:
     """Add a free object to a model.
@@ -91,16 +119,20 @@ def add_object(
         spec: The model.
         shape: What it looks like.
         mass: Its mass [kg].
-        position: Where its middle is ``(3,)`` [m], in the world's frame.
+        pose: Where it is ``(4, 4)``, in the world's frame.
         friction: Its sliding friction.
 
     Returns:
         Its body.
     """
-    body = spec.worldbody.add_body(name=OBJECT, pos=position)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
+    body = spec.worldbody.add_body(name=OBJECT, pos=pose[:3, 3], quat=quat)
     body.add_freejoint(name=OBJECT)
-    geom = body.add_geom(name=OBJECT, mass=mass, friction=[friction, 0.01, 1e-3], condim=4)
-    geom.rgba = [0.90, 0.62, 0.0, 1.0]
+    if shape.kind == "drill":
+        _add_drill(body, mass, friction)
+        return body
+    geom = _geom(body, OBJECT, mass, friction)
     match shape.kind:
         case "box":
             geom.type = mujoco.mjtGeom.mjGEOM_BOX
@@ -117,3 +149,40 @@ def add_object(
             geom.type = mujoco.mjtGeom.mjGEOM_MESH
             geom.meshname = OBJECT
     return body
+
+
+def _geom(body: mujoco.MjsBody, name: str, mass: float, friction: float) -> mujoco.MjsGeom:
+    return body.add_geom(
+        name=name, mass=mass, friction=[friction, 0.01, 1e-3], condim=4, rgba=[0.90, 0.62, 0.0, 1.0]
+    )
+
+
+def _add_drill(body: mujoco.MjsBody, mass: float, friction: float) -> None:
+    """Add a pistol-like body: a handle along z, a motor above it, a sprung trigger before it.
+
+    The trigger slides along y towards the handle, against a preloaded spring; its joint counts from
+    0, not pressed, to `TRIGGER_TRAVEL`.
+    """
+    handle = _geom(body, OBJECT, 0.5 * mass, friction)
+    handle.type = mujoco.mjtGeom.mjGEOM_CYLINDER
+    handle.size = [_HANDLE[0], 0.5 * _HANDLE[1], 0.0]
+    motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass, friction)
+    motor.type = mujoco.mjtGeom.mjGEOM_BOX
+    motor.size = [0.5 * value for value in _BODY]
+    motor.pos = [0.0, 0.03, 0.5 * (_HANDLE[1] + _BODY[2])]
+    front = _HANDLE[0] + TRIGGER_TRAVEL + 0.5 * _PLATE[1]
+    trigger = body.add_body(
+        name=TRIGGER, pos=[0.0, front, 0.5 * _HANDLE[1] - 0.5 * _PLATE[2] - 0.002]
+    )
+    joint = trigger.add_joint(
+        name=TRIGGER, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, -1.0, 0.0], armature=0.01
+    )
+    joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    joint.range = [0.0, TRIGGER_TRAVEL]
+    joint.stiffness = [_SPRING, 0.0, 0.0]
+    joint.springref = -_PRELOAD
+    joint.damping = [2.0, 0.0, 0.0]
+    plate = _geom(trigger, TRIGGER, 0.05 * mass, friction)
+    plate.type = mujoco.mjtGeom.mjGEOM_BOX
+    plate.size = [0.5 * value for value in _PLATE]
+    plate.rgba = [0.84, 0.37, 0.0, 1.0]

@@ -23,13 +23,15 @@ class SimOptions(BaseModel):
         joint_friction: Dry friction of every actuator's joint, as a fraction of its effort limit.
         passive_stiffness: Stiffness of passive joints [N·m/rad].
         max_effort: Effort limits above this count as missing and become this [N·m | 0.01 N].
-        object: An object to grasp: ``box:0.05x0.05x0.1``, ``cylinder:0.03x0.1``, ``sphere:0.03`` or
-            the path of a mesh; empty for none.
+        object: An object to grasp: ``box:0.05x0.05x0.1``, ``cylinder:0.03x0.1``, ``sphere:0.03``,
+            ``drill``, or the path of a mesh; empty for none.
         object_mass: Mass of the object [kg].
-        support: What carries the object before the grasp.
+        support: What carries the object before the grasp: ``held``: a yielding hand, which lets go
+            when two links have touched it for a while; ``table``; ``floating``: it never weighs
+            anything unless it is released.
         carrier: What carries the hand: nothing moves it, or a vertical lift, or an arm with six
-            degrees of freedom that follows a script.
-        seed: Seed of everything random.
+            degrees of freedom that follows a script. A hand that is carried reaches down, else
+            the base frame is the world's.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -48,4 +50,3 @@ class SimOptions(BaseModel):
     object_mass: float = Field(default=0.1, gt=0, le=100)
     support: Literal["held", "table", "floating"] = "held"
     carrier: Literal["fixed", "lift", "arm"] = "fixed"
-    seed: int = 0

@@ -7,14 +7,23 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.model import Built, build
+from rtee.drivers.mujoco.model import CARRIER, Built, build
 from rtee.drivers.mujoco.objects import add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.drivers.mujoco.surroundings import AXES
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
+from rtee.hand.touching import touch_at_rest
 from rtee.types import FloatArray
+
+TABLE = "table"
+"""Name of the table's geom."""
+
+_INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)
+_STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)
+_TABLE = (0.6, 0.6, 0.02)
 
 
 def build_hand(hand: Hand, options: SimOptions) -> Built:
@@ -27,7 +36,24 @@ def build_hand(hand: Hand, options: SimOptions) -> Built:
             return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
         return geometry.triangles(link)
 
-    return build(hand, options, triangles)
+    if not meshes:  # MuJoCo's contact of boxes, cylinders and spheres is exact already
+        return build(hand, options, triangles)
+    return build(hand, options, triangles, touch_at_rest(hand))
+
+
+def closed(hand: Hand) -> FloatArray:
+    """Return the actuator positions ``(n,)`` farthest from rest."""
+    far = np.where(
+        np.abs(hand.upper - hand.rest) >= np.abs(hand.lower - hand.rest), hand.upper, hand.lower
+    )
+    return np.where(np.isfinite(far), far, hand.rest)
+
+
+def tips(hand: Hand, u: FloatArray) -> FloatArray:
+    """Return the fingertips' origins ``(k, 3)`` [m] in the base frame."""
+    kinematics = Kinematics(hand)
+    found = [kinematics.link_pose(u, f.tip)[:3, 3] for f in hand.fingers if f.tip is not None]
+    return np.array(found).reshape(-1, 3)
 
 
 def grasp_centre(hand: Hand, closure: float = 0.5) -> FloatArray:
@@ -37,32 +63,104 @@ def grasp_centre(hand: Hand, closure: float = 0.5) -> FloatArray:
         hand: The hand.
         closure: Share of the way from rest to the far limits at which it is taken.
     """
-    kinematics = Kinematics(hand)
-    far = np.where(
-        np.abs(hand.upper - hand.rest) >= np.abs(hand.lower - hand.rest), hand.upper, hand.lower
+    found = tips(hand, hand.rest + closure * (closed(hand) - hand.rest))
+    return np.asarray(found.mean(axis=0)) if len(found) else np.zeros(3)
+
+
+def approach(hand: Hand) -> FloatArray:
+    """Return the axis ``(3,)`` of the base frame along which the hand reaches out."""
+    centre = tips(hand, hand.rest).mean(axis=0) if hand.fingers else np.array([0.0, 0.0, 1.0])
+    axis = np.zeros(3)
+    widest = int(np.argmax(np.abs(centre)))
+    axis[widest] = np.sign(centre[widest]) or 1.0
+    return axis
+
+
+def downward(hand: Hand) -> FloatArray:
+    """Return the rotation ``(3, 3)`` that lets the hand reach down."""
+    axis, down = approach(hand), np.array([0.0, 0.0, -1.0])
+    if np.allclose(axis, down):
+        return np.eye(3)
+    if np.allclose(axis, -down):
+        return np.diag([1.0, -1.0, -1.0])
+    side = np.cross(axis, down)
+    after = np.stack([down, np.cross(side, down), side], axis=1)
+    before = np.stack([axis, np.cross(side, axis), side], axis=1)
+    turn: FloatArray = after @ before.T
+    return turn
+
+
+def add_carrier(spec: mujoco.MjSpec, hand: Hand, options: SimOptions) -> None:
+    """Let the carrier reach down and move as the options say; a fixed one stays as it is."""
+    if options.carrier == "fixed":
+        return
+    mount = spec.body(CARRIER)
+    turn = downward(hand)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, turn.ravel())
+    mount.quat = quat
+    mount.gravcomp = 1.0
+    for index, axis in enumerate(AXES):
+        if options.carrier == "lift" and axis != "z":
+            continue
+        slide = index < 3
+        joint = mount.add_joint(
+            name=f"{CARRIER}/{axis}",
+            type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
+            axis=turn.T[:, index % 3],
+            armature=_INERTIA[index],
+        )
+        motor = spec.add_actuator(
+            name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        motor.set_to_position(kp=_STIFFNESS[index], dampratio=1.0)
+
+
+def add_table(spec: mujoco.MjSpec, height: float) -> None:
+    """Add a table whose top is at a height [m]."""
+    geom = spec.worldbody.add_geom(
+        name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_TABLE, pos=[0.0, 0.0, height - _TABLE[2]]
     )
-    far = np.where(np.isfinite(far), far, hand.rest)
-    u = hand.rest + closure * (far - hand.rest)
-    tips = [kinematics.link_pose(u, f.tip)[:3, 3] for f in hand.fingers if f.tip is not None]
-    return np.asarray(np.mean(tips, axis=0)) if tips else np.zeros(3)
+    geom.friction = [0.8, 0.01, 1e-3]
 
 
 def make_simulation(
-    hand: Hand, options: SimOptions, actuators: Sequence[str], period: float
+    hand: Hand,
+    options: SimOptions,
+    actuators: Sequence[str],
+    period: float,
+    *,
+    place: FloatArray | None = None,
 ) -> Simulation:
     """Build, compile and start the simulation that the options describe.
+
+    Args:
+        hand: The hand.
+        options: What is simulated.
+        actuators: The actuators that are read and commanded, in order.
+        period: Time between exchanges [s].
+        place: Pose ``(4, 4)`` of the object in the hand's base frame; its middle is where the
+            fingertips meet unless given.
 
     Raises:
         ModelError: if the hand cannot be simulated.
         ConfigError: if the object is none.
     """
     built = build_hand(hand, options)
+    add_carrier(built.spec, hand, options)
     if options.object:
-        add_object(
-            built.spec,
-            parse_object(options.object),
-            mass=options.object_mass,
-            position=grasp_centre(hand),
-        )
+        shape = parse_object(options.object)
+        pose = np.eye(4)
+        if options.carrier != "fixed":
+            pose[:3, :3] = downward(hand)
+        if place is None:
+            inside = np.eye(4)
+            inside[:3, 3] = grasp_centre(hand)
+            inside[:3, :3] = pose[:3, :3].T  # upright in the world
+            place = inside
+        pose = pose @ place
+        add_object(built.spec, shape, mass=options.object_mass, pose=pose)
+        if options.support == "table":
+            add_table(built.spec, shape.lowest(pose))
     model: mujoco.MjModel = built.spec.compile()
     return Simulation(model, hand, options, actuators, period)

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.model import LINK, effort_limit, rest_position
-from rtee.drivers.mujoco.objects import OBJECT
+from rtee.drivers.mujoco.model import LINK, coupling_name, effort_limit, rest_position
 from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.hand.model import Hand
+from rtee.hand.transmission import Coupling
 from rtee.types import BoolArray, FloatArray
 
 
@@ -21,6 +22,7 @@ class Simulation:
     Attributes:
         model: The compiled model.
         data: Its state.
+        surroundings: The carrier, the object and what it lies on.
         actuators: Names of the actuators in the order of all arrays here.
     """
 
@@ -52,6 +54,11 @@ class Simulation:
         self._qvel = np.array([model.joint(name).dofadr[0] for name in actuators])
         self._joints = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
         specs = [hand.actuator(name) for name in actuators]
+        self._period = period
+        self._fastest: FloatArray = np.array([s.velocity for s in specs])
+        self._fastest[~(self._fastest > 0.0)] = np.inf
+        self._target: FloatArray = np.zeros(len(specs))
+        self._speed = self._fastest.copy()
         self.effort_limit: FloatArray = np.array([effort_limit(s, options) for s in specs])
         self._gain = model.actuator_gainprm[self._motor, 0].copy()
         self._bias = model.actuator_biasprm[self._motor].copy()
@@ -59,8 +66,19 @@ class Simulation:
             -1 if finger.tip is None else int(model.body(LINK + finger.tip).id)
             for finger in hand.fingers
         ]
+        self._curved = [
+            (model.eq(coupling_name(joint.name)).id, self._address(hand, coupling), coupling)
+            for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True)
+            if coupling.actuator is not None and not coupling.linear
+        ]
+        self._powered = True
         self._force = np.zeros(6)
+        self.surroundings = Surroundings(model, self.data, options)
         self.reset()
+
+    def _address(self, hand: Hand, coupling: Coupling) -> int:
+        assert coupling.actuator is not None  # noqa: S101 - narrows the type
+        return int(self.model.joint(hand.actuator_names[coupling.actuator]).qposadr[0])
 
     def reset(self) -> None:
         """Go back to the beginning: the hand at rest, everything else as modelled."""
@@ -68,11 +86,27 @@ class Simulation:
         self.data.qpos[:] = rest_position(self.model, self._hand)
         names = self._hand.actuator_names
         self.data.ctrl[[self.model.actuator(n).id for n in names]] = self._hand.rest
+        self._target = np.array(self.data.ctrl[self._motor])
+        self._speed = self._fastest.copy()
+        self.surroundings.reset()
+        self._follow_curves()
         mujoco.mj_forward(self.model, self.data)
 
     def advance(self) -> None:
         """Step by one period."""
+        self._follow_curves()
+        step = self._speed * self._period
+        reference = self.data.ctrl[self._motor]
+        self.data.ctrl[self._motor] = reference + np.clip(self._target - reference, -step, step)
         mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+        self.surroundings.watch(self.time)
+
+    def _follow_curves(self) -> None:
+        """Couple joints that follow an actuator by a curve along its tangent here."""
+        for equality, address, coupling in self._curved:
+            u = float(self.data.qpos[address])
+            value, slope = coupling.dual(u)
+            self.model.eq_data[equality, :5] = (value - slope * u, slope, 0.0, 0.0, 0.0)
 
     @property
     def time(self) -> float:
@@ -119,27 +153,43 @@ class Simulation:
 
     @property
     def object_pose(self) -> FloatArray | None:
-        """Position and unit quaternion (w, x, y, z) of the object ``(7,)``, if there is one."""
-        address = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, OBJECT)
-        if address < 0:
-            return None
-        start = self.model.jnt_qposadr[address]
-        return np.asarray(self.data.qpos[start : start + 7], dtype=np.float64).copy()
+        """Pose ``(7,)`` of the object in the world, if there is one; see `Surroundings.pose`."""
+        return self.surroundings.pose if self.surroundings.has_object else None
 
-    def command(self, position: FloatArray, max_effort: FloatArray, mask: BoolArray) -> None:
-        """Set references and effort limits of the masked actuators."""
+    def command(
+        self,
+        position: FloatArray,
+        max_effort: FloatArray,
+        mask: BoolArray,
+        max_velocity: FloatArray | None = None,
+    ) -> None:
+        """Set references and limits of the masked actuators.
+
+        As in a real hand's own controller, the reference that counts moves to the given one no
+        faster than the velocity limit.
+
+        Args:
+            position: References ``(n,)`` [rad | m].
+            max_effort: Effort limits ``(n,)`` [N·m | N]; ``inf``: the actuator's own.
+            mask: Which actuators are meant ``(n,)``.
+            max_velocity: Velocity limits ``(n,)`` [rad/s | m/s]; the actuators' own unless given.
+        """
         motors = self._motor[mask]
-        self.data.ctrl[motors] = position[mask]
+        self._target[mask] = position[mask]
+        if max_velocity is not None:
+            self._speed[mask] = np.minimum(self._fastest, np.maximum(max_velocity, 0.0))[mask]
         limit = np.minimum(self.effort_limit, np.maximum(max_effort, 0.0))[mask]
         self.model.actuator_forcerange[motors, 0] = -limit
         self.model.actuator_forcerange[motors, 1] = limit
 
     def hold(self) -> None:
         """Take the present positions for references."""
-        self.data.ctrl[self._motor] = self.position
+        self._target = self.position
+        self.data.ctrl[self._motor] = self._target
 
     def power(self, on: bool) -> None:
         """Switch the position gains on or off; off leaves the joints limp."""
+        self._powered = on
         self.model.actuator_gainprm[self._motor, 0] = self._gain if on else 0.0
         self.model.actuator_biasprm[self._motor] = self._bias if on else 0.0
 
@@ -161,4 +211,4 @@ class Simulation:
             self._bias[index, 1] = -value
         else:
             self._bias[index, 2] = -value
-        self.power(True)
+        self.power(self._powered)

@@ -1,0 +1,161 @@
+"""What is around the hand while it runs: the carrier that moves it, the object, its support."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from rtee.drivers.mujoco.model import CARRIER, LINK
+from rtee.drivers.mujoco.objects import OBJECT, TRIGGER
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.types import FloatArray
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+"""The motions a carrier may have, in the order of its script's values."""
+
+_DRAG = 4.0
+_TURN_DRAG = 0.01
+_CONFIRM = 0.3
+_LINKS = 2
+
+
+class Surroundings:
+    """The carrier, the object and what it lies on.
+
+    An object that is *held* is weightless and moves against a drag, as if a yielding hand presented
+    it; it is let go when two links have touched it for a while, or by `release`.
+
+    Attributes:
+        has_object: There is an object.
+        released: The object bears its own weight.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, options: SimOptions) -> None:
+        """Look at a model that is going to run.
+
+        Args:
+            model: The compiled model.
+            data: Its state.
+            options: How it is simulated.
+        """
+        self._model, self._data = model, data
+        self._support = options.support
+        self._carrier = int(model.body(CARRIER).id)
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, OBJECT)
+        self.has_object = joint >= 0
+        self.released = not self.has_object or options.support == "table"
+        self._motors = [
+            mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{CARRIER}/{axis}")
+            for axis in AXES
+        ]
+        self._touched = 0.0
+        self._last = 0.0
+        if self.has_object:
+            self._body = int(model.body(OBJECT).id)
+            self._qpos = int(model.jnt_qposadr[joint])
+            self._dof = int(model.jnt_dofadr[joint])
+            self._start = np.array(model.qpos0[self._qpos : self._qpos + 7])
+            self._parts = [
+                body for body in range(model.nbody) if model.body_rootid[body] == self._body
+            ]
+            self._hand_bodies = {
+                b for b in range(model.nbody) if model.body(b).name.startswith(LINK)
+            }
+        trigger = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, TRIGGER)
+        self._trigger = int(model.jnt_qposadr[trigger]) if trigger >= 0 else -1
+
+    def reset(self) -> None:
+        """Put the object where it began and hold it again."""
+        self._touched = self._last = 0.0
+        if self.has_object:
+            self._data.qpos[self._qpos : self._qpos + 7] = self._start
+            self._hold(self._support != "table")
+
+    def place(self, pose: FloatArray) -> None:
+        """Let the object begin at a pose ``(7,)`` in the world (position, quaternion w x y z)."""
+        self._start = np.array(pose, dtype=np.float64)
+        self._data.qpos[self._qpos : self._qpos + 7] = self._start
+        self._data.qvel[self._dof : self._dof + 6] = 0.0
+
+    def release(self) -> None:
+        """Let go of the object: from now on it bears its own weight."""
+        if self.has_object and not self.released:
+            self._hold(False)
+
+    def _hold(self, on: bool) -> None:
+        self.released = not on
+        drag = [_DRAG] * 3 + [_TURN_DRAG] * 3 if on else 0.0
+        self._model.dof_damping[self._dof : self._dof + 6] = drag
+        self._model.body_gravcomp[self._parts] = 1.0 if on else 0.0
+
+    def watch(self, time: float) -> None:
+        """Let go of a held object that two links have touched for a while.
+
+        Args:
+            time: Simulated time [s].
+        """
+        elapsed, self._last = time - self._last, time
+        if self.released or self._support == "floating":
+            return
+        self._touched = self._touched + elapsed if len(self.touching()) >= _LINKS else 0.0
+        if self._touched >= _CONFIRM:
+            self.release()
+
+    def touching(self) -> tuple[str, ...]:
+        """Return the names of the links that touch the object, sorted."""
+        if not self.has_object:
+            return ()
+        found = set()
+        for first, second in self._data.contact.geom:
+            bodies = (self._model.geom_bodyid[first], self._model.geom_bodyid[second])
+            for one, other in (bodies, bodies[::-1]):
+                if one in self._parts and other in self._hand_bodies:
+                    found.add(self._model.body(int(other)).name.removeprefix(LINK))
+        return tuple(sorted(found))
+
+    def deepest(self) -> float:
+        """Return how deep a link is inside the object [m]; 0 when none touches it."""
+        depth = 0.0
+        for contact in self._data.contact:
+            bodies = (
+                int(self._model.geom_bodyid[contact.geom1]),
+                int(self._model.geom_bodyid[contact.geom2]),
+            )
+            if any(b in self._parts for b in bodies) and any(
+                b in self._hand_bodies for b in bodies
+            ):
+                depth = max(depth, -float(contact.dist))
+        return depth
+
+    @property
+    def pose(self) -> FloatArray:
+        """Position and unit quaternion (w, x, y, z) of the object in the world ``(7,)``."""
+        return np.array(self._data.qpos[self._qpos : self._qpos + 7], dtype=np.float64)
+
+    @property
+    def position_in_hand(self) -> FloatArray:
+        """Position of the object's origin in the hand's base frame ``(3,)`` [m]."""
+        turn = self._data.xmat[self._carrier].reshape(3, 3)
+        return np.asarray(turn.T @ (self.pose[:3] - self._data.xpos[self._carrier]))
+
+    @property
+    def base_pose(self) -> FloatArray:
+        """Pose of the hand's base frame in the world ``(4, 4)``."""
+        pose = np.eye(4)
+        pose[:3, :3] = self._data.xmat[self._carrier].reshape(3, 3)
+        pose[:3, 3] = self._data.xpos[self._carrier]
+        return pose
+
+    @property
+    def trigger(self) -> float:
+        """How far the object's trigger is pressed [m]; 0 when it has none."""
+        return 0.0 if self._trigger < 0 else float(self._data.qpos[self._trigger])
+
+    def carry(self, pose: FloatArray) -> None:
+        """Set where the carrier goes ``(6,)``: x, y, z [m], roll, pitch, yaw [rad] from the start.
+
+        Motions that the carrier does not have are ignored.
+        """
+        for motor, value in zip(self._motors, pose, strict=True):
+            if motor >= 0:
+                self._data.ctrl[motor] = value

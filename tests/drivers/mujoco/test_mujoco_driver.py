@@ -1,0 +1,171 @@
+"""The driver steps in lockstep, takes gains and limits, and ends where the kinematic one does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.mujoco.driver import MujocoDriver
+from rtee.drivers.registry import find_driver
+from rtee.errors import CommandRejected, ConfigError, NotConnected
+from rtee.hand.load import hand_folder, load_hand
+from rtee.types import DeviceSpec, Reference
+
+pytestmark = pytest.mark.anyio
+
+GRIPPER = "robotiq_2f_85"
+
+
+def make(name: str = GRIPPER, rate: float = 200.0, **options: object) -> MujocoDriver:
+    hand = load_hand(name)
+    folder = str(hand_folder(name)[0])
+    spec = DeviceSpec("sim", name, "mujoco", hand.actuators, options, rate, folder=folder)
+    return MujocoDriver(spec, BusPool())
+
+
+async def active(**options: object) -> MujocoDriver:
+    driver = make(**options)
+    await driver.configure()
+    await driver.activate()
+    return driver
+
+
+async def run(driver: MujocoDriver, reference: Reference, exchanges: int) -> np.ndarray:
+    for _ in range(exchanges):
+        state = await driver.sense()
+        await driver.move(reference)
+    return state.position
+
+
+def test_it_is_found_by_name() -> None:
+    assert find_driver("mujoco") is MujocoDriver
+
+
+async def test_before_configure_there_is_nothing_to_measure() -> None:
+    with pytest.raises(NotConnected):
+        await make().sense()
+
+
+async def test_an_exchange_takes_one_period_of_simulated_time() -> None:
+    driver = await active(rate=150.0)
+    for _ in range(30):
+        await driver.sense()
+    assert driver.simulation.time == pytest.approx(30 / 150.0)
+
+
+async def test_a_reference_is_reached_and_measured() -> None:
+    driver = await active()
+    assert (await run(driver, Reference.at([0.4]), 200))[0] == pytest.approx(0.4, abs=0.01)
+    state = await driver.sense()
+    assert abs(state.velocity[0]) < 0.05
+    assert np.isfinite(state.effort[0])
+    assert np.isnan(state.current[0])
+    assert state.extras["contact_force"] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+async def test_effort_limits_hold() -> None:
+    driver = await active()
+    reference = Reference.at([0.8], max_effort=[0.3])
+    for _ in range(50):
+        state = await driver.sense()
+        assert abs(state.effort[0]) <= 0.3 + 1e-9
+        await driver.move(reference)
+
+
+async def test_actuators_outside_the_mask_keep_their_reference() -> None:
+    driver = await active()
+    await driver.move(Reference.at([0.5], mask=[False]))
+    assert (await run(driver, Reference.at([0.5], mask=[False]), 100))[0] == pytest.approx(
+        0.0, abs=0.01
+    )
+
+
+async def test_stop_holds_and_release_lets_go() -> None:
+    driver = await active()
+    await run(driver, Reference.at([0.8]), 20)
+    await driver.stop()
+    stopped = (await driver.sense()).position[0]
+    for _ in range(100):
+        held = (await driver.sense()).position[0]
+    assert 0.0 < held < 0.7
+    assert held == pytest.approx(stopped, abs=0.1)
+    await driver.release()
+    for _ in range(5):
+        assert (await driver.sense()).effort[0] == 0.0
+
+
+async def test_gains_are_tuned_while_it_runs() -> None:
+    driver = await active()
+    stiff = await run(driver, Reference.at([0.2]), 10)
+    assert driver.capabilities.gains == ("kp.finger_joint", "kd.finger_joint")
+    weak = await active()
+    await weak.set_gains({"kp.finger_joint": 0.5, "kd.finger_joint": 1.0})
+    assert (await run(weak, Reference.at([0.2]), 10))[0] < stiff[0]
+
+
+async def test_a_gain_does_not_power_a_limp_hand() -> None:
+    driver = await active()
+    await driver.release()
+    await driver.set_gains({"kp.finger_joint": 100.0})
+    await driver.move(Reference.at([0.5]))
+    assert (await driver.sense()).effort[0] == 0.0
+    await driver.activate()
+    assert (await run(driver, Reference.at([0.5]), 100))[0] == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize(("name", "value"), [("kp.nothing", 1.0), ("kp.finger_joint", -1.0)])
+async def test_a_wrong_gain_is_rejected(name: str, value: float) -> None:
+    driver = await active()
+    with pytest.raises(CommandRejected, match=name):
+        await driver.set_gains({name: value})
+
+
+async def test_an_object_is_held_until_it_is_gripped() -> None:
+    driver = await active(object="sphere:0.025")
+    before = (await driver.sense()).extras["object_pose"]
+    for _ in range(100):
+        waiting = (await driver.sense()).extras["object_pose"]
+    assert waiting[:3] == pytest.approx(before[:3], abs=1e-3)
+    assert not driver.simulation.surroundings.released
+    await run(driver, Reference.at([0.8], max_effort=[5.0]), 400)
+    state = await driver.sense()
+    assert driver.simulation.surroundings.released
+    assert state.extras["contact_force"].min() > 1.0
+    assert state.position[0] < 0.75
+    assert np.linalg.norm(state.extras["object_pose"][:3] - before[:3]) < 0.03
+
+
+async def test_without_gripping_it_falls_when_released() -> None:
+    driver = await active(object="box:0.02x0.02x0.02")
+    before = (await driver.sense()).extras["object_pose"]
+    driver.simulation.surroundings.release()
+    for _ in range(20):
+        state = await driver.sense()
+    assert state.extras["object_pose"][2] < before[2] - 0.02
+
+
+async def test_what_is_no_object_is_refused() -> None:
+    with pytest.raises(ConfigError, match="'banana' is no object"):
+        await make(object="banana").configure()
+
+
+async def test_two_runs_are_equal_bit_for_bit() -> None:
+    ends = []
+    for _ in range(2):
+        driver = await active(object="sphere:0.02")
+        await run(driver, Reference.at([0.8]), 150)
+        ends.append(driver.simulation.data.qpos.tobytes())
+    assert ends[0] == ends[1]
+
+
+async def test_close_forgets_and_configure_starts_anew() -> None:
+    driver = await active()
+    await run(driver, Reference.at([0.5]), 100)
+    await driver.close()
+    await driver.close()
+    await driver.configure()
+    await driver.activate()
+    assert (await driver.sense()).position[0] == pytest.approx(0.0, abs=1e-3)

@@ -1,0 +1,153 @@
+"""Every hand becomes a model whose couplings hold; what can't be simulated is refused."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtee.errors import ModelError
+from rtee.hand.catalog import hand_names
+from rtee.hand.load import load_hand, load_model
+
+pytest.importorskip("mujoco")
+
+from rtee.drivers.mujoco.model import LINK
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import approach, build_hand, downward, make_simulation
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.hand.model import Hand, JointRole
+
+
+def simulate(hand: Hand, period: float = 0.004, **options: object) -> Simulation:
+    return make_simulation(hand, SimOptions(**options), hand.actuator_names, period)
+
+
+def model(folder: Path, body: str) -> Hand:
+    path = folder / "test.urdf"
+    path.write_text(f'<robot name="test"><link name="base"/>{textwrap.dedent(body)}</robot>')
+    return load_model(path)
+
+
+SHAPE = '<collision><origin xyz="{}"/><geometry><box size="{}"/></geometry></collision>'
+TIP = f'<link name="tip">{SHAPE.format("0 0 0.05", "0.01 0.01 0.05")}</link>'
+LIMIT = '<limit lower="0" upper="1" velocity="2" effort="1"/>'
+
+
+def joint(name: str, child: str, more: str = LIMIT, at: str = "0 0 0") -> str:
+    return (
+        f'<joint name="{name}" type="revolute"><parent link="base"/><child link="{child}"/>'
+        f'<origin xyz="{at}"/><axis xyz="1 0 0"/>{more}</joint>'
+    )
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_every_hand_compiles_and_its_couplings_hold(name: str) -> None:
+    hand = load_hand(name)
+    simulation = simulate(hand, gravity=0.0)
+    assert simulation.model.nu == len(hand.actuators)
+    assert simulation.joints == pytest.approx(hand.transmission.joints(hand.rest), abs=1e-9)
+    assert len(simulation.data.contact) == 0
+    goal = hand.rest + 0.15 * (np.nan_to_num(hand.upper, posinf=1.0) - hand.rest)
+    everything = np.ones(len(goal), dtype=bool)
+    for share in np.linspace(0.0, 1.0, 120):
+        reference = hand.rest + share * (goal - hand.rest)
+        simulation.command(reference, np.full(len(goal), np.inf), everything)
+        simulation.advance()
+        coupled = [r for r, c in enumerate(hand.transmission.couplings) if c.actuator is not None]
+        follows = hand.transmission.joints(simulation.position)
+        assert simulation.joints[coupled] == pytest.approx(follows[coupled], abs=5e-3)
+    for _ in range(100):
+        simulation.advance()
+    assert simulation.position == pytest.approx(goal, abs=0.02)
+
+
+def test_what_was_made_up_is_noted(tmp_path: Path) -> None:
+    hand = model(
+        tmp_path,
+        joint("bend", "tip", '<limit lower="0" upper="1" velocity="2" effort="0"/>') + TIP,
+    )
+    notes = " ".join(build_hand(hand, SimOptions()).notes)
+    assert "mass made up for 1 links: tip" in notes
+    assert "effort limit taken as 10" in notes
+
+
+def test_the_error_of_a_single_polynomial_is_stated() -> None:
+    notes = build_hand(load_hand("heri_ii"), SimOptions()).notes
+    assert any("LFB1__LFP1_1" in note and "off" in note for note in notes)
+
+
+def test_the_mass_of_the_urdf_is_kept() -> None:
+    hand = load_hand("robotiq_3f")
+    simulation = simulate(hand)
+    given = {n: link for n, link in hand.urdf.links.items() if link.has_inertial and link.mass > 0}
+    assert given
+    for name, link in given.items():
+        assert simulation.model.body(LINK + name).mass[0] == pytest.approx(link.mass, rel=1e-6)
+
+
+def test_without_limits_it_is_refused(tmp_path: Path) -> None:
+    hand = model(
+        tmp_path,
+        joint("bend", "tip") + TIP,
+    )
+    endless = replace(hand, actuators=(replace(hand.actuators[0], upper=np.inf),))
+    with pytest.raises(ModelError, match="'bend' has no limits"):
+        build_hand(endless, SimOptions())
+
+
+def test_a_massless_passive_chain_is_refused(tmp_path: Path) -> None:
+    hand = model(
+        tmp_path,
+        joint("bend", "tip")
+        + TIP
+        + joint("loose", "nothing")
+        + '<link name="nothing"/><link name="end"/>'
+        + '<joint name="fix" type="fixed"><parent link="nothing"/><child link="end"/></joint>',
+    )
+    joints = tuple(
+        replace(j, role=JointRole.PASSIVE) if j.name == "loose" else j for j in hand.joints
+    )
+    with pytest.raises(ModelError, match=r"'loose' carries no mass.*'nothing', 'end'"):
+        build_hand(replace(hand, joints=joints), SimOptions())
+
+
+def test_fingers_inside_each_other_are_refused(tmp_path: Path) -> None:
+    hand = model(
+        tmp_path,
+        "".join(
+            joint(f"bend_{n}", f"tip_{n}", at=f"{x} 0 0")
+            + f'<link name="tip_{n}">{SHAPE.format("0 0 0.05", "0.02 0.02 0.08")}</link>'
+            for n, x in (("a", 0.0), ("b", 0.008))
+        ),
+    )
+    assert len(hand.fingers) == 2
+    with pytest.raises(ModelError, match="'tip_a' and 'tip_b' of two fingers"):
+        build_hand(hand, SimOptions())
+
+
+def test_pairs_disabled_in_the_srdf_are_never_checked() -> None:
+    hand = load_hand("schunk_svh")
+    assert hand.disabled_collisions
+    first, second, _ = hand.disabled_collisions[0]
+    spec = build_hand(hand, SimOptions()).spec
+    excluded = {frozenset((e.bodyname1, e.bodyname2)) for e in spec.excludes}
+    assert frozenset((LINK + first, LINK + second)) in excluded
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_a_carried_hand_reaches_down(name: str) -> None:
+    hand = load_hand(name)
+    assert downward(hand) @ approach(hand) == pytest.approx([0.0, 0.0, -1.0])
+    assert np.linalg.det(downward(hand)) == pytest.approx(1.0)
+
+
+def test_real_models_with_meshes_compile_without_deep_contacts(shared: Path) -> None:
+    folder = shared / "hands" / "robotiq_2f_85"
+    urdf, srdf = folder / "robotiq_2f_85.urdf", folder / "robotiq_2f_85.srdf"
+    simulation = simulate(load_model(urdf, srdf, package_dirs=[folder, folder.parent]))
+    assert simulation.model.nmesh
+    assert not [c for c in simulation.data.contact if c.dist < -1e-3]

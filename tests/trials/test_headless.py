@@ -1,0 +1,104 @@
+"""The loop's controller on a simulation without a clock: the same ends, the same recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from rtee.actions.build import generic
+from rtee.actions.library import ActionLibrary
+from rtee.buses.pool import BusPool
+from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.errors import UnknownAction
+from rtee.hand.catalog import hand_names
+from rtee.hand.load import hand_folder, load_configured
+from rtee.hand.model import Hand
+from rtee.log import Recorder, RecorderSettings, Recording, read
+from rtee.loop.configure import loop_settings
+from rtee.trials.headless import HeadlessHand
+from rtee.types import DeviceSpec, Goal, Reference
+
+pytestmark = pytest.mark.anyio
+
+
+def start(name: str, rate: float = 200.0, folder: Path | None = None) -> HeadlessHand:
+    hand, config = load_configured(name)
+    library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
+    settings = loop_settings(config, rate=rate)
+    simulation = make_simulation(hand, SimOptions(), hand.actuator_names, settings.period)
+    observers = []
+    if folder is not None:
+        recorder = Recorder(
+            hand, RecorderSettings(folder, queue_time=1e6), rate=rate, loop=settings
+        )
+        recorder.open()
+        observers.append(recorder)
+    return HeadlessHand(hand, library, settings, simulation, observers)
+
+
+def a_little(hand: Hand, share: float = 0.2) -> dict[str, float]:
+    """Return a posture on the way to which nothing touches."""
+    upper = np.where(np.isfinite(hand.upper), hand.upper, 1.0)
+    position = hand.rest + share * (upper - hand.rest)
+    return dict(zip(hand.actuator_names, position.tolist(), strict=True))
+
+
+async def kinematic_end(hand: Hand, goal: dict[str, float]) -> np.ndarray:
+    spec = DeviceSpec("dummy", hand.name, "kinematic", hand.actuators)
+    driver = KinematicDriver(spec, BusPool())
+    clock = [0.0]
+    driver.now = lambda: clock[0]
+    await driver.configure()
+    await driver.activate()
+    reference = Reference.at([goal[name] for name in hand.actuator_names])
+    for _ in range(2000):
+        clock[0] += 0.005
+        state = await driver.sense()
+        await driver.move(reference)
+    return state.position
+
+
+@pytest.mark.parametrize("name", hand_names())
+async def test_the_same_goal_ends_where_the_kinematic_hand_ends(name: str) -> None:
+    headless = start(name)
+    goal = a_little(headless.hand)
+    headless.library.add(generic(headless.hand, "a_little", goal))
+    result = headless.do(Goal("a_little"))
+    assert result.reached, result
+    headless.wait(0.3)
+    kinematic = await kinematic_end(headless.hand, goal)
+    assert headless.simulation.position == pytest.approx(kinematic, abs=0.02)
+
+
+def test_a_timed_action_runs_through() -> None:
+    headless = start("robotiq_3f")
+    result = headless.do(Goal("timed_wide_grasp"))
+    assert result.succeeded
+
+
+def test_an_unknown_action_is_refused() -> None:
+    with pytest.raises(UnknownAction):
+        start("robotiq_2f_85").do(Goal("Wave"))
+
+
+def test_two_runs_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:
+    recordings: list[Recording] = []
+    for run in ("one", "two"):
+        headless = start("robotiq_2f_85", folder=tmp_path / run)
+        headless.do(Goal("Grasp", goal_id="first"))
+        headless.wait(0.2)
+        for recorder in headless.observers:
+            recorder.close()
+        recordings.append(read(next((tmp_path / run).glob("*.mcap"))))
+    first, second = recordings
+    for name in ("position", "velocity", "effort"):
+        one, two = getattr(first.actuator_states, name), getattr(second.actuator_states, name)
+        assert len(one) > 50
+        assert one.tobytes() == two.tobytes()
+    assert [e.value for e in first.results] == [e.value for e in second.results]
