@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -20,7 +20,6 @@ from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
 
-_TRIED: Final = 3
 _MOST_TREES: Final = 8
 
 Pinches = Mapping[frozenset[str], Found]
@@ -54,7 +53,7 @@ class MultiSearch:
         goal = MultiPinch(self.inspector.scene, len(self.fingers), links, strangers)
         function = Placed(self.inspector.scene, goal, space)
         found = [m.y for m in minima(function, self._warm(space, links), SEVERAL)]
-        touching = stored(self.inspector, goal, space, found[:_TRIED])
+        touching = stored(self.inspector, goal, space, found)
         if not touching:
             return None
         involved = {self._hand.actuator_index(n) for f in self.fingers for n in f.actuators}
@@ -92,18 +91,14 @@ class MultiSearch:
         ]
 
     def _promising(self) -> bool:
-        """Return whether clear pinches of fewer fingers link all of them."""
-        names = [finger.name for finger in self.fingers]
-        size = len(names)
-        if size > 3:
-            smaller = (frozenset(group) for group in combinations(names, size - 1))
-            return any(self._is_clear(group) for group in smaller)
-        ends = combinations(range(size), 2)
-        return linked(size, [(i, j) for i, j in ends if self._is_clear({names[i], names[j]})])
+        """Return whether a clear posture is worth a search.
 
-    def _is_clear(self, group: Set[str]) -> bool:
-        pinch = self.pinches.get(frozenset(group))
-        return pinch is not None and pinch.best.evidence.clear
+        Of more than three fingers it is when all but one of them have one.
+        """
+        names = [finger.name for finger in self.fingers]
+        smaller = (self.pinches.get(frozenset(g)) for g in combinations(names, len(names) - 1))
+        clear = any(pinch is not None and pinch.best.evidence.clear for pinch in smaller)
+        return clear or len(names) == 3
 
     def _warm(self, space: Space, links: Sequence[Link]) -> list[FloatArray]:
         """Return starts combined from the pinches of pairs that link the fingers."""

@@ -70,7 +70,7 @@ class PinchSearch:
 
         Where only the convex parts overlap at the minima, the exact distance leads to a contact.
         """
-        found = [y for y in deep[:_TRIED] if self._touch(space, y)]
+        found = [y for y in deep if self._touch(space, y)]
         if found:
             return found
         sought = [self._seek(space, y) for y in deep[:_TRIED]]
