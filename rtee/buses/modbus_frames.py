@@ -123,7 +123,7 @@ class RtuRequests:
         return None
 
     @property
-    def buffered(self) -> int:
+    def pending(self) -> int:
         """Bytes kept of an incomplete request."""
         return len(self._buffer)
 
@@ -171,6 +171,6 @@ class TcpRequests:
         self._buffer = b""
 
     @property
-    def buffered(self) -> int:
+    def pending(self) -> int:
         """Bytes kept of an incomplete request."""
         return len(self._buffer)

@@ -27,6 +27,8 @@ _ARGUMENTS: Final = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--disable-gpu-rasterization",
+    "--disable-accelerated-2d-canvas",
 )
 _PATIENCE: Final = 60_000.0
 
