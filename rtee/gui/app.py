@@ -4,18 +4,37 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from html import escape
+from typing import Final
 
 import anyio
 import viser
 
 from rtee.errors import NoHand, RteeError
 from rtee.gui.bridge import Bridge
+from rtee.gui.colours import BAD, GOOD, WARN
 from rtee.gui.model import model_of
 from rtee.gui.session import Session
 from rtee.remote.client import connect
 from rtee.remote.find import hands_running
 
 _LOOK_AGAIN = 0.5
+
+# What stands in the same group as the banner stays in sight when the panel is scrolled.
+_STICKY: Final = """<style>
+.mantine-ScrollArea-content div[style*="overflow: hidden"]:has(.rtee-top) {
+  overflow: clip !important; }
+.mantine-ScrollArea-content div[style*="padding-top"] > div:has(.rtee-top) {
+  position: sticky; top: 0; z-index: 10; background: var(--mantine-color-body); }
+</style>"""
+
+
+def _first(errors: BaseExceptionGroup[RteeError] | None) -> str:
+    """Return what the first of several errors says."""
+    found: BaseException | None = errors
+    while isinstance(found, BaseExceptionGroup):
+        found = found.exceptions[0]
+    return str(found)
 
 
 class App:
@@ -39,17 +58,20 @@ class App:
         self._fixed = hand is not None
         self._bridge = Bridge(server)
         server.gui.configure_theme(
-            control_layout="fixed",
             control_width="medium",
             show_logo=False,
             show_share_button=False,
             brand_color=(0, 90, 140),
         )
+        server.gui.main_panel.dock_right()
         server.gui.set_panel_label("rtee")
-        self._banner = server.gui.add_html("", order=-2)
-        self._hands = server.gui.add_dropdown(
-            "Hand", (hand or "–",), hint="The running hands on this computer", order=-1
-        )
+        self._top = server.gui.add_folder(None, order=-1)
+        with self._top:
+            self._banner = server.gui.add_html("")
+            self._hands = server.gui.add_dropdown(
+                "Hand", (hand or "–",), hint="The running hands on this computer"
+            )
+        self._say("Looking for a hand …", WARN)
         self._hands.on_update(lambda _: self._bridge.call(self._choose))
         self._leave: anyio.CancelScope | None = None
 
@@ -62,8 +84,8 @@ class App:
 
     def _say(self, text: str, colour: str) -> None:
         self._banner.content = (
-            f'<div role="alert" style="padding:0.5em 0.75em;font-weight:600;color:{colour}">'
-            f"{text}</div>"
+            f'{_STICKY}<div role="alert" class="rtee-top" style="padding:0.25em 0.75em;'
+            f'font-weight:600;color:{colour}">{escape(text)}</div>'
         )
 
     async def run(self) -> None:
@@ -74,15 +96,14 @@ class App:
                 try:
                     await self._show()
                 except NoHand as error:
-                    self._say(f"Not connected: {error}", "#c92a2a")
+                    self._say(f"Not connected: {error}", BAD)
                 except BaseExceptionGroup as errors:
-                    gone, others = errors.split(NoHand)
+                    known, others = errors.split(RteeError)
                     if others is not None:
                         raise
-                    text = gone.exceptions[0] if gone is not None else ""
-                    self._say(f"Not connected: {text}", "#c92a2a")
+                    self._say(f"Not connected: {_first(known)}", BAD)
                 except RteeError as error:
-                    self._say(f"Cannot show the hand: {error}", "#c92a2a")
+                    self._say(f"Cannot show the hand: {error}", BAD)
             if not leave.cancelled_caught:
                 await anyio.sleep(_LOOK_AGAIN)
 
@@ -110,8 +131,8 @@ class App:
             raise NoHand("no hand is running here; start one with `rtee run HAND`")
         async with connect(self._wanted, endpoint=self._endpoint, client="gui") as remote:
             hand = await model_of(remote)
-            session = Session(self._bridge, remote, hand)
-            self._say(f"{remote.name}: connected", "#00795c")
+            session = Session(self._bridge, remote, hand, self._top)
+            self._say(f"{remote.name}: connected", GOOD)
             try:
                 await session.run()
             finally:

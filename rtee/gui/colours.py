@@ -1,29 +1,36 @@
-"""Colours that people with any colour vision tell apart: Okabe and Ito's palette, and a ramp."""
+"""Colours as the browser's scene takes them; those of the fingers are the project's."""
 
 from __future__ import annotations
 
 from typing import Final
 
+from rtee.hand import colours
+from rtee.hand.model import Hand
+
 Colour = tuple[int, int, int]
 
-PALM: Final[Colour] = (158, 163, 170)
+
+def rgb(colour: str) -> Colour:
+    """Return the red, green and blue of ``#rrggbb``."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+PALM: Final = rgb(colours.PALM)
 """Links that belong to no single finger."""
 
-FINGERS: Final[tuple[Colour, ...]] = (
-    (0, 114, 178),
-    (230, 159, 0),
-    (0, 158, 115),
-    (204, 121, 167),
-    (86, 180, 233),
-    (240, 228, 66),
-    (213, 94, 0),
-)
-"""One per finger, used again from the start when there are more fingers."""
-
 REFERENCE: Final[Colour] = (120, 120, 130)
-PREVIEW: Final[Colour] = (86, 180, 233)
-CONTACT: Final[Colour] = (213, 94, 0)
+PREVIEW: Final = rgb("#56b4e9")
+CONTACT: Final = rgb("#d55e00")
+STRAINED: Final[Colour] = (75, 0, 20)
+"""A finger at its effort limit: dark, so that it is seen with any colour vision."""
+
 STOP: Final[Colour] = (201, 42, 42)
+BAR: Final = rgb("#0072b2")
+
+GOOD: Final = "#00795c"
+WARN: Final = "#a35200"
+BAD: Final = "#c92a2a"
+"""Colours of words; they are never all that tells one from the other."""
 
 _RAMP: Final[tuple[Colour, ...]] = (
     (68, 1, 84),
@@ -34,9 +41,23 @@ _RAMP: Final[tuple[Colour, ...]] = (
 )
 
 
-def finger_colour(index: int) -> Colour:
-    """Return the colour of the finger at an index."""
-    return FINGERS[index % len(FINGERS)]
+def line_colour(index: int) -> str:
+    """Return the colour ``#rrggbb`` of the line at an index; used again after the seventh."""
+    return colours.PALETTE[index % len(colours.PALETTE)]
+
+
+def line_dash(index: int) -> tuple[int, ...]:
+    """Return the dashes that tell lines of the same colour apart; none for the first seven."""
+    return ((), (8, 3), (2, 3), (8, 3, 2, 3))[index // len(colours.PALETTE) % 4]
+
+
+def link_colours(hand: Hand) -> dict[str, Colour]:
+    """Return a colour per link: that of its finger, or the palm's."""
+    of_finger = colours.finger_colours(hand)
+    owner = colours.finger_of_link(hand)
+    return {
+        link: rgb(of_finger[owner[link]]) if link in owner else PALM for link in hand.urdf.links
+    }
 
 
 def blend(first: Colour, second: Colour, share: float) -> Colour:

@@ -14,9 +14,9 @@ from rtee.gui.colours import (
     PALM,
     PREVIEW,
     REFERENCE,
-    Colour,
+    STRAINED,
     blend,
-    finger_colour,
+    link_colours,
     ramp,
 )
 from rtee.hand.geometry import HandGeometry
@@ -28,35 +28,6 @@ Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
 """A point [m] and a unit normal in the base frame."""
 
 _GHOST = 0.35
-_BRIGHT: Colour = (240, 60, 40)
-
-
-def link_colours(hand: Hand) -> dict[str, Colour]:
-    """Return a colour per link: that of its finger, or the palm's."""
-    owners: dict[str, set[int]] = {}
-    for index, finger in enumerate(hand.fingers):
-        for link in finger.links:
-            owners.setdefault(link, set()).add(index)
-    moved = _moved_links(hand)
-    return {
-        link: finger_colour(next(iter(owners[link])))
-        if len(owners.get(link, ())) == 1 and link in moved
-        else PALM
-        for link in hand.urdf.links
-    }
-
-
-def _moved_links(hand: Hand) -> set[str]:
-    moved: set[str] = set()
-    for joint in hand.urdf.joints.values():  # the file need not list parents first
-        chain, link = [joint.child], joint.child
-        arriving = {j.child: j for j in hand.urdf.joints.values()}
-        while link in arriving and not arriving[link].moving:
-            link = arriving[link].parent
-            chain.append(link)
-        if link in arriving:
-            moved.add(joint.child)
-    return moved
 
 
 class HandScene:
@@ -79,6 +50,8 @@ class HandScene:
         ghost = dict.fromkeys(hand.urdf.links, REFERENCE)
         wish = dict.fromkeys(hand.urdf.links, PREVIEW)
         scene.set_up_direction("+z")
+        # Shadows cost a tablet, or a computer without a graphics card, most of its frames.
+        scene.configure_default_lights(cast_shadow=False)
         self._body = HandBody(scene, "/hand", hand, drawn, self._colours)
         self._reference = HandBody(
             scene, "/reference", hand, drawn, ghost, opacity=_GHOST, visible=False
@@ -107,13 +80,16 @@ class HandScene:
         middle = 0.5 * (low + high)
         camera = self._server.initial_camera
         camera.look_at = tuple(middle)
-        camera.position = tuple(middle + size * np.array([0.75, 0.65, 0.45]))
+        camera.position = tuple(middle + size * np.array([0.62, 0.54, 0.36]))
         camera.near = 0.01 * size
         self._server.scene.add_grid(
             "/floor",
             width=4.0 * size,
             height=4.0 * size,
             cell_size=0.02 if size < 1.0 else 0.2,
+            section_size=0.1 if size < 1.0 else 1.0,
+            cell_color=(232, 234, 237),
+            section_color=(205, 209, 214),
             position=(float(middle[0]), float(middle[1]), float(low[2])),
             plane="xy",
         )
@@ -140,14 +116,14 @@ class HandScene:
         body.visible = True
 
     def show_effort(self, share: Mapping[str, float]) -> None:
-        """Colour fingers by their effort as a share of its limit, by finger name."""
+        """Darken fingers by their effort as a share of its limit, by finger name."""
         for finger in self.hand.fingers:
             strength = share.get(finger.name, 0.0)
             strength = 0.0 if not math.isfinite(strength) else abs(strength)
             for link in finger.links:
                 own = self._colours[link]
                 if own != PALM:
-                    self._body.set_colour(link, blend(own, _BRIGHT, round(strength, 1)))
+                    self._body.set_colour(link, blend(own, STRAINED, round(strength, 1)))
 
     def show_contacts(self, contacts: Sequence[Contact]) -> None:
         """Mark contact points with their normals [m], in the hand's base frame."""
@@ -177,10 +153,10 @@ class HandScene:
     def show_pressure(self, share: Mapping[str, float]) -> None:
         """Show pressures per finger, as a share of the largest, by spheres at the tips."""
         for finger in self.hand.fingers:
-            if finger.tip is None or finger.name not in share:
-                continue
-            strength = min(max(share[finger.name], 0.0), 1.0)
             handle = self._pressures.get(finger.name)
+            if finger.tip is None or (handle is None and finger.name not in share):
+                continue
+            strength = min(max(share.get(finger.name, 0.0), 0.0), 1.0)
             if handle is None:
                 handle = self._server.scene.add_icosphere(
                     f"/pressure/{finger.name}", 0.04 * self._size, ramp(strength), opacity=0.6

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 
 import anyio
 import numpy as np
@@ -15,7 +16,9 @@ from rtee.gui.panels.actions import ActionsPanel
 from rtee.gui.panels.header import Header
 from rtee.gui.panels.making import MakingPanel
 from rtee.gui.panels.plots import PlotsPanel
+from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
+from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
 from rtee.hand.model import Hand
 from rtee.messages.state import State
@@ -27,19 +30,23 @@ _SCENE_PERIOD = 1 / 30
 _PLOT_PERIOD = 1 / 8
 _TABLE_PERIOD = 1 / 4
 _STATUS_PERIOD = 0.5
+_PANEL_WIDTH = 330
 _COLOURS = {"info": "blue", "warning": "orange", "error": "red"}
 
 
 class Session:
     """Shows one running hand until it goes."""
 
-    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
+    def __init__(
+        self, bridge: Bridge, remote: RemoteHand, hand: Hand, top: viser.GuiFolderHandle
+    ) -> None:
         """Build the panels.
 
         Args:
             bridge: Carries clicks.
             remote: The running hand.
             hand: Its model.
+            top: Where what must always be in sight goes.
         """
         self._bridge = bridge
         self._remote = remote
@@ -48,22 +55,37 @@ class Session:
         gui = server.gui
         self._scene = HandScene(server, hand)
         self._state: State | None = None
-        self._header = Header(bridge, remote, stopped=lambda: None)
+        self._pressed = False
+        self._playback: Playback | None = None
+        with top:
+            self._header = Header(bridge, remote)
         self._tabs = gui.add_tab_group()
         with self._tabs.add_tab("Actions", viser.Icon.HAND_GRAB):
-            self._ghost = gui.add_checkbox(
-                "Show reference", False, hint="Show the set-points sent as a grey ghost"
-            )
             self._actions = ActionsPanel(bridge, remote, self._show)
         with self._tabs.add_tab("Make", viser.Icon.PENCIL):
             self._making = MakingPanel(bridge, remote, hand, self._refresh)
+        with self._tabs.add_tab("Log", viser.Icon.MOVIE):
+            self._recordings = RecordingsPanel(bridge, remote, hand, self._look_at)
+        with self._tabs.add_tab("View", viser.Icon.EYE):
+            self._ghost = gui.add_checkbox(
+                "Reference", False, hint="Show the set-points sent as a grey ghost"
+            )
+            self._strain = gui.add_checkbox(
+                "Effort", True, hint="Darken fingers by the effort they exert, as a share of limits"
+            )
+            self._touch = gui.add_checkbox(
+                "Contacts", True, hint="Mark where the tips of the current action touch"
+            )
+            self._press = gui.add_checkbox(
+                "Pressure", True, hint="Show the pressure at the tips, where the hand measures it"
+            )
         self._panel = gui.add_panel()
         with self._panel.add_tab("Plots", viser.Icon.CHART_LINE):
-            self._plots = PlotsPanel(gui, hand.actuator_names)
+            self._plots = PlotsPanel(gui, hand)
         with self._panel.add_tab("Joints", viser.Icon.TABLE):
             self._table = TablePanel(gui, hand)
         self._panel.dock_left()
-        self._panel.set_width(340)
+        self._panel.set_width(_PANEL_WIDTH)
 
     def _show(self, posture: Posture | None, intensity: float, evidence: Evidence | None) -> None:
         if posture is None:
@@ -73,7 +95,7 @@ class Session:
         contact: list[Contact] = []
         if evidence is not None and evidence.point is not None and evidence.normal is not None:
             contact.append((evidence.point, evidence.normal))
-        self._scene.show_contacts(contact)
+        self._scene.show_contacts(contact if self._touch.value else ())
 
     def _target(self, posture: Posture, intensity: float) -> FloatArray:
         start = self._hand.rest if self._state is None else self._state.reference_position
@@ -83,6 +105,10 @@ class Session:
             rest = self._hand.rest[index]
             target[index] = rest + intensity * (posture.position[name] - rest)
         return target
+
+    def _look_at(self, playback: Playback | None) -> None:
+        self._playback = playback
+        self._plots.follow(playback)
 
     async def _refresh(self) -> list[Action]:
         actions = await self._actions.refresh()
@@ -104,6 +130,8 @@ class Session:
 
     async def _follow_states(self) -> None:
         async for state in self._remote.states(_STATE_RATE):
+            if state.joint_names != self._hand.joint_names:
+                state = self._in_order(state)
             self._state = state
             self._plots.history.add(state)
 
@@ -124,12 +152,16 @@ class Session:
             self._header.show(status)
             self._table.show_status(status)
             self._making.show_status(status)
+            self._recordings.show_status(status)
             await anyio.sleep(_STATUS_PERIOD)
 
     async def _draw(self) -> None:
         plots_due = table_due = 0.0
         while True:
-            state, now = self._state, time.monotonic()
+            state, now, playback = self._state, time.monotonic(), self._playback
+            self._recordings.advance()
+            if playback is not None:
+                state = playback.state()
             if state is not None:
                 self._draw_hand(state)
                 if now >= plots_due:
@@ -138,23 +170,24 @@ class Session:
                 if now >= table_due:
                     table_due = now + _TABLE_PERIOD
                     self._table.show_state(state)
-                    self._making.show_state(state)
+                    if playback is None:
+                        self._making.show_state(state)
             await anyio.sleep(_SCENE_PERIOD)
 
     def _draw_hand(self, state: State) -> None:
-        self._scene.show(self._in_order(state))
+        self._scene.show(state.joint_position)
         self._scene.show_reference(state.reference_position if self._ghost.value else None)
-        self._scene.show_effort(self._efforts(state))
-        pressure = self._pressures(state)
-        if pressure:
+        self._scene.show_effort(self._efforts(state) if self._strain.value else {})
+        pressure = self._pressures(state) if self._press.value else {}
+        if pressure or self._pressed:
+            self._pressed = bool(pressure)
             self._scene.show_pressure(pressure)
             self._scene.place_pressures(state.position)
 
-    def _in_order(self, state: State) -> FloatArray:
-        if state.joint_names == self._hand.joint_names:
-            return state.joint_position
-        by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
-        return np.array([by_name.get(name, math.nan) for name in self._hand.joint_names])
+    def _in_order(self, state: State) -> State:
+        by_name, names = state.joints, self._hand.joint_names
+        position = np.array([by_name.get(name, math.nan) for name in names])
+        return replace(state, joint_names=names, joint_position=position)
 
     def _efforts(self, state: State) -> dict[str, float]:
         share: dict[str, float] = {}

@@ -57,9 +57,10 @@ class ActionsPanel:
         for key in [key for key in self._cards if key not in groups]:
             self._cards.pop(key).remove()
             del self._known[key]
-        for key, group in groups.items():
+        for place, (key, group) in enumerate(groups.items()):
             signature = tuple(_signature(action) for action in group)
             if self._known.get(key) == signature:
+                self._cards[key].place(place)
                 continue
             if key in self._cards:
                 self._cards.pop(key).remove()
@@ -69,7 +70,8 @@ class ActionsPanel:
                     self._hand,
                     group,
                     self._show,
-                    expanded=len(self._cards) < _FEW,
+                    expanded=place < _FEW or key[0] is not ActionKind.PRIMITIVE,
+                    order=place,
                 )
             self._known[key] = signature
         for kind, folder in self._folders.items():

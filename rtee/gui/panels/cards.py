@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from html import escape
 
@@ -20,6 +21,7 @@ from rtee.actions.types import (
 )
 from rtee.errors import RteeError
 from rtee.gui.bridge import Bridge
+from rtee.gui.colours import BAD, BAR, GOOD, PREVIEW, WARN
 from rtee.gui.panels.choice import ElementChoice
 from rtee.remote.client import GoalOptions, RemoteHand
 from rtee.types import Feedback, Result, Stage
@@ -37,9 +39,9 @@ _STAGES = {
 def said(result: Result) -> tuple[str, str]:
     """Return how a goal ended, in words, and the colour that goes with it."""
     if result.grasped:
-        return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}", "green"
+        return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}", GOOD
     if result.reached:
-        return "reached", "green"
+        return "reached", GOOD
     for ended, words in (
         (result.preempted, "replaced by another goal"),
         (result.cancelled, "cancelled"),
@@ -47,8 +49,8 @@ def said(result: Result) -> tuple[str, str]:
         (result.stalled, "stalled"),
     ):
         if ended:
-            return words, "orange"
-    return f"aborted: {result.reason}", "red"
+            return words, WARN
+    return f"aborted: {result.reason}", BAD
 
 
 def described(use: ActionReference) -> str:
@@ -73,6 +75,7 @@ class Card:
         show: Show,
         *,
         expanded: bool,
+        order: float,
     ) -> None:
         """Put the card where the GUI builds now.
 
@@ -82,6 +85,7 @@ class Card:
             actions: The primitives of one name, or one other action.
             show: Shows a posture.
             expanded: Whether it is unfolded at once.
+            order: Where it stands among the others.
         """
         self.name = actions[0].name
         self._bridge = bridge
@@ -89,12 +93,13 @@ class Card:
         self._actions = tuple(actions)
         self._show = show
         self._goal_id = ""
+        self._previewing = False
         self._inner: dict[str, viser.GuiProgressBarHandle] = {}
         self._choice: ElementChoice | None = None
         self._stage: viser.GuiDropdownHandle[str] | None = None
         self._contact: float | None = None
         gui = bridge.server.gui
-        self._folder = gui.add_folder(self.name, expand_by_default=expanded)
+        self._folder = gui.add_folder(self.name, expand_by_default=expanded, order=order)
         with self._folder:
             self._describe(gui)
             self._slider = self._make_slider(gui)
@@ -105,9 +110,13 @@ class Card:
                 hint="Do: execute it. Preview: show where it leads. Cancel: hold the hand as it is",
                 order=4,
             )
-            self._bar = gui.add_progress_bar(0.0, animated=False, color=(0, 114, 178), order=5)
+            self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR, order=5)
             self._word = gui.add_html("", order=6)
         self._buttons.on_click(self._clicked)
+        self._command = gui.add_command(
+            f"Do {self.name}", description="Execute it as it is set in its card"
+        )
+        self._command.on_trigger(lambda _: self._begin())
         self.words = " ".join((self.name, *self._elements_of_all())).lower()
 
     def _elements_of_all(self) -> list[str]:
@@ -134,7 +143,7 @@ class Card:
                     )
                     gui.add_html(_small(text), order=0)
                     self._inner[step.alias] = gui.add_progress_bar(
-                        0.0, color=(86, 180, 233), order=0
+                        0.0, animated=False, color=PREVIEW, order=0
                     )
 
     def _make_slider(self, gui: viser.GuiApi, value: int = 100) -> viser.GuiSliderHandle[int]:
@@ -187,9 +196,9 @@ class Card:
         return action.evidence[0] if isinstance(action, Primitive) and action.evidence else None
 
     @property
-    def _posture(self) -> Posture | None:
+    def _posture(self) -> Posture:
         action = self.action
-        return None if isinstance(action, Timed) else action.posture
+        return action.steps[-1].posture if isinstance(action, Timed) else action.posture
 
     def _chosen_anew(self) -> None:
         evidence = self.evidence
@@ -206,16 +215,17 @@ class Card:
     def _clicked(self, event: viser.GuiEvent) -> None:
         match str(event.target.value):
             case "Do":
-                self._previewing = False
-                self._show(None, 0.0, self.evidence)
-                self._bridge.call(self._do)
+                self._begin()
             case "Cancel":
                 self._bridge.call(self._hand.cancel)
             case _:
                 self._previewing = not self._previewing
                 self._preview_if_shown(hide=True)
 
-    _previewing = False
+    def _begin(self) -> None:
+        self._previewing = False
+        self._show(None, 0.0, self.evidence)
+        self._bridge.call(self._do)
 
     def _preview_if_shown(self, *, hide: bool = False) -> None:
         if self._previewing:
@@ -235,15 +245,19 @@ class Card:
         options = self._options()
         share = self._effort.value / 100.0
         posture = self._posture
-        if share < 1.0 and posture is not None:
+        if share < 1.0:
             info = await self._hand.info()
             limits = {a.name: a.effort for a in info.actuators}
-            options["effort"] = {name: share * limits[name] for name in posture.involved}
+            options["effort"] = {
+                name: share * limits[name]
+                for name in posture.involved
+                if math.isfinite(limits[name])
+            }
         self._reset()
         try:
             running = await self._hand.start(self.name, *elements, **options)
         except RteeError as error:
-            self._say(str(error), "red")
+            self._say(str(error), BAD)
             raise
         self._goal_id = running.goal.goal_id
         result = await running.result(self._progress)
@@ -284,8 +298,14 @@ class Card:
         if self._folder.visible != shown:
             self._folder.visible = shown
 
+    def place(self, order: float) -> None:
+        """Stand at another place among the cards."""
+        if self._folder.order != order:
+            self._folder.order = order
+
     def remove(self) -> None:
         """Take the card away."""
+        self._command.remove()
         self._folder.remove()
 
 

@@ -57,6 +57,7 @@ class ElementChoice:
                 initial_value=offered[0],
                 hint=f"{noun} the action is done with; only what exists together is offered",
                 disabled=len(offered) == 1 and count == 1,
+                order=index / 100.0,
             )
             box.on_update(lambda _, at=index: self._restrict(at))
             self._boxes.append(box)

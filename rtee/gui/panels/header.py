@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from html import escape
 
 import viser
@@ -38,23 +37,21 @@ def device_line(device: DeviceStatus) -> str:
 class Header:
     """Stop, Open, Recover, the devices and the holder of a hand."""
 
-    def __init__(self, bridge: Bridge, hand: RemoteHand, stopped: Callable[[], None]) -> None:
-        """Put them at the top of the main panel.
+    def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
+        """Put them where the GUI builds now.
 
         Args:
             bridge: Carries clicks.
             hand: The hand.
-            stopped: Called when Stop was pressed.
         """
         gui = bridge.server.gui
         self._bridge = bridge
         self._hand = hand
-        self._stopped = stopped
         self._stop = gui.add_button(
             "STOP",
             color=STOP,
             icon=viser.Icon.HAND_STOP,
-            hint="Stop all devices now, whoever holds the hand (key: Space). "
+            hint="Stop all devices now, whoever holds the hand (key: S). "
             "Not a safety-rated emergency stop.",
         )
         self._open = gui.add_button(
@@ -72,14 +69,15 @@ class Header:
         self._open.on_click(lambda _: bridge.call(hand.open))
         self._recover.on_click(lambda _: bridge.call(hand.recover))
         self._commands = [
-            gui.add_command("Stop the hand", description="Stop all devices now", hotkey="space"),
+            gui.add_command("Stop the hand", description="Stop all devices now", hotkey="S"),
             gui.add_command("Open the hand", description="Go to the rest posture", hotkey="O"),
+            gui.add_command("Cancel", description="Cancel what runs; hold as it is", hotkey="C"),
         ]
         self._commands[0].on_trigger(lambda _: bridge.call(self._do_stop))
         self._commands[1].on_trigger(lambda _: bridge.call(hand.open))
+        self._commands[2].on_trigger(lambda _: bridge.call(hand.cancel))
 
     async def _do_stop(self) -> None:
-        self._stopped()
         confirmed = await self._hand.stop()
         silent = [name for name, word in confirmed.items() if not word]
         if silent:
@@ -95,6 +93,8 @@ class Header:
             holder = "this GUI"
         doing = f" · running <b>{escape(status.action)}</b>" if status.action else ""
         lines.append(f"held by {holder}{doing}")
+        if status.recording:
+            lines[-1] += " · ● recording"
         self._put(lines)
         faulty = any(device.lifecycle is Lifecycle.FAULT for device in status.devices)
         if self._recover.visible != faulty:

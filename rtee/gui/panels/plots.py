@@ -3,153 +3,192 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 
-import numpy as np
 import viser
 from viser import uplot
 
-from rtee.gui.colours import finger_colour
-from rtee.messages.state import State
+from rtee.gui.colours import line_colour, line_dash
+from rtee.gui.history import LONGEST, QUANTITIES, History, Source, nice_range
+from rtee.gui.labels import short_names
+from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
-QUANTITIES = ("position", "velocity", "effort", "current", "temperature")
-_UNITS = {
-    "position": "rad | m",
-    "velocity": "rad/s | m/s",
-    "effort": "N·m | N",
-    "current": "A",
-    "temperature": "°C",
+_LEAST = {
+    "position": 0.1,
+    "velocity": 0.1,
+    "effort": 0.1,
+    "current": 0.05,
+    "temperature": 5.0,
 }
-_POINTS = 600
-_LONGEST = 60.0
 _FOLD = 6
+_HEIGHT = 128
+_SMALL = "10px system-ui, sans-serif"
 
 
-class History:
-    """The newest states, in memory that does not grow.
-
-    Attributes:
-        rate: States per second kept at most [Hz].
-    """
-
-    def __init__(self, size: int, rate: float = 100.0) -> None:
-        """Keep ``_LONGEST`` seconds of ``size`` actuators."""
-        self.rate = rate
-        self._capacity = int(_LONGEST * rate)
-        self._time = np.full(self._capacity, np.nan)
-        self._values = {
-            name: np.full((self._capacity, size), np.nan) for name in (*QUANTITIES, "reference")
-        }
-        self._count = 0
-
-    def add(self, state: State) -> None:
-        """Take a state."""
-        row = self._count % self._capacity
-        self._time[row] = state.stamp
-        for name in QUANTITIES:
-            self._values[name][row] = getattr(state, name)
-        self._values["reference"][row] = state.reference_position
-        self._count += 1
-
-    def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
-        """Return times relative to now [s] and the columns of a quantity, thinned for display."""
-        filled = min(self._count, self._capacity)
-        if filled == 0:
-            return tuple(np.zeros(0) for _ in range(len(columns) + 1))
-        start = self._count - filled
-        rows = np.arange(start, self._count) % self._capacity
-        time = self._time[rows]
-        rows, time = rows[time >= time[-1] - length], time[time >= time[-1] - length]
-        step = max(1, len(rows) // _POINTS)
-        # Whole multiples of the step since the start keep the picture from flickering.
-        keep = (np.arange(self._count - len(rows), self._count) % step) == 0
-        rows, time = rows[keep], time[keep]
-        values = self._values[name][rows]
-        now = self._time[(self._count - 1) % self._capacity]
-        return (time - now, *(np.ascontiguousarray(values[:, c]) for c in columns))
+def units(quantity: str, *, slides: bool, turns: bool) -> str:
+    """Return the unit of a quantity, of a hand whose actuators slide, turn or both."""
+    linear, angular = {
+        "position": ("m", "rad"),
+        "velocity": ("m/s", "rad/s"),
+        "effort": ("N", "N·m"),
+        "current": ("A", "A"),
+        "temperature": ("°C", "°C"),
+    }[quantity]
+    if linear == angular or not slides:
+        return angular
+    return f"{angular} | {linear}" if turns else linear
 
 
 class PlotsPanel:
-    """Plots of the chosen actuators."""
+    """Plots of the chosen actuators and joints."""
 
-    def __init__(self, gui: viser.GuiApi, names: Sequence[str]) -> None:
-        """Put the panel where the GUI builds now.
-
-        Args:
-            gui: The browser's controls.
-            names: The actuators.
-        """
+    def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
+        """Put the panel where the GUI builds now."""
         self._gui = gui
-        self._names = tuple(names)
-        self.history = History(len(self._names))
-        self._window = gui.add_slider(
-            "Window [s]", 2, int(_LONGEST), 1, 10, hint="Length of time shown"
-        )
+        kinds = {actuator.kind for actuator in hand.actuators}
+        slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
+        self._units = {name: units(name, slides=slides, turns=turns) for name in QUANTITIES}
+        self._names = short_names(hand.actuator_names)
+        self._joints = short_names(hand.joint_names)
+        self.history = History(len(self._names), len(self._joints))
+        self._source: Source = self.history
+        self._legend = gui.add_html("")
+        self._folder = gui.add_folder(None)
         self._pause = gui.add_checkbox("Pause", False, hint="Freeze the plots; nothing is lost")
-        with gui.add_folder("Quantities", expand_by_default=True):
+        self._window = gui.add_slider(
+            "Window [s]", 2, int(LONGEST), 1, 10, hint="Length of time shown [s]"
+        )
+        with gui.add_folder("Quantities", expand_by_default=False):
             self._quantities = {
                 name: gui.add_checkbox(
-                    f"{name} [{_UNITS[name]}]", name in ("position", "effort"), hint=f"Plot {name}"
+                    f"{name} [{unit}]",
+                    name in ("position", "effort"),
+                    hint=f"Plot the {name} [{unit}] of what is chosen below",
                 )
-                for name in QUANTITIES
+                for name, unit in self._units.items()
             }
-        with gui.add_folder("Actuators", expand_by_default=len(self._names) <= _FOLD):
-            self._chosen = [
-                gui.add_checkbox(name, index < _FOLD, hint="Show this actuator in the plots")
-                for index, name in enumerate(self._names)
-            ]
-        for box in (*self._quantities.values(), *self._chosen):
+        self._chosen = self._boxes("Actuators", self._names, _FOLD)
+        self._chosen_joints = self._boxes("Joints", self._joints, 0)
+        for box in (self._window, *self._quantities.values(), *self._chosen, *self._chosen_joints):
             box.on_update(lambda _: self._changed())
         self._plots: dict[str, viser.GuiUplotHandle] = {}
-        self._folder = gui.add_folder("Plots")
+        self._ranges: dict[str, tuple[float, float]] = {}
         self._stale = True
+
+    def _boxes(self, title: str, names: Sequence[str], shown: int) -> list[viser.GuiCheckboxHandle]:
+        with self._gui.add_folder(title, expand_by_default=False):
+            every = self._gui.add_button_group(
+                "Show", ("All", "None"), hint=f"Show all {title.lower()} in the plots, or none"
+            )
+            boxes = [
+                self._gui.add_checkbox(name, index < shown, hint=f"Show {name} in the plots")
+                for index, name in enumerate(names)
+            ]
+
+        def choose(event: viser.GuiEvent) -> None:
+            for box in boxes:
+                box.value = event.target.value == "All"
+
+        every.on_click(choose)
+        return boxes
 
     def _changed(self) -> None:
         self._stale = True
+
+    def follow(self, source: Source | None) -> None:
+        """Show lines of another source; ``None``: the live ones."""
+        self._source = self.history if source is None else source
 
     @property
     def _columns(self) -> list[int]:
         return [index for index, box in enumerate(self._chosen) if box.value]
 
+    @property
+    def _joint_columns(self) -> list[int]:
+        return [index for index, box in enumerate(self._chosen_joints) if box.value]
+
     def _rebuild(self) -> None:
         for plot in self._plots.values():
             plot.remove()
         self._plots.clear()
-        columns = self._columns
-        if not columns:
-            return
+        self._ranges.clear()
+        columns, joints = self._columns, self._joint_columns
+        self._legend.content = self._legend_html(columns, joints)
         with self._folder:
             for name, box in self._quantities.items():
-                if box.value:
-                    self._plots[name] = self._add_plot(name, columns)
+                if box.value and (columns or (joints and name == "position")):
+                    self._plots[name] = self._add_plot(name, columns, joints)
 
-    def _add_plot(self, name: str, columns: Sequence[int]) -> viser.GuiUplotHandle:
-        series = [uplot.Series(label="t [s]")]
-        for index in columns:
-            colour = "rgb({},{},{})".format(*finger_colour(index))
-            series.append(uplot.Series(label=self._names[index], stroke=colour, width=1.5))
-        if name == "position":
-            for index in columns:
-                colour = "rgba({},{},{},0.5)".format(*finger_colour(index))
-                series.append(
-                    uplot.Series(
-                        label=f"{self._names[index]} ref", stroke=colour, width=1, dash=(6, 4)
-                    )
-                )
-        return self._gui.add_uplot(
-            self._data(name, columns),
-            tuple(series),
-            title=f"{name} [{_UNITS[name]}]",
-            scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
-            legend=uplot.Legend(show=len(columns) <= _FOLD),
-            aspect=2.0,
+    def _legend_html(self, columns: Sequence[int], joints: Sequence[int]) -> str:
+        said = [(self._names[i], line_colour(i), line_dash(i)) for i in columns]
+        count = len(self._names)
+        said += [(self._joints[i], line_colour(count + i), line_dash(count + i)) for i in joints]
+        items = "".join(
+            f'<span style="white-space:nowrap;margin-right:0.8em">'
+            f'<span style="display:inline-block;width:1.3em;vertical-align:middle;'
+            f'border-top:3px {"dashed" if dash else "solid"} {colour}"></span> '
+            f"{escape(name)}</span>"
+            for name, colour, dash in said
+        )
+        hint = "thin: reference" if columns else "choose actuators below"
+        return (
+            f'<div style="font-size:0.75em;line-height:1.5;padding:0.4em 0.75em 0">{items}'
+            f'<span style="color:#7a7f87">{hint}</span></div>'
         )
 
-    def _data(self, name: str, columns: Sequence[int]) -> tuple[FloatArray, ...]:
-        length = float(self._window.value)
-        data = self.history.window(name, columns, length)
+    def _add_plot(
+        self, name: str, columns: Sequence[int], joints: Sequence[int]
+    ) -> viser.GuiUplotHandle:
+        series = [uplot.Series(label="t [s]")]
+
+        def add(number: int, label: str, width: float, alpha: float = 1.0) -> None:
+            series.append(
+                uplot.Series(
+                    label=label,
+                    stroke=line_colour(number),
+                    width=width,
+                    dash=line_dash(number),
+                    alpha=alpha,
+                )
+            )
+
+        for index in columns:
+            add(index, self._names[index], 1.75)
         if name == "position":
-            data = (*data, *self.history.window("reference", columns, length)[1:])
+            for index in columns:
+                add(index, f"{self._names[index]} reference", 0.75, 0.7)
+            for index in joints:
+                add(len(self._names) + index, self._joints[index], 1.25)
+        data = self._data(name)
+        low, high = self._ranges[name] = nice_range(data[1:], _LEAST[name])
+        return self._gui.add_uplot(
+            data,
+            tuple(series),
+            title=f"{name} [{self._units[name]}]",
+            scales=self._scales(low, high),
+            axes=(
+                uplot.Axis(font=_SMALL, size=22, space=50),
+                uplot.Axis(font=_SMALL, size=44, space=24),
+            ),
+            legend=uplot.Legend(show=False),
+            height=_HEIGHT,
+            padding=(4, 12, 0, 0),
+        )
+
+    def _scales(self, low: float, high: float) -> dict[str, uplot.Scale]:
+        return {
+            "x": uplot.Scale(time=False, auto=True),
+            "y": uplot.Scale(range=(low, high)),
+        }
+
+    def _data(self, name: str) -> tuple[FloatArray, ...]:
+        length = float(self._window.value)
+        columns = self._columns
+        data = self._source.window(name, columns, length)
+        if name == "position":
+            data += self._source.window("reference", columns, length)[1:]
+            data += self._source.window("joint", self._joint_columns, length)[1:]
         return data
 
     def draw(self) -> None:
@@ -159,6 +198,13 @@ class PlotsPanel:
             self._rebuild()
         if self._pause.value:
             return
-        columns = self._columns
         for name, plot in self._plots.items():
-            plot.data = self._data(name, columns)
+            data = self._data(name)
+            if len(data) != len(plot.data):
+                self._stale = True
+                return
+            low, high = nice_range(data[1:], _LEAST[name])
+            if (low, high) != self._ranges[name]:
+                self._ranges[name] = (low, high)
+                plot.scales = self._scales(low, high)
+            plot.data = data

@@ -8,6 +8,7 @@ from html import escape
 
 import viser
 
+from rtee.gui.labels import short_names
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.views import HandStatus
@@ -40,6 +41,8 @@ class TablePanel:
     def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
         """Put the panel where the GUI builds now."""
         self._hand = hand
+        self._names = short_names(hand.actuator_names)
+        self._joint_names = short_names(hand.joint_names)
         with gui.add_folder("Actuators"):
             self._actuators = gui.add_html("")
         with gui.add_folder("Joints", expand_by_default=len(hand.joints) <= 24):
@@ -53,7 +56,7 @@ class TablePanel:
         """Show what is measured."""
         rows = [
             [
-                spec.name,
+                self._names[i],
                 _number(state.position[i]),
                 _number(state.reference_position[i]),
                 _number(spec.lower),
@@ -68,12 +71,12 @@ class TablePanel:
         by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
         rows = [
             [
-                joint.name,
+                self._joint_names[i],
                 _number(float(by_name.get(joint.name, math.nan))),
                 _number(joint.lower),
                 _number(joint.upper),
             ]
-            for joint in self._hand.joints
+            for i, joint in enumerate(self._hand.joints)
         ]
         self._joints.content = table(("joint [rad | m]", "pos", "min", "max"), rows)
 

@@ -1,0 +1,93 @@
+"""What the plots show: the newest states, in memory that does not grow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+import numpy as np
+
+from rtee.messages.state import State
+from rtee.types import FloatArray
+
+QUANTITIES: Final = ("position", "velocity", "effort", "current", "temperature")
+"""Measured per actuator; besides there are ``reference`` positions, and those of each ``joint``."""
+
+LONGEST: Final = 60.0
+"""Longest time that can be shown [s]."""
+
+POINTS: Final = 400
+"""A line has at most about this many points."""
+
+
+class Source(Protocol):
+    """Where plots take their lines from."""
+
+    def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
+        """Return times relative to now [s] and the columns of a quantity, thinned for display."""
+
+
+class History:
+    """The newest states, in memory that does not grow."""
+
+    def __init__(self, actuators: int, joints: int, rate: float = 100.0) -> None:
+        """Make room for the longest time that is shown.
+
+        Args:
+            actuators: How many there are.
+            joints: How many there are.
+            rate: States per second [Hz].
+        """
+        self._capacity = int(LONGEST * rate)
+        self._time = np.full(self._capacity, np.nan)
+        sizes = dict.fromkeys((*QUANTITIES, "reference"), actuators) | {"joint": joints}
+        self._values = {
+            name: np.full((self._capacity, size), np.nan, dtype=np.float32)
+            for name, size in sizes.items()
+        }
+        self._count = 0
+
+    def add(self, state: State) -> None:
+        """Take a state."""
+        row = self._count % self._capacity
+        self._time[row] = state.stamp
+        for name in QUANTITIES:
+            self._values[name][row] = getattr(state, name)
+        self._values["reference"][row] = state.reference_position
+        self._values["joint"][row] = state.joint_position
+        self._count += 1
+
+    def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
+        """Return times relative to now [s] and the columns of a quantity, thinned for display."""
+        filled = min(self._count, self._capacity)
+        if filled == 0:
+            return tuple(np.zeros(0) for _ in range(len(columns) + 1))
+        numbers = np.arange(self._count - filled, self._count)
+        time = self._time[numbers % self._capacity]
+        now = time[-1]
+        numbers = numbers[time >= now - length]
+        # Whole multiples of the step since the start keep the picture from flickering.
+        step = max(1, len(numbers) // POINTS)
+        rows = numbers[numbers % step == 0] % self._capacity
+        values = self._values[name][rows].astype(np.float64)
+        return (self._time[rows] - now, *(values[:, column] for column in columns))
+
+
+def nice_range(lines: Sequence[FloatArray], least: float) -> tuple[float, float]:
+    """Return a range for an axis that holds all lines and changes seldom while they do.
+
+    Args:
+        lines: Values, ``NaN`` where there are none.
+        least: The smallest length of the range.
+    """
+    known = [line[np.isfinite(line)] for line in lines]
+    values = np.concatenate(known) if known else np.zeros(0)
+    if not len(values):
+        return 0.0, least
+    low, high = float(values.min()), float(values.max())
+    span = max(high - low, least)
+    step = 10.0 ** math.floor(math.log10(span))
+    step *= next(factor for factor in (0.25, 0.5, 1.0, 2.5) if span <= 4.0 * factor * step)
+    low, high = math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step
+    return (low, high) if high - low >= least else (low - step, high + step)

@@ -1,0 +1,82 @@
+"""Jogging: a slider per actuator."""
+
+from __future__ import annotations
+
+import viser
+
+from rtee.errors import RequestRejected
+from rtee.gui.bridge import Bridge
+from rtee.gui.labels import short_names
+from rtee.hand.model import Hand
+from rtee.messages.state import State
+from rtee.remote.client import RemoteHand
+
+_FOLD = 12
+
+
+class JogPanel:
+    """A slider per actuator; moves the hand while this GUI holds it."""
+
+    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
+        """Put it where the GUI builds now."""
+        gui = bridge.server.gui
+        self._bridge = bridge
+        self._remote = remote
+        self._hand = hand
+        self._quiet = False
+        self._hold = gui.add_checkbox(
+            "Jog (holds the hand)", False, hint="While ticked, nobody else can move the hand"
+        )
+        self._speed = gui.add_slider(
+            "Jog speed [%]", 5, 100, 5, 25, hint="Share of the actuators' velocity limits"
+        )
+        self._sliders: list[viser.GuiSliderHandle[float]] = []
+        with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
+            names = short_names(hand.actuator_names)
+            for index, actuator in enumerate(hand.actuators):
+                lower = actuator.lower if actuator.lower > -7.0 else -3.1416
+                upper = actuator.upper if actuator.upper < 7.0 else 3.1416
+                unit = "m" if actuator.kind == "prismatic" else "rad"
+                slider = gui.add_slider(
+                    f"{names[index]} [{unit}]",
+                    lower,
+                    upper,
+                    (upper - lower) / 1000.0,
+                    min(max(actuator.rest, lower), upper),
+                    disabled=True,
+                    hint=f"Position of {actuator.name} [{unit}]; moves it while Jog is ticked",
+                )
+                slider.on_update(lambda _, at=index: self._moved(at))
+                self._sliders.append(slider)
+        self._hold.on_update(lambda _: bridge.call(self._take_or_give))
+
+    async def _take_or_give(self) -> None:
+        try:
+            await (self._remote.take() if self._hold.value else self._remote.release())
+        except RequestRejected:
+            self._hold.value = False
+            raise
+        finally:
+            for slider in self._sliders:
+                slider.disabled = not self._hold.value
+
+    def _moved(self, index: int) -> None:
+        if self._quiet or not self._hold.value:
+            return
+        actuator = self._hand.actuators[index]
+        value = float(self._sliders[index].value)
+        speed = actuator.velocity * self._speed.value / 100.0
+        self._bridge.call(lambda: self._remote.jog({actuator.name: value}, speed))
+
+    def follow(self, state: State) -> None:
+        """Let the sliders follow the hand while nobody jogs."""
+        if self._hold.value:
+            return
+        self._quiet = True
+        try:
+            for slider, position in zip(self._sliders, state.position, strict=True):
+                value = min(max(float(position), slider.min), slider.max)
+                if value == value and abs(value - slider.value) > 2.0 * slider.step:
+                    slider.value = value
+        finally:
+            self._quiet = False

@@ -1,0 +1,198 @@
+"""Recordings: start, stop and mark the running one; open one and scrub through it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import anyio.to_thread
+import viser
+
+from rtee.errors import LogError, RteeError
+from rtee.gui.bridge import Bridge
+from rtee.gui.playback import Playback, open_playback, timeline
+from rtee.hand.load import load_configured
+from rtee.hand.model import Hand
+from rtee.log.rotation import recordings
+from rtee.remote.client import RemoteHand
+from rtee.remote.views import HandStatus
+
+Opened = Callable[[Playback | None], None]
+"""Told of the recording that is shown; ``None``: the live hand again."""
+
+_NONE = "–"
+_SPEEDS = {"⅒ ×": 0.1, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "10 ×": 10.0}
+_MOST_MARKS = 40
+_REDRAW = 0.1
+
+
+def configured_folder(hand: str) -> Path:
+    """Return where recordings of a hand go as its configuration says, if it has one here."""
+    try:
+        return Path(load_configured(hand)[1].log.directory)
+    except RteeError:
+        return Path("logs")
+
+
+def files_in(folder: Path, hand: str) -> dict[str, Path]:
+    """Return the recordings of a hand in a folder, newest first, by what they are called."""
+    if not folder.is_dir():
+        return {}
+    found = sorted(recordings(folder, hand), key=lambda file: file.path.name, reverse=True)
+    return {f"{file.path.stem} · {file.size / 1e6:.1f} MB": file.path for file in found}
+
+
+class RecordingsPanel:
+    """The recording under way, and the one that is looked at."""
+
+    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand, opened: Opened) -> None:
+        """Put it where the GUI builds now.
+
+        Args:
+            bridge: Carries clicks.
+            remote: The hand.
+            hand: Its model.
+            opened: Told of the recording that is shown.
+        """
+        gui = bridge.server.gui
+        self._bridge, self._remote, self._hand, self._opened = bridge, remote, hand, opened
+        self._playback: Playback | None = None
+        self._files: dict[str, Path] = {}
+        self._quiet = False
+        self._played = self._drawn = 0.0
+        self._status = gui.add_html("")
+        record = gui.add_button_group(
+            "Record", ("Start", "Stop"), hint="Begin a new recording, or end the one under way"
+        )
+        self._text = gui.add_text("Mark", "", hint="Text of a mark in the recording, one line")
+        mark = gui.add_button("Set mark", icon=viser.Icon.BOOKMARK, hint="Mark this moment")
+        with gui.add_folder("Look at a recording"):
+            self._folder = gui.add_text(
+                "Folder",
+                str(configured_folder(hand.name)),
+                hint="Folder of recordings on the computer of this GUI",
+            )
+            self._file = gui.add_dropdown("File", (_NONE,), hint="Newest first")
+            show = gui.add_button_group(
+                "", ("Refresh", "Open", "Live"), hint="Live: back to the running hand"
+            )
+            self._player = gui.add_folder(None, visible=False)
+        with self._player:
+            self._line = gui.add_html("")
+            self._time = gui.add_slider("Time [s]", 0.0, 1.0, 0.01, 0.0, hint="Time in it [s]")
+            self._play = gui.add_checkbox("Play", False, hint="Let the time run")
+            self._speed = gui.add_dropdown(
+                "Speed", tuple(_SPEEDS), initial_value="1 ×", hint="1 × is real time"
+            )
+            self._span = gui.add_dropdown(
+                "Go to", (_NONE,), hint="Begin of an action, or a mark, in the recording"
+            )
+        self._places: dict[str, float] = {}
+        record.on_click(lambda event: bridge.call(lambda: self._record(str(event.target.value))))
+        mark.on_click(lambda _: bridge.call(self._mark))
+        self._folder.on_update(lambda _: self._refresh())
+        show.on_click(lambda event: self._clicked(str(event.target.value)))
+        self._time.on_update(lambda _: self._scrubbed())
+        self._span.on_update(lambda _: self._go())
+        self._refresh()
+
+    # --- the one under way
+
+    async def _record(self, what: str) -> None:
+        await self._remote.record(what.lower())
+        words = "a recording begins" if what == "Start" else "the recording ends"
+        self._bridge.tell("Recording", words, "green")
+
+    async def _mark(self) -> None:
+        text = str(self._text.value).strip()
+        await self._remote.record("mark", text)
+        self._bridge.tell("Marked", text, "green")
+
+    def show_status(self, status: HandStatus) -> None:
+        """Show which file is written."""
+        text = (
+            f"● recording to <b>{Path(status.recording).name}</b>" if status.recording else "○ off"
+        )
+        html = f'<div style="font-size:0.85em;padding:0.25em 0.75em">{text}</div>'
+        if self._status.content == html:
+            return
+        self._status.content = html
+        folder = Path(status.recording).parent if status.recording else None
+        if folder is not None and folder.is_dir() and str(folder) != self._folder.value:
+            self._folder.value = str(folder)
+        self._refresh()
+
+    # --- the one looked at
+
+    def _refresh(self) -> None:
+        self._files = files_in(Path(str(self._folder.value)).expanduser(), self._hand.name)
+        names = tuple(self._files) or (_NONE,)
+        chosen = self._file.value
+        self._file.options = names
+        self._file.value = chosen if chosen in names else names[0]
+
+    def _clicked(self, what: str) -> None:
+        match what:
+            case "Refresh":
+                self._refresh()
+            case "Open":
+                self._bridge.call(self._open)
+            case _:
+                self._bridge.call(self._live)
+
+    async def _open(self) -> None:
+        path = self._files.get(str(self._file.value))
+        if path is None:
+            raise LogError(f"there is no recording of {self._hand.name} in this folder")
+        playback = await anyio.to_thread.run_sync(open_playback, path, self._hand)
+        self._playback = None
+        self._quiet = True
+        self._time.value = 0.0
+        self._time.max = playback.duration
+        self._time.step = max(playback.duration / 1e5, 0.001)
+        self._places = {
+            **{f"{s.start:.1f} s {s.name}: {s.outcome}": s.start for s in playback.recording.spans},
+            **{f"{at:.1f} s mark: {text}": at for at, text in playback.marks},
+        }
+        self._span.options = tuple(sorted(self._places, key=self._places.__getitem__)) or (_NONE,)
+        self._span.value = self._span.options[0]
+        self._quiet = False
+        self._playback = playback
+        self._player.visible = True
+        self._line.content = timeline(playback)
+        self._opened(playback)
+
+    async def _live(self) -> None:
+        self._playback = None
+        self._play.value = False
+        self._player.visible = False
+        self._opened(None)
+
+    def _go(self) -> None:
+        if not self._quiet and self._span.value in self._places:
+            self._time.value = self._places[str(self._span.value)]
+
+    def _scrubbed(self) -> None:
+        playback = self._playback
+        if playback is not None and not self._quiet:
+            playback.time = float(self._time.value)
+            self._line.content = timeline(playback)
+
+    def advance(self) -> None:
+        """Let the time run if it is to; called about thirty times a second."""
+        now = time.monotonic()
+        passed, self._played = now - self._played, now
+        playback = self._playback
+        if playback is None or not self._play.value:
+            return
+        playback.time += min(passed, 0.5) * _SPEEDS[str(self._speed.value)]
+        if playback.time >= playback.duration:
+            playback.time = playback.duration
+            self._play.value = False
+        if now - self._drawn >= _REDRAW or not self._play.value:
+            self._drawn = now
+            self._quiet = True
+            self._time.value = playback.time
+            self._quiet = False
+            self._line.content = timeline(playback)

@@ -1,0 +1,78 @@
+"""Tuning while the hand runs: the holding effort, and gains of devices that have some."""
+
+from __future__ import annotations
+
+from rtee.gui.bridge import Bridge
+from rtee.remote.client import RemoteHand
+from rtee.remote.views import HandStatus
+
+_NONE = "–"
+
+
+class TuningPanel:
+    """The holding effort and the devices' gains."""
+
+    def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
+        """Put it where the GUI builds now."""
+        gui = bridge.server.gui
+        self._bridge = bridge
+        self._remote = remote
+        self._gains: dict[str, tuple[str, str]] = {}
+        self._set_before: dict[str, float] = {}
+        self._quiet = False
+        self._holding = gui.add_slider(
+            "Holding effort [%]",
+            0,
+            100,
+            1,
+            40,
+            hint="Effort kept on what is held, as a share of the effort limit [%]",
+        )
+        self._which = gui.add_dropdown("Gain", (_NONE,), hint="Gain of a device", visible=False)
+        self._value = gui.add_number(
+            "Value",
+            0.0,
+            step=0.001,
+            hint="In the device's own unit; what it has now is not told by the device",
+            visible=False,
+        )
+        self._set = gui.add_button("Set gain", hint="Change it now; needs the hand", visible=False)
+        self._holding.on_update(lambda _: self._hold())
+        self._which.on_update(lambda _: self._recall())
+        self._set.on_click(lambda _: bridge.call(self._change))
+
+    def _hold(self) -> None:
+        if not self._quiet:
+            share = self._holding.value / 100.0
+            self._bridge.call(lambda: self._remote.set_gains({"holding_effort": share}))
+
+    def _recall(self) -> None:
+        self._value.value = self._set_before.get(str(self._which.value), 0.0)
+
+    async def _change(self) -> None:
+        label, value = str(self._which.value), float(self._value.value)
+        if label in self._gains:
+            device, gain = self._gains[label]
+            await self._remote.set_gains({gain: value}, device)
+            self._set_before[label] = value
+            self._bridge.tell("Gain set", f"{label} is {value:g}", "green")
+
+    def show(self, status: HandStatus) -> None:
+        """Offer the gains that the devices have."""
+        share = round(100.0 * status.holding_effort)
+        if share != self._holding.value:
+            self._quiet = True
+            self._holding.value = share
+            self._quiet = False
+        gains = {
+            f"{device.name}: {gain}": (device.name, gain)
+            for device in status.devices
+            for gain in device.gains
+        }
+        if gains == self._gains:
+            return
+        self._gains = gains
+        self._which.options = tuple(gains) or (_NONE,)
+        self._which.value = self._which.options[0]
+        for control in (self._which, self._value, self._set):
+            control.visible = bool(gains)

@@ -1,0 +1,170 @@
+"""A recording as the GUI shows it: the state at any time, and the lines up to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from rtee.errors import LogError
+from rtee.gui.history import POINTS
+from rtee.hand.model import Hand
+from rtee.log import Recording, Span, read
+from rtee.messages.state import State
+from rtee.types import FloatArray
+
+_OUTCOMES = {"reached": "#009e73", "grasped": "#009e73", "aborted": "#d55e00"}
+_OTHER = "#e69f00"
+
+
+class Playback:
+    """A recording and where in it we are.
+
+    Attributes:
+        recording: The recording.
+        time: Where in it [s].
+    """
+
+    def __init__(self, recording: Recording, hand: Hand) -> None:
+        """Prepare a recording of a hand.
+
+        Raises:
+            LogError: if it is of another hand, or nothing was measured in it.
+        """
+        self.recording = recording
+        self._hand = hand
+        states = recording.actuator_states
+        if set(states.names) != set(hand.actuator_names):
+            raise LogError(f"is a recording of '{recording.hand}', not of '{hand.name}'")
+        if not len(states):
+            raise LogError("nothing was measured in this recording")
+        self._order = [states.names.index(name) for name in hand.actuator_names]
+        self._sent = (
+            [recording.reference.names.index(name) for name in hand.actuator_names]
+            if len(recording.reference)
+            else []
+        )
+        self._joints = [
+            recording.joint_states.names.index(name)
+            for name in hand.joint_names
+            if name in recording.joint_states.names
+        ]
+        self.time = 0.0
+
+    @property
+    def duration(self) -> float:
+        """Length of the recording [s]."""
+        return max(self.recording.duration, 0.001)
+
+    @property
+    def marks(self) -> list[tuple[float, str]]:
+        """When what was marked by users [s]."""
+        return [(entry.t, entry.value.text) for entry in self.recording.marks]
+
+    @staticmethod
+    def _row(t: FloatArray, time: float) -> int:
+        return max(0, int(np.searchsorted(t, time, side="right")) - 1)
+
+    def state(self) -> State:
+        """Return the state at the present time."""
+        states, sent, joints = (
+            self.recording.actuator_states,
+            self.recording.reference,
+            self.recording.joint_states,
+        )
+        row, order = self._row(states.t, self.time), self._order
+        nothing = np.full(len(order), np.nan)
+        position = states.position[row, order]
+        if self._sent:
+            at = self._row(sent.t, self.time)
+            reference = [a[at, self._sent] for a in (sent.position, sent.velocity, sent.effort)]
+        else:
+            reference = [nothing, nothing, nothing]
+        if len(joints) and len(self._joints) == len(self._hand.joint_names):
+            joint_position = joints.position[self._row(joints.t, self.time), self._joints]
+        else:
+            joint_position = self._hand.transmission.joints(position)
+        return State(
+            tick=int(states.tick[row]),
+            stamp=float(states.time[row]),
+            wall_ns=int(states.wall[row]),
+            names=self._hand.actuator_names,
+            position=position,
+            velocity=states.velocity[row, order],
+            effort=states.effort[row, order],
+            current=states.current[row, order],
+            temperature=states.temperature[row, order],
+            grasped=states.grasped[row, order],
+            fresh=states.fresh[row, order],
+            reference_position=reference[0],
+            reference_velocity=reference[1],
+            reference_effort=reference[2],
+            joint_names=self._hand.joint_names,
+            joint_position=joint_position,
+            channels={
+                name: channel.values[self._row(channel.t, self.time)]
+                for name, channel in self.recording.channels.items()
+            },
+        )
+
+    def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
+        """Return times relative to the present [s] and the columns of a quantity, thinned."""
+        states = self.recording.actuator_states
+        end = self._row(states.t, self.time) + 1
+        start = int(np.searchsorted(states.t, self.time - length))
+        step = max(1, (end - start) // POINTS)
+        rows = np.arange(start + (-start) % step, end, step)
+        time = states.t[rows] - self.time
+        if name == "reference":
+            if not self._sent:
+                return (time, *(np.full(len(rows), np.nan) for _ in columns))
+            sent = self.recording.reference
+            at = np.maximum(np.searchsorted(sent.t, states.t[rows], side="right") - 1, 0)
+            return (time, *(sent.position[at, self._sent[c]] for c in columns))
+        if name == "joint":
+            position = self._hand.transmission.joints(states.position[rows][:, self._order])
+            return (time, *(position[:, c] for c in columns))
+        values = getattr(states, name)
+        return (time, *(values[rows, self._order[c]] for c in columns))
+
+
+def open_playback(path: Path, hand: Hand) -> Playback:
+    """Read a recording; blocks for as long as that takes.
+
+    Raises:
+        LogError: if it cannot be read, or is of another hand.
+    """
+    return Playback(read(path), hand)
+
+
+def _bar(span: Span, duration: float, top: int, height: int) -> str:
+    x, width = 100.0 * span.start / duration, 100.0 * (span.end - span.start) / duration
+    text = f"{span.name}: {span.start:.1f} s to {span.end:.1f} s, {span.outcome}"
+    colour = _OUTCOMES.get(span.outcome, _OTHER)
+    return (
+        f'<rect x="{x:.2f}%" y="{top}" width="{max(width, 0.4):.2f}%" height="{height}" '
+        f'fill="{colour}" stroke="#fff" stroke-width="0.5"><title>{escape(text)}</title></rect>'
+    )
+
+
+def timeline(playback: Playback) -> str:
+    """Return a picture of the recording: spans of actions, inner actions, marks, where we are."""
+    duration = playback.duration
+    shapes = []
+    for span in playback.recording.spans:
+        shapes.append(_bar(span, duration, 4, 12))
+        shapes += [_bar(inner, duration, 18, 6) for inner in span.inner]
+    for time, text in playback.marks:
+        x = 100.0 * time / duration
+        shapes.append(
+            f'<rect x="{x:.2f}%" y="0" width="2" height="28" fill="#cc79a7">'
+            f"<title>{escape(text)}</title></rect>"
+        )
+    x = 100.0 * playback.time / duration
+    shapes.append(f'<rect x="{x:.2f}%" y="0" width="2" height="28" fill="#222"/>')
+    return (
+        '<div style="padding:0.25em 0.75em"><svg role="img" aria-label="actions over time" '
+        f'width="100%" height="28" style="background:#eef0f2">{"".join(shapes)}</svg></div>'
+    )
