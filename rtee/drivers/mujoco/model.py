@@ -262,6 +262,27 @@ def _finger_of(hand: Hand) -> dict[str, str]:
     return {link: next(iter(names)) for link, names in found.items() if len(names) == 1}
 
 
+def _adjacent(hand: Hand) -> list[tuple[str, str]]:
+    """Return the pairs of links with shapes that one moving joint joins.
+
+    MuJoCo leaves such pairs out by itself, but not where one of them stands still in the world.
+    """
+    group: dict[str, str] = {hand.urdf.root: hand.urdf.root}
+    for joint in hand.urdf.joints.values():
+        group[joint.child] = joint.child if joint.moving else group[joint.parent]
+    members: dict[str, list[str]] = {}
+    for link, head in group.items():
+        if hand.urdf.links[link].collisions:
+            members.setdefault(head, []).append(link)
+    return [
+        (first, second)
+        for joint in hand.urdf.joints.values()
+        if joint.moving
+        for first in members.get(group[joint.parent], [])
+        for second in members.get(joint.child, [])
+    ]
+
+
 def _exclude_touching_at_rest(
     spec: mujoco.MjSpec, hand: Hand, touch: Callable[[str, str], bool]
 ) -> list[str]:
@@ -352,7 +373,8 @@ def build(
     notes += _add_actuators(spec, hand, options)
     polynomials, coupling_notes = _add_couplings(spec, hand)
     notes += coupling_notes
-    for first, second, _ in hand.disabled_collisions:
+    never = [(first, second) for first, second, _ in hand.disabled_collisions]
+    for first, second in dict.fromkeys([*never, *_adjacent(hand)]):
         spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
     notes += _exclude_touching_at_rest(spec, hand, touch)
     return Built(spec, polynomials, tuple(notes))
