@@ -14,6 +14,7 @@ import pinocchio as pin
 from rtee.errors import ModelError
 from rtee.hand.kinematics import Kinematics, pose
 from rtee.hand.meshes import check_mesh
+from rtee.hand.meshparts import mended
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
@@ -208,7 +209,9 @@ class _Meshes:
             raise self._refusal(source, "has no triangles")
         if not np.isfinite(mesh.vertices()).all():
             raise self._refusal(source, "has a vertex that is not finite")
-        return mesh
+        if path.suffix.lower() == ".stl":  # a single part
+            return mesh
+        return mended(mesh, self._loader)
 
     def _refusal(self, source: UrdfGeometry, why: str) -> ModelError:
         return ModelError(

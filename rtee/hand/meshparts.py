@@ -1,0 +1,83 @@
+"""Meshes of several parts, whose triangles Coal's loader mixes up.
+
+A file may hold several surfaces, one per material. The loader puts the corners of all of them one
+after the other, but numbers the triangles of each from its own first corner on, so that those of
+the later ones join corners of the first one and the later corners stay unused. The parts are told
+apart again here: each begins with a triangle of its corners 0, 1 and 2.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import coal
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.types import FloatArray
+
+_FEWEST: Final = 3
+"""Fewest corners of a part."""
+
+_MOST: Final = 12
+"""Most places considered where a part may begin; beyond, the search would take too long."""
+
+_LOST: Final = 8
+"""Most corners that may stay unused, since the loader drops degenerate triangles."""
+
+Faces = NDArray[np.int64]
+
+
+def mended(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelBase:
+    """Return a mesh with the triangles of all its parts in place; the same one if nothing is amiss.
+
+    Args:
+        mesh: What Coal's loader made of a file.
+        loader: The loader; only it makes meshes of its own kind of bounding volumes.
+    """
+    corners = np.array(mesh.vertices())
+    triangles = (mesh.tri_indices(i) for i in range(mesh.num_tris))
+    faces = np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.int64)
+    if len(faces) == 0 or len(corners) - (int(faces.max()) + 1) < _FEWEST:
+        return mesh
+    apart = parted(faces, len(corners))
+    if apart is None:
+        return mesh
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "parts.stl"
+        path.write_bytes(_stl(corners[apart]))
+        return loader.load(str(path), np.ones(3))
+
+
+def parted(faces: Faces, corners: int) -> Faces | None:
+    """Return the triangles ``(f, 3)`` numbered through all parts, ``None`` where none are found.
+
+    Args:
+        faces: The triangles ``(f, 3)``, numbered from 0 in every part.
+        corners: Number of corners of all parts.
+    """
+    first = np.flatnonzero((np.sort(faces, axis=1) == (0, 1, 2)).all(axis=1))
+    places = [int(i) for i in first if i > 0]
+    if not places or len(places) > _MOST:
+        return None
+    best: tuple[int, Faces] | None = None
+    for count in range(len(places), 0, -1):
+        for cuts in combinations(places, count):
+            parts = np.split(faces, cuts)
+            sizes = [int(part.max()) + 1 for part in parts]
+            lost = corners - sum(sizes)
+            if 0 <= lost <= _LOST and (best is None or lost < best[0]):
+                begins = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+                best = lost, np.concatenate([p + b for p, b in zip(parts, begins, strict=True)])
+    return None if best is None else best[1]
+
+
+def _stl(triangles: FloatArray) -> bytes:
+    """Return triangles ``(t, 3, 3)`` as a binary STL file."""
+    kind = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    records = np.zeros(len(triangles), dtype=kind)
+    records["corners"] = triangles
+    return bytes(80) + len(triangles).to_bytes(4, "little") + records.tobytes()
