@@ -26,7 +26,10 @@ HOLDING_EFFORT = "holding_effort"
 
 
 class HandLoop(HandTicks):
-    """The loop of one hand. All methods are called in the thread of its event loop.
+    """The loop of one hand.
+
+    Its methods are called in the thread of its event loop, but for `submit`, `cancel`, `hold` and
+    `jog`: those only check and append to what the next tick does, which any thread may.
 
     ``async with`` starts the devices' tasks and, at the end, closes them. `tick` is called by
     whoever has the clock; it never waits.

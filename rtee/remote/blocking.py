@@ -6,6 +6,7 @@ with rtee.connect_blocking("schunk_svh") as hand:
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import threading
 from collections.abc import (
@@ -68,7 +69,7 @@ class BlockingGoal:
 class BlockingHand:
     """A running hand. Made by `connect_blocking`; see `RemoteHand` for its methods.
 
-    It may be used as a context, or closed by `close`.
+    It may be used as a context, or closed by `close`; the end of the program closes it, too.
     """
 
     def __init__(self, portal: BlockingPortal, hand: RemoteHand, exit_: Callable[[], None]) -> None:
@@ -89,6 +90,7 @@ class BlockingHand:
     def close(self) -> None:
         """Leave the hand; may be called any number of times."""
         self._exit()
+        atexit.unregister(self._exit)
 
     def _call(
         self, function: Callable[..., Coroutine[Any, Any, T]], *arguments: Any, **options: Any
@@ -297,6 +299,8 @@ def connect_blocking(
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
         leave = stack.pop_all().close
+    # Zenoh's threads must not outlive the interpreter.
+    atexit.register(leave)
     return BlockingHand(portal, remote, leave)
 
 

@@ -17,6 +17,8 @@ class Lease:
     A client holds it from ``take`` to ``release``, and without asking while a goal of its own runs
     and shortly after it has jogged. A client that has died holds nothing.
 
+    One thread at a time may use it, but for `ended` and `holder`, which any may at any time.
+
     Args:
         now: The clock [s].
     """
@@ -33,8 +35,8 @@ class Lease:
         """The client that holds the hand, or an empty string."""
         if self._taken:
             return self._taken
-        if self._goals:
-            return next(iter(self._goals.values()))
+        if running := tuple(self._goals.values()):
+            return running[0]
         return self._jogger if self._now() < self._jogged_until else ""
 
     def check(self, client: str) -> None:
@@ -73,7 +75,9 @@ class Lease:
         """Take everything from a client; return whether it held the hand."""
         held = self.holder == client
         self.release(client)
-        self._goals = {goal: who for goal, who in self._goals.items() if who != client}
+        for goal, who in tuple(self._goals.items()):
+            if who == client:
+                self.ended(goal)
         if self._jogger == client:
             self._jogged_until = 0.0
         return held

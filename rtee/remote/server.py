@@ -165,7 +165,7 @@ class Server(Observer):
         # Control and stop wait for nothing: they are checked in Zenoh's own thread.
         takes: dict[str, Callable[[zenoh.Query], None]] = {
             STOP: partial(self._receive, STOP, self._stop),
-            CONTROL: partial(self._receive, CONTROL, self._steer),
+            CONTROL: partial(self._receive, CONTROL, self._control.take),
             ASK: self._pass_on,
         }
         for group, take in takes.items():
@@ -220,14 +220,12 @@ class Server(Observer):
         if not self._worker.put(query):
             refuse(query, RequestRejected("too many requests are waiting"))
 
-    def _steer(self, asked: Asked) -> None:
-        self._control.check(asked)
-        self.call_soon(self._control.take, asked)
-
     def _client(self, sample: zenoh.Sample) -> None:
         client = str(sample.key_expr).rpartition("/")[2]
-        there = sample.kind == zenoh.SampleKind.PUT
-        self.call_soon(self._control.came if there else self._control.gone, client)
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._control.came(client)
+        else:
+            self._control.gone(client)
 
     def _stop(self, asked: Asked) -> None:
         self.call_soon(self._start_stop, asked)
