@@ -24,9 +24,8 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--only")
     arguments = parser.parse_args()
-    print(
-        f"{'decoder':26} {'frames':>9} {'decoded':>9} {'refused':>9} {'kept':>6} {'lost':>5} {'per s':>9}"
-    )
+    names = ("frames", "decoded", "refused", "kept", "lost", "per s")
+    print("decoder".ljust(26) + "".join(f"{name:>10}" for name in names))
     bad = 0
     for decoder in DECODERS:
         if arguments.only and arguments.only not in decoder.name:

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import pytest
 
 from rtee.buses.faults import Faults
+from rtee.buses.patience import patiently
 from rtee.errors import (
     BusBroken,
     BusClosed,
@@ -24,7 +25,7 @@ from rtee.errors import (
     RteeError,
 )
 from rtee.testing.case import DeviceCase
-from rtee.testing.session import Session, open_files, patiently, run
+from rtee.testing.session import Session, open_files, run
 from rtee.types import Reference
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")

@@ -6,9 +6,10 @@ import asyncio
 import os
 import time
 from collections.abc import Awaitable, Callable, Sequence
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
+from rtee.buses.patience import patiently
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import Simulation
 from rtee.drivers.base import Driver
@@ -17,27 +18,6 @@ from rtee.drivers.registry import find_driver
 from rtee.errors import BusTimeout, FrameError
 from rtee.testing.case import DeviceCase
 from rtee.types import ActuatorState, Reference
-
-T = TypeVar("T")
-
-
-async def patiently(call: Callable[[], Awaitable[T]], times: int = 8) -> T:
-    """Call what may time out on a busy computer, again if it did.
-
-    Args:
-        call: What to call.
-        times: How often at most.
-
-    Raises:
-        BusTimeout: if it did every time.
-        FrameError: if it did every time.
-    """
-    for _ in range(times - 1):
-        try:
-            return await call()
-        except (BusTimeout, FrameError):
-            await asyncio.sleep(0.01)
-    return await call()
 
 
 def open_files() -> int:

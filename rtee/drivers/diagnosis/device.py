@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from rtee.buses.patience import patiently
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
@@ -75,7 +76,7 @@ async def _connected(
         return [wrong("bus", str(error), "is it plugged in, and the address right?")]
     found = [ok("answer", "it answers"), _identity(driver)]
     try:
-        state = await driver.sense()
+        state = await patiently(driver.sense)
     except DeviceFault as fault:
         return [*found, wrong("fault", f"{fault.code}: {fault.name}", fault.hint or "recover it")]
     except RteeError as error:

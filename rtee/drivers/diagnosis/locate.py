@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import math
 
+from rtee.buses.patience import patiently
 from rtee.drivers.base import Driver
+from rtee.errors import BusTimeout, FrameError
 from rtee.types import ActuatorState, Reference
 
 _STEP = 0.02
@@ -32,14 +34,14 @@ async def twitch(
     """
     try:
         await driver.configure()
-        await driver.activate()
-        state = await driver.sense()
+        await patiently(driver.activate)
+        state = await patiently(driver.sense)
         start = [float(q) for q in state.position]
         away = [_away(driver, i, q, share) for i, q in enumerate(start)]
         for _ in range(times):
             await _glide(driver, start, away, period / 2)
             await _glide(driver, away, start, period / 2)
-        return await driver.sense()
+        return await patiently(driver.sense)
     finally:
         try:
             await driver.stop()
@@ -65,8 +67,9 @@ async def _glide(driver: Driver, start: list[float], end: list[float], time: flo
         try:
             await driver.sense()
             await driver.move(Reference.at(goal))
-        except TimeoutError:
+            missed = 0
+        except (BusTimeout, FrameError):
             missed += 1
-            if missed > 3:
+            if missed > 5:
                 raise
         await asyncio.sleep(_STEP)

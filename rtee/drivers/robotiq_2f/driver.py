@@ -33,7 +33,7 @@ from rtee.drivers.robotiq_2f.codec import (
 )
 from rtee.drivers.robotiq_2f.emulator import Robotiq2FEmulator
 from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
-from rtee.drivers.robotiq_driver import SAME, RobotiqDriver
+from rtee.drivers.robotiq_driver import PATIENT, SAME, RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
 from rtee.errors import BusTimeout, CalibrationError, ConfigError
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
@@ -182,6 +182,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             ConfigError: if the file cannot be written.
         """
         await ready("Take everything out of the gripper's reach: it will close and open fully.")
+        self._open().deadline = PATIENT
         self._home_asked = True
         await self.activate()
         closed = await self._end_stop(255)

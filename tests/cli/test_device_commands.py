@@ -1,0 +1,81 @@
+"""The commands about devices, as typed."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+RTEE = [sys.executable, "-c", "from rtee.cli import main; main()"]
+
+
+def rtee(*words: str, status: int = 0, typed: str = "") -> str:
+    run = subprocess.run(
+        [*RTEE, *words], capture_output=True, text=True, input=typed, timeout=50, check=False
+    )
+    assert run.returncode == status, run.stdout + run.stderr
+    assert "Traceback" not in run.stderr
+    return run.stdout + run.stderr
+
+
+def test_the_doctor_looks_at_an_emulated_hand() -> None:
+    found = json.loads(rtee("doctor", "robotiq_2f_85", "--emulated", "--json"))
+    assert {check["verdict"] for check in found["gripper"]} == {"ok"}
+    assert found["computer"][0]["subject"] == "Python"
+
+
+def test_the_doctor_fails_where_something_is_wrong() -> None:
+    text = rtee("doctor", "robotiq_2f_85", status=1)
+    assert "wrong    port: there is no /dev/ttyUSB0" in text
+    assert "-> plug it in" in text
+
+
+def test_a_hand_is_located_and_calibrated(tmp_path: Path) -> None:
+    text = rtee("locate", "robotiq_2f_85", "--emulated", "--yes", "--times", "1")
+    assert "gripper: that was 2F-85" in text
+    file = tmp_path / "end stops.json"
+    text = rtee("calibrate", "robotiq_2f_85", "--emulated", "--out", str(file), typed="\n")
+    assert "open at 3, closed at 230" in text
+    assert json.loads(file.read_text())["model"] == "2f_85"
+
+
+def test_a_device_that_is_none_is_named() -> None:
+    text = rtee("locate", "robotiq_2f_85", "--device", "griper", "--yes", status=2)
+    assert "has no device 'griper'; did you mean 'gripper'?" in text
+
+
+def test_scan_finds_what_emulate_plays(tmp_path: Path) -> None:
+    link = tmp_path / "port"
+    player = subprocess.Popen(
+        [*RTEE, "emulate", "robotiq_2f", "--link", str(link), "--set", "unit=12"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert player.stdout is not None
+        assert player.stdout.readline() == f"robotiq_2f at {link}\n"
+        found = json.loads(rtee("scan", "--port", str(link), "--unit", "12", "--json"))
+        [address] = found["addresses"]
+        assert address["found"][0]["driver"] == "robotiq_2f"
+        assert address["found"][0]["options"]["unit"] == 12
+    finally:
+        player.send_signal(signal.SIGTERM)
+        assert player.wait(10) == 0
+        player.stdout.close()
+    assert not link.is_symlink()
+
+
+def test_a_driver_package_is_written(tmp_path: Path) -> None:
+    text = rtee("new-driver", "my_gripper", "--in", str(tmp_path))
+    assert str(tmp_path / "my_gripper" / "my_gripper" / "driver.py") in text
+    assert "is not empty" in rtee("new-driver", "my_gripper", "--in", str(tmp_path), status=2)
+
+
+@pytest.mark.parametrize("words", [["emulate", "robotik"], ["emulate", "robotiq_2f", "--set", "x"]])
+def test_mistakes_are_one_sentence(words: list[str]) -> None:
+    assert rtee(*words, status=2).count("\n") == 1

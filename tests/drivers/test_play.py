@@ -1,0 +1,86 @@
+"""A played device: what other software finds, and what typing does to it."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+import serial
+
+from rtee.drivers.play import Player
+from rtee.errors import BusBroken, ConfigError
+
+STATUS = bytes.fromhex("09 03 07 D0 00 03 04 0E")
+
+
+def asked(address: str, request: bytes, count: int) -> bytes:
+    with serial.Serial(address, 115200, timeout=1.0) as port:
+        port.write(request)
+        return bytes(port.read(count))
+
+
+def test_a_pty_at_a_path_of_ones_own(tmp_path: Path) -> None:
+    link = tmp_path / "gripper"
+    with Player("robotiq_2f", {"position": 77}, link=link) as player:
+        assert player.address == str(link)
+        assert asked(str(link), STATUS, 11)[7] == 77
+    assert not link.exists()
+    assert not link.is_symlink()
+
+
+def test_a_path_that_is_taken_is_left_alone(tmp_path: Path) -> None:
+    link = tmp_path / "gripper"
+    link.write_text("mine")
+    with pytest.raises(BusBroken, match="cannot make this link"):
+        Player("robotiq_2f", link=link).__enter__()
+    assert link.read_text() == "mine"
+
+
+def test_a_network_device_speaks_modbus_tcp_and_a_raw_port_does_not() -> None:
+    request = bytes.fromhex("00 02 00 00 00 06 41 03 01 00 00 04")
+    with Player("onrobot_3fg", tcp=0) as player:
+        assert player.address.startswith("tcp://127.0.0.1:")
+        assert sent(player.address, request).startswith(bytes.fromhex("00 02 00 00 00 0B 41 03"))
+    with Player("robotiq_2f", tcp=0, raw=True) as player:
+        assert player.address.startswith("socket://")
+        assert sent(player.address, STATUS).startswith(bytes.fromhex("09 03 06"))
+
+
+def sent(address: str, request: bytes) -> bytes:
+    host, _, port = address.split("//")[1].partition(":")
+    with socket.create_connection((host, int(port)), timeout=2.0) as connection:
+        connection.sendall(request)
+        return connection.recv(100)
+
+
+def test_typing_makes_faults() -> None:
+    with Player("robotiq_2f", {"activated": True}) as player:
+        assert player.command("fault overcurrent") == ""
+        assert "fault 14" in player.command("state")
+        assert "faults: overcurrent" in player.command("state")
+        assert player.command("clear") == ""
+        assert "faults: none" in player.command("state")
+        assert "did you mean 'overcurrent'" in player.command("fault overcurrrent")
+        assert player.command("wire drop=0.5 noise=0.1") == ""
+        assert player.simulation.faults.drop == 0.5
+        assert "unknown fault of the wire 'drip'" in player.command("wire drip=1")
+        assert "should look like drop=0.05" in player.command("wire drop=much")
+        assert player.command("unplug") == ""
+        assert not player.simulation.plugged
+        assert player.command("replug").startswith("at /")
+        assert player.command("power") == ""
+        assert "activated False" in player.command("state")
+        assert "faults: activation_failed" in player.command("help")
+        assert player.command("  ") == ""
+
+
+def test_mistakes_are_named() -> None:
+    with pytest.raises(ConfigError, match="there is no emulator for 'robotik'"):
+        Player("robotik")
+    with pytest.raises(
+        ConfigError, match="unknown property 'modell'"
+    ):
+        Player("robotiq_2f", {"modell": "2f_85"})
+    with pytest.raises(ConfigError, match="give one of"):
+        Player("robotiq_2f", tcp=0, can="x")
