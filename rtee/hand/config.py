@@ -118,6 +118,9 @@ class RealTime(_Section):
     """Processors the loop may run on; empty for all."""
     lock_memory: bool = True
     """Keep the process's memory from being swapped out."""
+    helper_priority: Annotated[int, Field(ge=0, le=98)] = 0
+    """Real-time priority of the recorder's and the network's threads, for which the loop has to
+    wait when other programs keep them from running; 0 leaves them ordinary."""
 
 
 class Safety(_Section):

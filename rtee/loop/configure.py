@@ -64,7 +64,11 @@ def realtime_settings(config: HandConfig, *, enabled: bool = False) -> RealtimeS
     """Return the real-time settings of a hand; ``enabled`` switches them on whatever it says."""
     given = config.realtime
     return RealtimeSettings(
-        given.enabled or enabled, given.priority, tuple(given.cpus), given.lock_memory
+        given.enabled or enabled,
+        given.priority,
+        tuple(given.cpus),
+        given.lock_memory,
+        given.helper_priority,
     )
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
 import sys
+import threading
 import time
 
 from rtee.loop.settings import RealtimeSettings
@@ -20,7 +22,8 @@ _MCL_FUTURE = 2
 def set_up(settings: RealtimeSettings) -> list[str]:
     """Ask the system for what the settings want, for the calling thread alone.
 
-    Threads started later by this one are ordinary again (SCHED_RESET_ON_FORK).
+    Threads started later by this one are ordinary again (SCHED_RESET_ON_FORK); those that run
+    already stay as they are unless a priority for them is given.
 
     Args:
         settings: What to ask for; nothing is done unless they are enabled.
@@ -38,7 +41,25 @@ def set_up(settings: RealtimeSettings) -> list[str]:
     if settings.cpus:
         warnings += _pin(settings.cpus)
     warnings += _schedule(settings.priority)
+    if settings.helper_priority and not warnings:
+        _schedule_helpers(min(settings.helper_priority, settings.priority - 1))
     return warnings
+
+
+def _schedule_helpers(priority: int) -> None:
+    """Give the threads that run already a lower real-time priority.
+
+    They share the interpreter with the loop: one that is interrupted by another program while it
+    holds the interpreter holds up the loop, whatever the loop's own priority.
+    """
+    if priority < 1:
+        return
+    own = threading.get_native_id()
+    for thread in map(int, os.listdir("/proc/self/task")):
+        if thread != own:
+            with contextlib.suppress(OSError):  # it may have ended meanwhile
+                policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+                os.sched_setscheduler(thread, policy, os.sched_param(priority))
 
 
 def share_the_interpreter() -> float:

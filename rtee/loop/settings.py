@@ -122,12 +122,14 @@ class RealtimeSettings:
         priority: SCHED_FIFO priority, 1 to 99.
         cpus: CPUs the loop's thread may run on; empty: all.
         lock_memory: Keep all pages of the process in memory.
+        helper_priority: SCHED_FIFO priority of the process's other threads; 0: they stay ordinary.
     """
 
     enabled: bool = False
     priority: int = 80
     cpus: tuple[int, ...] = ()
     lock_memory: bool = True
+    helper_priority: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,6 +65,30 @@ def test_only_the_loops_thread_becomes_real_time() -> None:
     assert (own_is_fifo == "True") == (warnings == "[]")
 
 
+@pytest.mark.parametrize("helpers", [0, 7, 50])
+def test_helpers_that_run_already_stay_ordinary_unless_they_are_given_a_priority(
+    helpers: int,
+) -> None:
+    output = in_process(
+        "import os, threading\n"
+        "from rtee.loop.realtime import set_up\n"
+        "from rtee.loop.settings import RealtimeSettings\n"
+        "over = threading.Event()\n"
+        "helper = threading.Thread(target=over.wait)\n"
+        "helper.start()\n"
+        "settings = RealtimeSettings(True, 10, lock_memory=False, helper_priority="
+        f"{helpers})\n"
+        "print(set_up(settings))\n"
+        "policy = os.sched_getscheduler(helper.native_id) & ~os.SCHED_RESET_ON_FORK\n"
+        "print(policy == os.SCHED_FIFO, os.sched_getparam(helper.native_id).sched_priority)\n"
+        "over.set()\n"
+    )
+    warnings, found = output.splitlines()
+    if warnings != "[]":
+        pytest.skip("real-time scheduling is not permitted here")
+    assert found == {0: "False 0", 7: "True 7", 50: "True 9"}[helpers]
+
+
 class Cycle:
     made = 0
 
