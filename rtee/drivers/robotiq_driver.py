@@ -203,7 +203,7 @@ class RobotiqDriver(Driver, Generic[S]):
         self.capabilities = self._abilities(best)
         await self._identify()
         every = self.spec.every or math.ceil(self.spec.rate / best)
-        self._blocks.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 3.0 / best)
+        self._blocks.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
 
     async def _identify(self) -> None:
         try:
