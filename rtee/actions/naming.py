@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+_HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SEPARATORS = re.compile(r"[\s_-]+")
 
 
@@ -13,6 +14,11 @@ def normalise(name: str) -> str:
     ``pinchTight``, ``PinchTight``, ``pinch_tight`` and ``pinch tight`` all become ``pinchtight``.
     """
     return _SEPARATORS.sub("", name).lower()
+
+
+def snake_case(name: str) -> str:
+    """Return a name in small letters: ``PinchTight`` as ``pinch_tight``."""
+    return _HUMP.sub("_", name).lower()
 
 
 def label(name: str, elements: tuple[str, ...] = ()) -> str:

@@ -27,15 +27,20 @@ def complete_hand(incomplete: str) -> list[str]:
 
 
 def complete_action(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the actions of the hand in question that begin like this, however spelled."""
-    from rtee.actions.naming import normalise
+    """Return the actions of the hand in question that begin like this.
 
-    wanted = normalise(incomplete)
+    A shell completes what was typed letter by letter, so ``pinch_t`` becomes ``pinch_tight`` and
+    ``Pinch`` becomes ``PinchTight``.
+    """
+    from rtee.actions.naming import snake_case
+
     try:
         names = actions_of(_hand_asked(ctx)).names
     except (RteeError, OSError):
         return []
-    return [name for name in names if normalise(name).startswith(wanted)]
+    spellings = ((name, snake_case(name)) for name in names)
+    found = (next((s for s in both if s.startswith(incomplete)), None) for both in spellings)
+    return [name for name in found if name is not None]
 
 
 def complete_element(ctx: typer.Context, incomplete: str) -> list[str]:

@@ -147,7 +147,9 @@ def test_completion(
         def __init__(self, **params: object) -> None:
             self.params = params
 
-    assert _common.complete_action(Context(), "pinch_t") == ["PinchTight"]
+    assert _common.complete_action(Context(), "pinch_t") == ["pinch_tight"]
+    assert _common.complete_action(Context(), "Pi") == ["PinchTight"]
+    assert _common.complete_action(Context(), "PINCH") == []
     assert set(_common.complete_action(Context(hand="small"), "")) >= {"Trig", "fist", "wave"}
     assert _common.complete_element(Context(action="trig"), "") == ["index", "thumb"]
     chosen = Context(action="pinch_tight", elements=["thumb"])
