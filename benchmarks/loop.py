@@ -7,8 +7,9 @@ network with a client that takes 100 states a second and has the hand close and 
 The numbers are the loop's own, read back from its recording. `cyclictest` (Debian: rt-tests), the
 kernel's own C program for this, runs before and after with the same period and priority.
 
-Sets: `ordinary` and `realtime` are one hand at 1000 Hz; `four` is four hands in one process at
-500 Hz with real-time set-up.
+Sets: `ordinary` and `realtime` are one hand at 1000 Hz; `helpers` has the recorder's and the
+network's threads under real-time scheduling, too; `four` is four hands in one process at 500 Hz
+with real-time set-up. `--hogs` starts programs that keep CPUs busy meanwhile.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ from rtee.log import read
 from rtee.types import LoopStatistics
 
 PAGE = os.sysconf("SC_PAGE_SIZE")
-SETS = ("ordinary", "realtime", "four")
+SETS = ("ordinary", "realtime", "helpers", "four")
 
+HOG = "while True: pass"
 CLIENT = """
 import sys, anyio, rtee
 from rtee.errors import RemoteError
@@ -71,16 +73,15 @@ def memory_of(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * PAGE / 1e6
 
 
-def copies(hand: str, count: int, folder: Path) -> list[str]:
-    """Return that many hands: the hand itself, or copies of it under other names."""
-    if count == 1:
-        return [hand]
+def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
+    """Return copies of a hand under other names, with more in their hand.yaml."""
     names = []
-    for k in range(count):
-        name = f"{hand}_{k + 1}"
+    for _ in range(count):
+        name = f"{hand}_{len(list(folder.iterdir()))}"
         shutil.copytree(find_hand(hand), folder / name)
         file = folder / name / "hand.yaml"
-        file.write_text(re.sub(r"(?m)^name: .*$", f"name: {name}", file.read_text()))
+        text = re.sub(r"(?m)^name: .*$", f"name: {name}", file.read_text())
+        file.write_text(text + extra)
         names.append(name)
     return names
 
@@ -160,6 +161,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="length of every run [s]")
     parser.add_argument("--hand", default="schunk_svh")
+    parser.add_argument("--hogs", type=int, default=0, help="programs that keep CPUs busy")
     parser.add_argument("--only", nargs="+", choices=SETS, default=list(SETS))
     arguments = parser.parse_args()
     load = os.getloadavg()[0]
@@ -175,18 +177,23 @@ def main() -> None:
         text = found or "not installed" + " |" * 9
         print(f"| cyclictest, SCHED_FIFO 80, {when} | {text} |", flush=True)
 
+    hogs = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(arguments.hogs)]
     reference("before")
     with tempfile.TemporaryDirectory(prefix="rtee-loop-") as text:
         folder = Path(text)
         for name in arguments.only:
-            hands = copies(arguments.hand, 4 if name == "four" else 1, folder)
+            extra = "\nrealtime: {helper_priority: 10}\n" if name == "helpers" else ""
+            hands = copies(arguments.hand, 4 if name == "four" else 1, folder, extra)
             rate = "500" if name == "four" else "1000"
             more = [] if name == "ordinary" else ["--realtime"]
             row = run(name, hands, arguments.seconds, folder, "--rate", rate, *more)
             label = f"{len(hands)} hand{'s' * (len(hands) > 1)} at {rate} Hz, "
             label += "ordinary" if name == "ordinary" else "real-time set-up"
+            label += ", helpers too" if name == "helpers" else ""
             print(f"| rtee, {label} | {cells(row)} |", flush=True)
     reference("after")
+    for hog in hogs:
+        hog.kill()
 
 
 if __name__ == "__main__":
