@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from extract.models import Model, box
+from rtee.actions.types import Primitive, PrimitiveKind
+from rtee.extract.kinematic import kinematic_primitives
+from rtee.hand.load import load_model
+
+HANDS = (
+    "dagana",
+    "heri_II",
+    "heri_II_linear",
+    "onrobot_3fg15",
+    "qbhand",
+    "robotiq_2f_140",
+    "robotiq_2f_85",
+    "robotiq_3f",
+    "schunk",
+    "test_ee",
+    "test_ee_spread",
+    "two_finger",
+    "two_finger_mimic",
+)
+
+TIP = box((0.01, 0.01, 0.01))
+
+
+def by_kind(found: list[Primitive], kind: PrimitiveKind) -> dict[str, list[str]]:
+    return {p.elements[0]: list(p.posture.involved) for p in found if p.kind is kind}
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_primitives_of_real_hands_are_as_expected(name: str, shared: Path) -> None:
+    folder = shared / "hands"
+    expected = json.loads((folder / "expected_kinematic.json").read_text())[name]
+    hand = load_model(folder / name / f"{name}.urdf", folder / name / f"{name}.srdf")
+    found = kinematic_primitives(hand)
+    order = list(hand.actuator_names)
+    assert by_kind(found, PrimitiveKind.TRIG) == {
+        finger: sorted(actuators, key=order.index) for finger, actuators in expected["trig"].items()
+    }
+    assert by_kind(found, PrimitiveKind.TIP_FLEX) == {
+        finger: [actuator] for finger, actuator in expected["tipFlex"].items()
+    }
+    assert by_kind(found, PrimitiveKind.FING_FLEX) == {
+        finger: [actuator] for finger, actuator in expected["fingFlex"].items()
+    }
+    several = {
+        p.elements[0]: (p.tips, set(p.fingers))
+        for p in found
+        if p.kind is PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS
+    }
+    assert several == {
+        actuator: (int(count), set(fingers))
+        for count, actuators in expected["singleJointMultipleTips"].items()
+        for actuator, fingers in actuators.items()
+    }
+
+
+def finger(*limits: tuple[float, float], kind: str = "revolute") -> Model:
+    model, parent = Model(), "base"
+    for i, bounds in enumerate(limits):
+        model.link(f"link_{i}", TIP).joint(
+            f"joint_{i}", parent, f"link_{i}", kind=kind, limits=bounds
+        )
+        parent = f"link_{i}"
+    return model.finger("finger", parent)
+
+
+def test_actuators_go_to_the_bound_farthest_from_rest(tmp_path: Path) -> None:
+    found = kinematic_primitives(finger((-0.5, 0.2), (-0.2, 0.5), (0.3, 0.9)).load(tmp_path))
+    trig = next(p for p in found if p.kind is PrimitiveKind.TRIG)
+    assert dict(trig.posture.position) == {"joint_0": -0.5, "joint_1": 0.5, "joint_2": 0.9}
+
+
+def test_of_two_equally_far_bounds_the_upper_one_is_taken(tmp_path: Path) -> None:
+    found = kinematic_primitives(finger((-0.3, 0.3)).load(tmp_path))
+    assert found[0].posture.position["joint_0"] == 0.3
+
+
+def test_flexes_move_one_actuator_and_leave_the_others_at_rest(tmp_path: Path) -> None:
+    found = kinematic_primitives(finger((0.1, 1), (0, 1), (0, 1)).load(tmp_path))
+    tip, base = (
+        next(p for p in found if p.kind is kind)
+        for kind in (PrimitiveKind.TIP_FLEX, PrimitiveKind.FING_FLEX)
+    )
+    assert dict(tip.posture.position) == {"joint_0": 0.1, "joint_1": 0, "joint_2": 1}
+    assert tip.posture.involved == ("joint_2",)
+    assert dict(base.posture.position) == {"joint_0": 1, "joint_1": 0, "joint_2": 0}
+    assert base.posture.involved == ("joint_0",)
+
+
+def test_continuous_actuators_take_no_part(tmp_path: Path) -> None:
+    assert kinematic_primitives(finger((0, 0), kind="continuous").load(tmp_path)) == []
+
+
+def test_a_single_joint_keeps_its_near_bound_as_second_posture(tmp_path: Path) -> None:
+    model = Model().link("palm", TIP).joint("spread", "base", "palm", limits=(-0.2, 0.7))
+    for name in ("a", "b"):
+        model.link(name, TIP).joint(name, "palm", name, kind="fixed").finger(name, name)
+    (found,) = kinematic_primitives(model.load(tmp_path))
+    assert found.name == "SingleJointMultipleTips_2"
+    assert found.elements == ("spread",)
+    assert found.fingers == ("a", "b")
+    assert [posture.position["spread"] for posture in found.postures] == [0.7, -0.2]

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import coal
+import numpy as np
+import pytest
+from extract.models import Model, box, mesh, sphere
+
+from rtee.errors import ModelError
+from rtee.hand.geometry import HandGeometry
+from rtee.hand.model import Hand
+
+
+def write_stl(path: Path, triangles: np.ndarray) -> Path:
+    records = [struct.pack("<12fH", 0, 0, 1, *triangle.ravel(), 0) for triangle in triangles]
+    path.write_bytes(b"\0" * 80 + struct.pack("<I", len(records)) + b"".join(records))
+    return path
+
+
+def hand_with(folder: Path, *shapes: str) -> Hand:
+    model = Model().link("part", *shapes).joint("turn", "base", "part")
+    return model.finger("finger", "part").load(folder)
+
+
+def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+def test_triangles_close_around_the_shapes_in_the_links_frame(tmp_path: Path) -> None:
+    hand = hand_with(tmp_path, box((0.1, 0.2, 0.3), (1, 0, 0)), sphere(0.1, (-1, 0, 0)))
+    vertices, faces = HandGeometry(hand).triangles("part")
+    ball = 4 / 3 * np.pi * 0.1**3
+    assert volume(vertices, faces) == pytest.approx(0.006 + ball, rel=0.02)
+    assert vertices[:, 0].max() == pytest.approx(1.05)
+    assert vertices[:, 0].min() == pytest.approx(-1.1)
+
+
+def test_a_cylinder_stands_along_z(tmp_path: Path) -> None:
+    shape = '<geometry><cylinder radius="0.1" length="0.4"/></geometry>'
+    vertices, faces = HandGeometry(hand_with(tmp_path, shape)).triangles("part")
+    assert volume(vertices, faces) == pytest.approx(np.pi * 0.1**2 * 0.4, rel=0.02)
+    assert np.ptp(vertices[:, 2]) == pytest.approx(0.4)
+
+
+def test_a_link_without_geometry_has_no_triangles(tmp_path: Path) -> None:
+    vertices, faces = HandGeometry(hand_with(tmp_path, sphere(0.1))).triangles("base")
+    assert vertices.shape == (0, 3)
+    assert faces.shape == (0, 3)
+
+
+def test_a_flat_mesh_gets_a_convex_part(tmp_path: Path) -> None:
+    square = np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]])
+    path = write_stl(tmp_path / "flat.stl", square * 0.1)
+    shape = HandGeometry(hand_with(tmp_path, mesh(path))).shapes[0]
+    extent = np.ptp(np.array(shape.convex.points()), axis=0)
+    np.testing.assert_allclose(extent, [0.1, 0.1, 0.0], atol=3e-5)
+
+
+def test_a_mesh_is_scaled_and_mirrored(tmp_path: Path) -> None:
+    corner = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    path = write_stl(tmp_path / "corner.stl", corner)
+    shape = f'<geometry><mesh filename="{path}" scale="-0.1 0.2 0.3"/></geometry>'
+    vertices, _ = HandGeometry(hand_with(tmp_path, shape)).triangles("part")
+    np.testing.assert_allclose(vertices.min(axis=0), [-0.1, 0, 0], atol=1e-7)
+    np.testing.assert_allclose(vertices.max(axis=0), [0, 0.2, 0.3], atol=1e-7)
+
+
+def test_a_mesh_with_a_vertex_that_is_not_finite_is_refused(tmp_path: Path) -> None:
+    triangle = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, np.nan]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]])
+    path = write_stl(tmp_path / "broken.stl", triangle)
+    with pytest.raises(ModelError, match=r"broken\.stl.*not finite"):
+        HandGeometry(hand_with(tmp_path, mesh(path)))
+
+
+def test_a_mesh_that_cannot_be_read_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "broken.stl"
+    path.write_text("solid part\n facet normal 0 0 1\n outer loop\n vertex 0 0 x\n")
+    with pytest.raises(ModelError, match=r"broken\.stl' cannot be read") as refusal:
+        HandGeometry(hand_with(tmp_path, mesh(path)))
+    assert refusal.value.line == 1
+
+
+def test_every_shape_of_a_real_hand_lies_in_its_convex_part(real_hand: Hand) -> None:
+    at = coal.Transform3s.Identity()
+    for shape in HandGeometry(real_hand).shapes:
+        vertices, _ = shape.triangles
+        low, high = shape.box
+        assert (vertices >= low - 1e-9).all()
+        assert (vertices <= high + 1e-9).all()
+        for vertex in vertices[:: max(1, len(vertices) // 20)]:
+            point = coal.Transform3s(np.eye(3), vertex)
+            result = coal.DistanceResult()
+            request = coal.DistanceRequest()
+            coal.distance(shape.convex, at, coal.Sphere(1e-6), point, request, result)
+            assert result.min_distance < 1e-6
+
+
+def test_a_convex_part_is_nowhere_narrower_than_its_least_width(real_hand: Hand) -> None:
+    directions = np.random.default_rng(0).normal(size=(300, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for shape in HandGeometry(real_hand).shapes:
+        assert shape.least_width > 0.0
+        assert np.ptp(shape.points @ directions.T, axis=0).min() > shape.least_width
