@@ -10,6 +10,9 @@ import pinocchio as pin
 
 from rtee.hand.geometry import Shape
 
+TOUCH: Final = 1e-8
+"""Surfaces closer than this touch [m]."""
+
 _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
 _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
 
@@ -42,6 +45,8 @@ class Forms:
         self._data = self._model.createData()
         self._distances = list(self._data.distanceRequests)
         self._collisions = list(self._data.collisionRequests)
+        for request in self._collisions:
+            request.security_margin = TOUCH
         self.results: Any = self._data.distanceResults
         """Coal's last distance result of every couple."""
 
@@ -63,7 +68,11 @@ class Forms:
         return distance
 
     def collide(self, couple: int) -> bool:
-        """Return whether the surfaces of a couple meet; primitives are solid."""
+        """Return whether the surfaces of a couple meet; primitives are solid.
+
+        They meet where they are closer than 10 nm: where a triangle lies symmetrically in a
+        primitive, Coal finds a distance of the order of rounding errors instead of a collision.
+        """
         request = self._collisions[couple]
         request.cached_gjk_guess = _FIRST_DIRECTION
         request.cached_support_func_guess = _FIRST_VERTICES

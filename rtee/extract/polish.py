@@ -15,6 +15,7 @@ _SERIOUS: Final = 0.1
 _KEPT: Final = 14
 _ENOUGH: Final = 1e-6
 _ROUNDING: Final = 1e-10
+_SWEEPS: Final = 3
 
 
 @dataclass(slots=True)
@@ -86,16 +87,23 @@ def _model_step(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the step to the model's minimum in the box, and the weights of the pieces."""
     held = np.zeros(len(y), dtype=bool)
-    for _ in range(len(y) + 1):
+    fixed = np.zeros(len(y))
+    for _ in range(_SWEEPS * len(y)):
         free = np.where(held, 0.0, slopes)
-        weights = _simplex_minimum(reach * (free @ free.T), errors)
-        step = -reach * (weights @ free)
-        goal = y + step
-        leaving = ((goal < low) & (y <= low)) | ((goal > high) & (y >= high))
-        leaving &= ~held
-        if not leaving.any():
-            break
-        held |= leaving
+        weights = _simplex_minimum(reach * (free @ free.T), errors - slopes @ fixed)
+        step = fixed - reach * (weights @ free)
+        there = y + step
+        leaving = ~held & ((there < low) | (there > high))
+        if leaving.any():
+            held |= leaving
+        else:
+            pull = weights @ slopes + fixed / reach
+            freed = held & np.where(there <= low, pull < 0.0, pull > 0.0)
+            if not freed.any():
+                break
+            held &= ~freed
+        # What would leave the box goes to its face; the rest is solved again.
+        fixed = np.where(held, np.clip(there, low, high) - y, 0.0)
     return np.clip(y + step, low, high) - y, weights
 
 

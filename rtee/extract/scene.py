@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.extract.couplings import Couplings
-from rtee.extract.forms import Forms
+from rtee.extract.forms import TOUCH, Forms
 from rtee.extract.hinge import Jaw, clip_jaws
 from rtee.extract.space import Space
 from rtee.extract.surface import encloses
@@ -246,7 +246,8 @@ class Scene:
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
-        result: FloatArray = (row @ self._data.J) @ self._levers(pair, space)
+        by_joint = row @ self._data.J if self._model.nv > 1 else row @ self._data.J.reshape(6, 1)
+        result: FloatArray = by_joint @ self._levers(pair, space)
         return result
 
     def _levers(self, pair: LinkPair, space: Space) -> FloatArray:
@@ -271,7 +272,7 @@ class Scene:
 
     def _touching(self, k: int) -> bool:
         overlap = -self._convex.distance(k)
-        if overlap < 0.0:
+        if overlap < -TOUCH:
             return False
         i, j = self._couples[k]
         a, b = self.shapes[i], self.shapes[j]
