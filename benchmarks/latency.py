@@ -104,7 +104,7 @@ async def send_goals(hand: RemoteHand, action: tuple[str, ...], count: int) -> l
     source = random.Random(1)
     sent = []
     for i in range(count):
-        await anyio.sleep(0.1 + source.uniform(0.0, 0.01))
+        await anyio.sleep(0.2 + source.uniform(0.0, 0.01))
         now = time.monotonic_ns()
         result = await hand.do(*action, intensity=0.02 if i % 2 else 0.04, tolerance=0.002)
         sent.append(now)
