@@ -7,8 +7,8 @@ import logging
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AsyncExitStack
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, AsyncExitStack, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -194,6 +194,7 @@ async def run_hands(
     realtime = _realtime(prepared, options)
     collector = Collector()
     async with AsyncExitStack() as stack:
+        signals = stack.enter_context(_signals())
         trace = _Trace()
         pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
         running = [await _open(hand, pool, options, stack, trace) for hand in prepared]
@@ -212,7 +213,7 @@ async def run_hands(
         collector.start()
         stack.callback(collector.stop)
         try:
-            await _run(running, options, collector, until)
+            await _run(running, options, collector, until, signals)
         finally:
             for line in _summary(running):
                 say(line)
@@ -272,7 +273,11 @@ async def _connected(running: Sequence[_Running]) -> None:
 
 
 async def _run(
-    running: Sequence[_Running], options: RunOptions, collector: Collector, until: anyio.Event
+    running: Sequence[_Running],
+    options: RunOptions,
+    collector: Collector,
+    until: anyio.Event,
+    signals: AsyncIterator[signal.Signals] | None,
 ) -> None:
     clocks: dict[float, list[HandLoop]] = {}
     for one in running:
@@ -284,7 +289,7 @@ async def _run(
                 group.start_soon(drive, loops, Clock(rate), collector.idle)
             for command in options.companions:
                 group.start_soon(_companion, command)
-            reason = await _end(options.duration, until)
+            reason = await _end(options.duration, until, signals)
             await _rest(running, reason, ticking=True)
             rested = True
             group.cancel_scope.cancel()
@@ -325,15 +330,23 @@ def _failure(error: Exception, running: Sequence[_Running]) -> RteeError:
     return LoopError(f"the loop failed: {type(error).__name__}: {error}")
 
 
-async def _end(duration: float | None, until: anyio.Event) -> str:
+def _signals() -> AbstractContextManager[AsyncIterator[signal.Signals] | None]:
+    """Receive signals from before the first device is touched; one that comes early is kept."""
+    if threading.current_thread() is not threading.main_thread():
+        return nullcontext()
+    return anyio.open_signal_receiver(*_SIGNALS)
+
+
+async def _end(
+    duration: float | None, until: anyio.Event, signals: AsyncIterator[signal.Signals] | None
+) -> str:
     """Wait for the end; return why it came."""
     reasons: list[str] = []
 
-    async def after_signal() -> None:
-        with anyio.open_signal_receiver(*_SIGNALS) as received:
-            async for number in received:
-                reasons.append(f"received {signal.Signals(number).name}")
-                until.set()
+    async def after_signal(received: AsyncIterator[signal.Signals]) -> None:
+        async for number in received:
+            reasons.append(f"received {signal.Signals(number).name}")
+            until.set()
 
     async def after_duration(seconds: float) -> None:
         await anyio.sleep(seconds)
@@ -341,8 +354,8 @@ async def _end(duration: float | None, until: anyio.Event) -> str:
         until.set()
 
     async with anyio.create_task_group() as group:
-        if threading.current_thread() is threading.main_thread():
-            group.start_soon(after_signal)
+        if signals is not None:
+            group.start_soon(after_signal, signals)
         if duration is not None:
             group.start_soon(after_duration, duration)
         await until.wait()
