@@ -218,9 +218,10 @@ async def test_being_cancelled_brings_the_hand_to_rest(folder: Path) -> None:
         async def move(self, reference: Reference) -> None:
             told.append(reference)
             await super().move(reference)
+            scope.cancel()
 
     globals()["Listening"] = Listening
-    with anyio.move_on_after(0.4):
+    with anyio.CancelScope() as scope:
         more = {"driver": f"{__name__}:Listening"}
         await run_hands(["jaw"], options(folder, **more), serve=None, say=str)
     assert told
