@@ -53,6 +53,7 @@ class Simulation:
         self._qpos = np.array([model.joint(name).qposadr[0] for name in actuators])
         self._qvel = np.array([model.joint(name).dofadr[0] for name in actuators])
         self._joints = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
+        self._all = np.array([model.joint(name).qposadr[0] for name in hand.actuator_names])
         specs = [hand.actuator(name) for name in actuators]
         self._period = period
         self._fastest: FloatArray = np.array([s.velocity for s in specs])
@@ -127,6 +128,11 @@ class Simulation:
     def effort(self) -> FloatArray:
         """Actuator efforts ``(n,)`` [N·m | N]."""
         return np.asarray(self.data.actuator_force[self._motor], dtype=np.float64)
+
+    @property
+    def hand_position(self) -> FloatArray:
+        """Positions of all actuators of the hand ``(n,)`` [rad | m], in the hand's order."""
+        return np.asarray(self.data.qpos[self._all], dtype=np.float64)
 
     @property
     def joints(self) -> FloatArray:

@@ -19,6 +19,14 @@ _CONFIRM = 0.3
 _LINKS = 2
 
 
+def pose_vector(pose: FloatArray) -> FloatArray:
+    """Return a pose ``(4, 4)`` as position and unit quaternion (w, x, y, z) ``(7,)``."""
+    found = np.zeros(7)
+    found[:3] = pose[:3, 3]
+    mujoco.mju_mat2Quat(found[3:], np.ascontiguousarray(pose[:3, :3]).ravel())
+    return found
+
+
 class Surroundings:
     """The carrier, the object and what it lies on.
 
@@ -72,8 +80,8 @@ class Surroundings:
             self._hold(self._support != "table")
 
     def place(self, pose: FloatArray) -> None:
-        """Let the object begin at a pose ``(7,)`` in the world (position, quaternion w x y z)."""
-        self._start = np.array(pose, dtype=np.float64)
+        """Let the object begin at a pose ``(4, 4)`` in the world."""
+        self._start = pose_vector(pose)
         self._data.qpos[self._qpos : self._qpos + 7] = self._start
         self._data.qvel[self._dof : self._dof + 6] = 0.0
 
@@ -113,18 +121,24 @@ class Surroundings:
                     found.add(self._model.body(int(other)).name.removeprefix(LINK))
         return tuple(sorted(found))
 
-    def deepest(self) -> float:
-        """Return how deep a link is inside the object [m]; 0 when none touches it."""
+    def depth_at(self, data: mujoco.MjData, pose: FloatArray) -> float:
+        """Return how deep a link would be inside the object [m]; 0 when none touches it.
+
+        Args:
+            data: A state of the hand, changed by this call; the running one stays as it is.
+            pose: Pose of the object in the world ``(4, 4)``.
+        """
+        data.qpos[self._qpos : self._qpos + 7] = pose_vector(pose)
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_comPos(self._model, data)
+        mujoco.mj_collision(self._model, data)
         depth = 0.0
-        for contact in self._data.contact:
-            bodies = (
-                int(self._model.geom_bodyid[contact.geom1]),
-                int(self._model.geom_bodyid[contact.geom2]),
-            )
-            if any(b in self._parts for b in bodies) and any(
-                b in self._hand_bodies for b in bodies
+        for (first, second), distance in zip(data.contact.geom, data.contact.dist, strict=True):
+            one, other = int(self._model.geom_bodyid[first]), int(self._model.geom_bodyid[second])
+            if (one in self._parts and other in self._hand_bodies) or (
+                other in self._parts and one in self._hand_bodies
             ):
-                depth = max(depth, -float(contact.dist))
+                depth = max(depth, -float(distance))
         return depth
 
     @property
@@ -159,3 +173,13 @@ class Surroundings:
         for motor, value in zip(self._motors, pose, strict=True):
             if motor >= 0:
                 self._data.ctrl[motor] = value
+
+    def jump(self, pose: FloatArray) -> None:
+        """Put the carrier where `carry` would send it, at once and at rest."""
+        self.carry(pose)
+        for axis, value in zip(AXES, pose, strict=True):
+            joint = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_JOINT, f"{CARRIER}/{axis}")
+            if joint >= 0:
+                self._data.qpos[self._model.jnt_qposadr[joint]] = value
+                self._data.qvel[self._model.jnt_dofadr[joint]] = 0.0
+        mujoco.mj_forward(self._model, self._data)

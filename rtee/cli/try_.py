@@ -1,0 +1,242 @@
+"""`rtee try`: try actions on objects in simulation."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rtee.cli._common import complete_hand
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from rtee.trials.headless import HeadlessHand
+    from rtee.trials.trial import Trial, TrialResult
+
+app = typer.Typer()
+
+_EVERY = 20
+
+
+@app.command()
+def try_(
+    hand: Annotated[
+        str, typer.Argument(help="Name of the hand, or its folder.", autocompletion=complete_hand)
+    ],
+    action: Annotated[str | None, typer.Argument(help="Name of the action.")] = None,
+    elements: Annotated[
+        list[str] | None, typer.Argument(metavar="[ELEMENT]…", help="Elements of a primitive.")
+    ] = None,
+    object_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object",
+            metavar="SHAPE",
+            help="box:WxDxH, cylinder:RxH, sphere:R [m], drill, or a mesh; may be repeated.",
+        ),
+    ] = None,
+    intensity: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="How far the action goes.")
+    ] = 1.0,
+    mass: Annotated[
+        float | None, typer.Option(min=0.001, max=100.0, help="Mass of the object [kg].")
+    ] = None,
+    all_: Annotated[
+        bool, typer.Option("--all", help="All actions with all standard objects; resumable.")
+    ] = False,
+    again: Annotated[
+        bool, typer.Option("--again", help="With --all: also what is known already.")
+    ] = False,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=0, help="Processes; 0: one per processor.")
+    ] = 0,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="With --all: on the Dask cluster with this scheduler."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Where --all keeps its results, if not with the hand."),
+    ] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write a strip of pictures of each trial.")
+    ] = None,
+    log: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for recordings of the trials.")
+    ] = None,
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Try an action on an object: approach, grasp, lift, shake; was it held?
+
+    Exit status 1 when a single trial loses its object.
+    """
+    from rtee.errors import ConfigError
+
+    try:
+        import mujoco  # noqa: F401
+    except ImportError:
+        raise ConfigError(
+            "trials need the extra 'sim'; install it by: pip install 'rtee[sim]'"
+        ) from None
+    from rtee.trials.sweep import OBJECTS, bench, mass_of
+    from rtee.trials.trial import Trial
+
+    name = _resolved(hand)
+    if all_:
+        if action is not None or pictures is not None or log is not None:
+            raise ConfigError("--all tries all actions, without pictures and recordings")
+        results = _all(name, object_ or list(OBJECTS), jobs, again, cluster, out)
+        _show(results, json_)
+        return
+    if action is None:
+        raise ConfigError("which action? give its name, or --all")
+    ready = bench(name)
+    found = ready.library.find(action, elements or ())
+    shapes = object_ or ["sphere:0.03"]
+    trials = [
+        Trial(
+            found.name,
+            tuple(elements or ()),
+            shape,
+            intensity,
+            mass_of(shape) if mass is None else mass,
+        )
+        for shape in shapes
+    ]
+    results = [_one(name, trial, pictures, log) for trial in trials]
+    _show(results, json_)
+    if not all(result.held for result in results):
+        raise typer.Exit(1)
+
+
+def _resolved(hand: str) -> str:
+    """Return a hand's name, or the absolute path of its folder for other processes."""
+    return str(Path(hand).resolve()) if os.sep in hand else hand
+
+
+def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> TrialResult:
+    from rtee.hand.files import make_folder
+    from rtee.trials.recorded import recorder_for
+    from rtee.trials.sweep import bench
+    from rtee.trials.trial import run_trial
+
+    ready = bench(name)
+    stills: list[tuple[str, bytes]] = []
+    watch = None
+    if pictures is not None:
+        from rtee.trials.pictures import trial_camera
+
+        make_folder(pictures)
+        take = trial_camera(ready.hand)
+
+        def watch(moment: str, headless: HeadlessHand) -> None:
+            if moment == "start":
+                stills.clear()
+            stills.append((moment, take(headless)))
+
+    if log is None:
+        result = run_trial(ready.hand, ready.library, ready.settings, trial, watch=watch)
+    else:
+        with recorder_for(ready, log) as recorder:
+            result = run_trial(
+                ready.hand, ready.library, ready.settings, trial, observers=[recorder], watch=watch
+            )
+    if pictures is not None and stills:
+        from rtee.trials.pictures import write_strip
+
+        words = "_".join((ready.hand.name, trial.action, *trial.elements, trial.object))
+        file = "".join(c if c.isalnum() or c in "._-" else "-" for c in words) + ".png"
+        write_strip(pictures / file, stills)
+    return result
+
+
+def _all(
+    name: str,
+    shapes: Sequence[str],
+    jobs: int,
+    again: bool,
+    cluster: str | None,
+    out: Path | None,
+) -> list[TrialResult]:
+    """Do what is not known yet; what is known is kept after every few trials."""
+    from rtee.drivers.mujoco.objects import parse_object
+    from rtee.trials.store import FILE_NAME, read_results, write_results
+    from rtee.trials.sweep import all_trials, bench, fingerprint, sweep, sweep_on_cluster
+
+    for shape in shapes:
+        parse_object(shape)
+    ready = bench(name)
+    path, made_with = out or ready.folder / FILE_NAME, fingerprint(ready.folder)
+    trials = all_trials(ready.library, shapes)
+    known = read_results(path, made_with)
+    todo = [trial for trial in trials if again or trial.key not in known]
+    if todo:
+        write_results(path, made_with, known.values())  # so that it fails before, not after
+        processes = jobs or len(os.sched_getaffinity(0))
+        coming = sweep_on_cluster(name, todo, cluster) if cluster else sweep(name, todo, processes)
+        try:
+            for count, result in enumerate(_with_progress(coming, len(todo)), 1):
+                known[result.trial.key] = result
+                if count % _EVERY == 0:
+                    write_results(path, made_with, known.values())
+        finally:
+            write_results(path, made_with, known.values())
+    return [known[trial.key] for trial in trials]
+
+
+def _with_progress(results: Iterable[TrialResult], total: int) -> Iterable[TrialResult]:
+    if not sys.stderr.isatty():
+        yield from results
+        return
+    from rich.console import Console
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    yield from track(results, "trying", total=total, console=console, transient=True)
+
+
+def _show(results: Sequence[TrialResult], as_json: bool) -> None:
+    from rtee.trials.store import to_document
+
+    if as_json:
+        documents = [to_document(result) for result in results]
+        print(json.dumps(documents if len(documents) != 1 else documents[0], indent=2))
+        return
+    if len(results) > 3:
+        _table(results)
+        return
+    for result in results:
+        trial = result.trial
+        what = f"{' '.join((trial.action, *trial.elements))} on {trial.object}"
+        if not result.held:
+            print(f"{what}: lost; {result.reason}")
+            continue
+        forces = ", ".join(f"{name} {force:.1f} N" for name, force in result.forces if force > 0)
+        print(f"{what}: held; slip {result.slip * 1e3:.1f} mm; {forces or 'no fingertip touches'}")
+
+
+def _table(results: Sequence[TrialResult]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    shapes = list(dict.fromkeys(result.trial.object for result in results))
+    rows: dict[str, dict[str, Any]] = {}
+    for result in results:
+        name = " ".join((result.trial.action, *result.trial.elements))
+        word = f"{result.slip * 1e3:.1f}" if result.held else "–"
+        rows.setdefault(name, {})[result.trial.object] = word
+    held = sum(result.held for result in results)
+    table = Table(title=f"slip [mm] of what was held: {held} of {len(results)}", box=None)
+    table.add_column("action")
+    for shape in shapes:
+        table.add_column(shape.replace(":", "\n"), justify="right")
+    for name, row in rows.items():
+        table.add_row(name, *(row.get(shape, "") for shape in shapes))
+    Console(width=None if sys.stdout.isatty() else 200).print(table)

@@ -1,0 +1,185 @@
+"""Pictures of a simulated hand with the object and the table, and strips of them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rtee.drivers.mujoco.scene import TABLE
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.errors import ConfigError
+from rtee.extract.report_camera import fitted, view
+from rtee.extract.report_image import linear, picture_file
+from rtee.extract.report_mesh import HandSurface, Surface, smooth_normals
+from rtee.extract.report_render import Look, Painter
+from rtee.extract.report_trace import Tracer
+from rtee.hand.colours import PALM, finger_colours, finger_of_link
+from rtee.hand.files import write_atomically
+from rtee.hand.geometry import HandGeometry
+from rtee.hand.model import Hand
+from rtee.hand.tessellation import Triangles, box, cylinder, sphere
+from rtee.trials.headless import HeadlessHand
+from rtee.types import FloatArray
+
+SIZE = (360, 400)
+"""Width and height of a picture [pixels]."""
+
+_TABLE_COLOUR = "#c9ccd1"
+_CAPTION = 26
+_REACH = np.array([[0.0, 0.0, -0.12], [0.0, 0.0, 0.15]])
+"""Ways of the hand in a trial, from where it starts."""
+
+
+class Camera:
+    """Takes pictures of one simulation, all from the same place.
+
+    Attributes:
+        simulation: What is seen.
+    """
+
+    def __init__(
+        self, simulation: Simulation, hand: Hand, reach: FloatArray, size: tuple[int, int] = SIZE
+    ) -> None:
+        """Set the camera up.
+
+        Args:
+            simulation: What is seen.
+            hand: The hand in it.
+            reach: Ways ``(k, 3)`` [m] from its present place that the hand will go and that must
+                fit into the picture.
+            size: Width and height [pixels].
+
+        Raises:
+            ConfigError: The extra ``plot`` is not installed.
+        """
+        try:
+            import embreex.rtcore_scene  # noqa: F401
+            import PIL.Image  # noqa: F401
+        except ImportError:
+            raise ConfigError(
+                "pictures need the extra 'plot'; install it by: pip install 'rtee[plot]'"
+            ) from None
+        self.simulation = simulation
+        self._hand = hand
+        self._surface = HandSurface(HandGeometry(hand, visual=True))
+        self._extras = self._find_extras()
+        back = view(self._surface.geometry)[0]
+        turn = simulation.surroundings.base_pose[:3, :3]
+        self._up = np.array([0.0, 0.0, 1.0])
+        back = turn @ back
+        back[2] = abs(back[2])
+        table = [i for i, (geom, *_) in enumerate(self._extras) if self._is_table(geom)]
+        surface = self._posed(leave_out=table)
+        points = surface.corners.reshape(-1, 3)
+        points = np.concatenate([points, *(points + way for way in reach)])
+        self._camera = fitted(points, back / np.linalg.norm(back), self._up, size)
+        self._extent = float(np.linalg.norm(np.ptp(surface.corners.reshape(-1, 3), axis=0)))
+        self._look = self._colours()
+
+    def picture(self) -> bytes:
+        """Return a PNG file of how it is now."""
+        tracer = Tracer(self._posed())
+        picture = Painter(tracer, self._camera, self._look).paint()
+        return picture_file(picture, "#ffffff", self._camera, (), "PNG")
+
+    def _is_table(self, geom: int) -> bool:
+        return bool(self.simulation.model.geom(geom).name == TABLE)
+
+    def _find_extras(self) -> list[tuple[int, FloatArray, FloatArray]]:
+        model = self.simulation.model
+        found = []
+        for geom in range(model.ngeom):
+            name = model.geom(geom).name
+            if name == TABLE or name.startswith("object"):
+                vertices, faces = _triangles(model, geom)
+                found.append((geom, vertices[faces], smooth_normals(vertices, faces)))
+        return found
+
+    def _posed(self, leave_out: Sequence[int] = ()) -> Surface:
+        simulation = self.simulation
+        base = simulation.surroundings.base_pose
+        hand = self._surface.at(simulation.hand_position)
+        corners = [hand.corners @ base[:3, :3].T + base[:3, 3]]
+        normals, links = [hand.normals @ base[:3, :3].T], [hand.links]
+        for index, (geom, points, directions) in enumerate(self._extras):
+            if index in leave_out:
+                continue
+            turn = simulation.data.geom_xmat[geom].reshape(3, 3)
+            corners.append(points @ turn.T + simulation.data.geom_xpos[geom])
+            normals.append(directions @ turn.T)
+            links.append(np.full(len(points), len(self._surface.links) + index))
+        return Surface(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
+
+    def _colours(self) -> Look:
+        colours, owner = finger_colours(self._hand), finger_of_link(self._hand)
+        rows = [
+            linear(colours[owner[link]] if owner.get(link) else PALM)
+            for link in self._surface.links
+        ]
+        for geom, *_ in self._extras:
+            rgba = self.simulation.model.geom_rgba[geom][:3]
+            code = "#" + "".join(f"{round(255 * float(v)):02x}" for v in rgba)
+            rows.append(linear(_TABLE_COLOUR if self._is_table(geom) else code))
+        light = -0.55 * self._camera.right + 0.75 * self._up - 0.62 * self._camera.forward
+        return Look(
+            np.array(rows), light / np.linalg.norm(light), self._up, None, 0.45 * self._extent
+        )
+
+
+def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
+    """Return the triangles of a geom in its own frame."""
+    size = model.geom_size[geom]
+    match int(model.geom_type[geom]):
+        case mujoco.mjtGeom.mjGEOM_BOX:
+            return box((2.0 * size[0], 2.0 * size[1], 2.0 * size[2]))
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            return sphere(float(size[0]))
+        case mujoco.mjtGeom.mjGEOM_CYLINDER:
+            return cylinder(float(size[0]), 2.0 * float(size[1]))
+    mesh = int(model.geom_dataid[geom])
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    return vertices, np.asarray(model.mesh_face[first : first + count], dtype=np.int64)
+
+
+def write_strip(path: Path, pictures: Sequence[tuple[str, bytes]]) -> None:
+    """Write pictures side by side, each with its caption below, as one PNG file.
+
+    Args:
+        path: The file.
+        pictures: Captions and PNG files of the same size.
+
+    Raises:
+        ConfigError: if it cannot be written.
+    """
+    from PIL import Image, ImageDraw
+
+    images = [Image.open(io.BytesIO(data)).convert("RGB") for _, data in pictures]
+    width, height = images[0].size
+    strip: Any = Image.new("RGB", (width * len(images), height + _CAPTION), "#ffffff")
+    draw = ImageDraw.Draw(strip)
+    for index, ((caption, _), image) in enumerate(zip(pictures, images, strict=True)):
+        strip.paste(image, (index * width, 0))
+        draw.text((index * width + width // 2, height + 4), caption, fill="#222222", anchor="ma")
+    out = io.BytesIO()
+    strip.save(out, "PNG", optimize=True)
+    write_atomically(path, out.getvalue())
+
+
+def trial_camera(hand: Hand) -> Callable[[HeadlessHand], bytes]:
+    """Return what takes pictures of a trial; all pictures of one trial show the same section."""
+    cameras: list[tuple[Simulation, Camera]] = []
+
+    def take(headless: HeadlessHand) -> bytes:
+        simulation = headless.simulation
+        if not cameras or cameras[-1][0] is not simulation:
+            cameras.append((simulation, Camera(simulation, hand, _REACH)))
+        return cameras[-1][1].picture()
+
+    return take

@@ -1,0 +1,197 @@
+"""Where an object has to be for an action to grasp it: found from the action, not guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from rtee.actions.types import Action, PrimitiveKind, Timed
+from rtee.actions.types import Primitive as PrimitiveAction
+from rtee.drivers.mujoco.model import LINK
+from rtee.drivers.mujoco.scene import approach
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.hand.model import Hand
+from rtee.types import FloatArray
+
+_STEPS = 21
+_OUTWARD = (0.0, 0.01, 0.02, 0.035, 0.05, -0.02, -0.04)
+_ACROSS = (0.0, 0.015, 0.03, 0.045)
+_TOUCH = 2e-4
+_APART = 0.015
+_AWAY = 0.12
+_WAY = 9
+_MOVES = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place for an object.
+
+    Attributes:
+        pose: Pose of the object in the hand's base frame ``(4, 4)``.
+        intensity: The fingertips' spread fits the object at this intensity of the action.
+        way: From where the object can come, relative to the hand and free of contact: a vector
+            ``(3,)`` [m] in the base frame; zero when every straight way is blocked.
+    """
+
+    pose: FloatArray
+    intensity: float
+    way: FloatArray
+
+
+def posture_of(hand: Hand, action: Action) -> FloatArray:
+    """Return the actuator positions ``(n,)`` of an action; of a timed one, its widest grasp."""
+    if isinstance(action, Timed):
+        postures = [step.posture for step in action.steps]
+        found = max(postures, key=lambda posture: len(posture.involved))
+    else:
+        found = action.posture
+    return np.array([found.position[name] for name in hand.actuator_names])
+
+
+def fingers_of(hand: Hand, action: Action) -> tuple[str, ...]:
+    """Return the fingers that an action moves."""
+    if isinstance(action, PrimitiveAction) and action.fingers:
+        return action.fingers
+    moved = np.abs(posture_of(hand, action) - hand.rest) > _MOVES
+    names = {name for name, moves in zip(hand.actuator_names, moved, strict=True) if moves}
+    return tuple(finger.name for finger in hand.fingers if names & set(finger.actuators))
+
+
+class Places:
+    """Finds places for the object of a simulation; it moves nothing but a copy of the state."""
+
+    def __init__(self, simulation: Simulation, hand: Hand, action: Action) -> None:
+        """Prepare for an action.
+
+        Args:
+            simulation: The hand with its object and carrier.
+            hand: The hand.
+            action: What is to grasp the object.
+        """
+        self._simulation, self._hand = simulation, hand
+        self._model = simulation.model
+        self._data = mujoco.MjData(self._model)
+        self._goal = posture_of(hand, action)
+        fingers = [hand.finger(name) for name in fingers_of(hand, action)]
+        tips = [self._model.body(LINK + f.tip).id for f in fingers if f.tip is not None]
+        self._geoms = [np.flatnonzero(self._model.geom_bodyid == tip) for tip in tips]
+        self._shift = self._contact_point(action)
+
+    def find(self, most: int) -> list[Place]:
+        """Return up to ``most`` places, the tightest first, each well apart from the others."""
+        found: list[Place] = []
+        for place in self._candidates():
+            if all(self._apart(place, other) for other in found):
+                found.append(Place(place.pose, place.intensity, self._way(place.pose)))
+                if len(found) == most:
+                    break
+        return found
+
+    @staticmethod
+    def _apart(one: Place, other: Place) -> bool:
+        near = float(np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3])) < _APART
+        return not (near and np.allclose(one.pose[:3, :3], other.pose[:3, :3], atol=0.2))
+
+    def _candidates(self) -> Iterator[Place]:
+        outward = approach(self._hand)
+        across = self._curl(outward)
+        ways = sorted(
+            ((o, a) for o in _OUTWARD for a in _ACROSS), key=lambda way: abs(way[0]) + way[1]
+        )
+        for along, aside in ways:
+            for intensity in np.linspace(1.0, 0.0, _STEPS):
+                centres = self._tips(float(intensity))
+                middle = centres.mean(axis=0) + self._shift
+                middle = middle + along * outward + aside * across
+                fitting = [
+                    pose
+                    for pose in self._poses(middle, centres, outward)
+                    if self._clear(pose, float(intensity)) and self._clear(pose, 0.0)
+                ]
+                if fitting:
+                    for pose in fitting:
+                        yield Place(pose, float(intensity), np.zeros(3))
+                    break
+
+    def _curl(self, outward: FloatArray) -> FloatArray:
+        """Return the unit vector ``(3,)`` across the reach in which the fingertips close."""
+        way = self._tips(0.4).mean(axis=0) - self._tips(0.0).mean(axis=0)
+        way = way - (way @ outward) * outward
+        length = float(np.linalg.norm(way))
+        unit: FloatArray = way / length if length > 1e-3 else np.zeros(3)
+        return unit
+
+    @staticmethod
+    def _poses(middle: FloatArray, centres: FloatArray, outward: FloatArray) -> list[FloatArray]:
+        """Return poses whose x axis is the axis of closing, with three directions for z."""
+        closing = centres[-1] - centres[0]
+        closing = closing - (closing @ outward) * outward
+        if float(np.linalg.norm(closing)) < 1e-3:
+            closing = np.eye(3)[int(np.argmin(np.abs(outward)))]
+        closing = closing / np.linalg.norm(closing)
+        side = np.cross(outward, closing)
+        poses = []
+        for z, x in ((side, closing), (outward, closing), (closing, side)):
+            pose = np.eye(4)
+            pose[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+            pose[:3, 3] = middle
+            poses.append(pose)
+        return poses
+
+    def _tips(self, intensity: float) -> FloatArray:
+        """Return the middles ``(k, 3)`` of the fingertips' geometry in the base frame."""
+        self._pose_hand(intensity)
+        mujoco.mj_kinematics(self._model, self._data)
+        inverse: FloatArray = np.asarray(np.linalg.inv(self._base()), dtype=np.float64)
+        middles = []
+        for geoms in self._geoms:
+            weight = self._model.geom_rbound[geoms] ** 3
+            middles.append(weight @ self._data.geom_xpos[geoms] / weight.sum())
+        points = np.array(middles) if middles else np.zeros((1, 3))
+        found: FloatArray = points @ inverse[:3, :3].T + inverse[:3, 3]
+        return found
+
+    def _contact_point(self, action: Action) -> FloatArray:
+        """Return from the middle of the tips to the contact of a pinch ``(3,)`` [m]."""
+        if (
+            isinstance(action, PrimitiveAction)
+            and action.evidence
+            and action.kind in (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE)
+            and action.evidence[0].point is not None
+        ):
+            shift: FloatArray = np.array(action.evidence[0].point) - self._tips(1.0).mean(axis=0)
+            return shift
+        return np.zeros(3)
+
+    def _base(self) -> FloatArray:
+        return self._simulation.surroundings.base_pose
+
+    def _pose_hand(self, intensity: float) -> None:
+        u = self._hand.rest + intensity * (self._goal - self._hand.rest)
+        joints = self._hand.transmission.joints(u)
+        for name, value in zip(self._hand.joint_names, joints, strict=True):
+            self._data.qpos[self._model.joint(name).qposadr[0]] = value
+
+    def _clear(self, pose: FloatArray, intensity: float) -> bool:
+        """Return whether nothing of the hand is inside the object."""
+        self._pose_hand(intensity)
+        depth = self._simulation.surroundings.depth_at(self._data, self._base() @ pose)
+        return bool(depth < _TOUCH)
+
+    def _way(self, pose: FloatArray) -> FloatArray:
+        """Return from where the object can come to the hand at rest."""
+        axis = approach(self._hand)
+        others = [v for v in (*np.eye(3), *-np.eye(3)) if abs(float(v @ axis)) < 0.5]
+        for direction in (axis, *others):
+            moved = np.array(pose)
+            for distance in np.linspace(0.0, _AWAY, _WAY):
+                moved[:3, 3] = pose[:3, 3] + distance * direction
+                if not self._clear(moved, 0.0):
+                    break
+            else:
+                return np.asarray(_AWAY * direction, dtype=np.float64)
+        return np.zeros(3)

@@ -1,0 +1,32 @@
+"""Recordings of what happens at simulated time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rtee.log import Recorder, RecorderSettings
+from rtee.trials.sweep import Bench
+
+
+def recorder_for(ready: Bench, folder: Path) -> Recorder:
+    """Return a recorder that drops nothing, however fast simulated time runs.
+
+    Args:
+        ready: The hand.
+        folder: Where the recording is written.
+    """
+    files = {
+        file.relative_to(ready.folder).as_posix(): file.read_bytes()
+        for file in [
+            ready.folder / "hand.yaml",
+            *sorted((ready.folder / "actions").rglob("*.yaml")),
+        ]
+    }
+    return Recorder(
+        ready.hand,
+        RecorderSettings(folder, queue_time=1e6, sync=False, flight_recorder=0.0),
+        rate=ready.settings.rate,
+        loop=ready.settings,
+        attachments=files,
+        metadata={"drivers": "mujoco", "clock": "simulated"},
+    )

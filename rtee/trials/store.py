@@ -1,0 +1,107 @@
+"""The results of trials, kept beside a hand's actions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rtee.actions.yamltext import emit
+from rtee.errors import ConfigError
+from rtee.hand.files import write_atomically
+from rtee.hand.yamlfile import read_yaml
+from rtee.trials.trial import Trial, TrialResult
+
+FILE_NAME = "trials.yaml"
+"""Where the results stand in a hand's folder."""
+
+
+def to_document(result: TrialResult) -> dict[str, Any]:
+    """Return a result as plain data."""
+    trial = result.trial
+    return {
+        "action": trial.action,
+        "elements": list(trial.elements),
+        "object": trial.object,
+        "intensity": trial.intensity,
+        "mass": trial.mass,
+        "held": result.held,
+        "reason": result.reason,
+        "outcome": result.outcome,
+        "slip": result.slip,
+        "forces": dict(result.forces),
+        "peak": result.peak,
+        "duration": result.duration,
+        "places": result.places,
+        "position": list(result.position),
+    }
+
+
+def from_document(entry: Mapping[str, Any]) -> TrialResult:
+    """Return a result from plain data.
+
+    Raises:
+        KeyError, TypeError, ValueError: if it is none.
+    """
+    trial = Trial(
+        str(entry["action"]),
+        tuple(str(name) for name in entry["elements"]),
+        str(entry["object"]),
+        float(entry["intensity"]),
+        float(entry["mass"]),
+    )
+    x, y, z = (float(value) for value in entry["position"])
+    return TrialResult(
+        trial,
+        bool(entry["held"]),
+        str(entry["reason"]),
+        str(entry["outcome"]),
+        float(entry["slip"]),
+        tuple((str(name), float(force)) for name, force in entry["forces"].items()),
+        float(entry["peak"]),
+        float(entry["duration"]),
+        int(entry["places"]),
+        (x, y, z),
+    )
+
+
+def write_results(path: Path, made_with: str, results: Iterable[TrialResult]) -> None:
+    """Write results, sorted; the text depends on nothing else.
+
+    Args:
+        path: The file.
+        made_with: The fingerprint of the hand's files.
+        results: The results.
+
+    Raises:
+        ConfigError: if it cannot be written.
+    """
+    ordered = sorted(results, key=lambda result: result.trial.key)
+    document = {"made_with": made_with, "trials": [to_document(result) for result in ordered]}
+    head = "# What `rtee try` found; made anew when the hand's files change.\n"
+    write_atomically(path, head + emit(document))
+
+
+def read_results(path: Path, made_with: str | None = None) -> dict[str, TrialResult]:
+    """Read results by the keys of their trials.
+
+    Args:
+        path: The file; nothing is found where it does not exist.
+        made_with: Results made with other files of the hand are not given.
+
+    Raises:
+        ConfigError: if the file holds something else.
+    """
+    if not path.exists():
+        return {}
+    document = read_yaml(path, "the trials").data
+    try:
+        if made_with is not None and document["made_with"] != made_with:
+            return {}
+        results = [from_document(entry) for entry in document["trials"]]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(
+            f"these are no results of trials ({error}); remove the file to make them anew",
+            path=path,
+        ) from error
+    return {result.trial.key: result for result in results}

@@ -1,0 +1,168 @@
+"""Many trials on all processors: the actions of a hand with a standard set of objects."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from rtee.actions.library import ActionLibrary
+from rtee.actions.types import Primitive
+from rtee.errors import RteeError
+from rtee.hand.config import HandConfig
+from rtee.hand.load import hand_folder, load_configured
+from rtee.hand.model import Hand
+from rtee.loop.configure import loop_settings
+from rtee.loop.settings import LoopSettings
+from rtee.trials.trial import Trial, TrialResult, run_trial
+
+RATE = 250.0
+"""Ticks per second of a trial [Hz]."""
+
+OBJECTS = (
+    "sphere:0.01",
+    "sphere:0.02",
+    "sphere:0.03",
+    "sphere:0.04",
+    "sphere:0.05",
+    "cylinder:0.01x0.12",
+    "cylinder:0.02x0.12",
+    "cylinder:0.035x0.12",
+    "box:0.02x0.02x0.1",
+    "box:0.04x0.04x0.1",
+    "box:0.06x0.06x0.1",
+    "drill",
+)
+"""The standard objects: spheres of 20 to 100 mm, cylinders, boxes, and a drill-like body."""
+
+_MASS = 0.1
+_DRILL_MASS = 0.4
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A hand ready for trials.
+
+    Attributes:
+        hand: The hand.
+        library: Its actions.
+        settings: Its loop's settings.
+        folder: Its folder.
+    """
+
+    hand: Hand
+    library: ActionLibrary
+    settings: LoopSettings
+    folder: Path
+
+
+@lru_cache(maxsize=4)
+def bench(name: str) -> Bench:
+    """Load a hand for trials.
+
+    Raises:
+        UserError: for every mistake in its files.
+    """
+    hand, config = load_configured(name)
+    folder = hand_folder(name)[0]
+    library = ActionLibrary.load(hand, folder / "actions")
+    return Bench(hand, library, settings_of(config), folder)
+
+
+def settings_of(config: HandConfig) -> LoopSettings:
+    """Return the loop's settings for a trial."""
+    return loop_settings(config, rate=RATE)
+
+
+def mass_of(shape: str) -> float:
+    """Return the mass of a standard object [kg]."""
+    return _DRILL_MASS if shape == "drill" else _MASS
+
+
+def all_trials(library: ActionLibrary, objects: Sequence[str] = OBJECTS) -> list[Trial]:
+    """Return the trials of all actions with all objects, in order."""
+    return [
+        Trial(
+            action.name,
+            action.elements if isinstance(action, Primitive) else (),
+            shape,
+            mass=mass_of(shape),
+        )
+        for action in library
+        for shape in objects
+    ]
+
+
+def fingerprint(folder: Path) -> str:
+    """Return a word that changes with the hand's model, configuration or actions."""
+    digest = hashlib.sha256()
+    files = [*folder.glob("*.urdf"), *folder.glob("*.srdf"), folder / "hand.yaml"]
+    for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
+        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def attempt(name: str, trial: Trial) -> TrialResult:
+    """Do one trial of a hand; a trial that cannot be done says why."""
+    ready = bench(name)
+    try:
+        return run_trial(ready.hand, ready.library, ready.settings, trial)
+    except RteeError as error:
+        return TrialResult(trial, False, str(error))
+
+
+def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Iterator[TrialResult]:
+    """Do trials in several processes; results come as they are done.
+
+    Args:
+        name: The hand, by name or folder.
+        trials: What is tried.
+        jobs: Number of processes.
+    """
+    if jobs < 2 or len(trials) < 2:
+        for trial in trials:
+            yield attempt(name, trial)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(trials)), mp_context=context) as pool:
+        futures = [pool.submit(attempt, name, trial) for trial in trials]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            for future in futures:
+                future.cancel()
+
+
+def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Iterator[TrialResult]:
+    """Do trials on a Dask cluster; results come as they are done, equal to those of `sweep`.
+
+    Args:
+        name: The hand, by name or by a folder that all workers see.
+        trials: What is tried.
+        address: Address of the cluster's scheduler.
+
+    Raises:
+        ConfigError: if Dask is missing or the scheduler does not answer.
+    """
+    from rtee.errors import ConfigError
+
+    try:
+        from distributed import Client
+        from distributed import as_completed as finished
+    except ImportError:
+        raise ConfigError(
+            "a cluster needs the extra 'sweep'; install it by: pip install 'rtee[sweep]'"
+        ) from None
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"no Dask scheduler answers at '{address}': {error}") from error
+    with client:
+        futures = [client.submit(attempt, name, trial, pure=False) for trial in trials]
+        for future in finished(futures):
+            yield future.result()

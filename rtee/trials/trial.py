@@ -1,0 +1,232 @@
+"""One trial: approach, grasp, lift, shake; and whether the object was held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.errors import ActionError
+from rtee.hand.model import Hand
+from rtee.log.recording import outcome_of
+from rtee.loop.observer import LoopObserver
+from rtee.loop.settings import LoopSettings
+from rtee.trials.carrier import CarrierScript
+from rtee.trials.headless import HeadlessHand
+from rtee.trials.place import Place, Places
+from rtee.types import Goal
+
+Watch = Callable[[str, HeadlessHand], None]
+"""Told at the moments of a trial: ``start``, ``approach``, ``grasp``, ``lift``, ``shake``."""
+
+_SETTLE = 0.4
+_LIFT = 0.15
+_HOLD = 2.0
+_FALLEN = 0.06
+_AMPLITUDE = 0.015
+_FREQUENCY = 2.0
+_CYCLES = 2
+_SHAKE_AXES = (0, 1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What is tried.
+
+    Attributes:
+        action: Name of the action.
+        elements: Its elements.
+        object: The object, as on the command line.
+        intensity: How far the action goes.
+        mass: Mass of the object [kg].
+        places: How many places are tried at most.
+    """
+
+    action: str
+    elements: tuple[str, ...] = ()
+    object: str = "sphere:0.03"
+    intensity: float = 1.0
+    mass: float = 0.1
+    places: int = 3
+
+    @property
+    def key(self) -> str:
+        """Tells this trial from all others of the hand."""
+        return f"{' '.join((self.action, *self.elements))} @ {self.object}"
+
+
+@dataclass(frozen=True, slots=True)
+class TrialResult:
+    """How a trial ended.
+
+    Attributes:
+        trial: What was tried.
+        held: The object was lifted, held and shaken and is still in the hand.
+        reason: Why not, in words; empty if it was held.
+        outcome: How the goal ended: ``grasped``, ``reached`` and so on; empty if it never began.
+        slip: How far the object moved in the hand from the grasp to the end [m].
+        forces: Contact force per finger after the grasp [N].
+        peak: The largest contact force on a fingertip while it was lifted and shaken [N].
+        duration: Simulated time of the trial [s].
+        places: How many places were tried.
+        position: Where the object was put in the hand's base frame [m].
+    """
+
+    trial: Trial
+    held: bool
+    reason: str = ""
+    outcome: str = ""
+    slip: float = 0.0
+    forces: tuple[tuple[str, float], ...] = ()
+    peak: float = 0.0
+    duration: float = 0.0
+    places: int = 0
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def run_trial(
+    hand: Hand,
+    library: ActionLibrary,
+    settings: LoopSettings,
+    trial: Trial,
+    *,
+    observers: Sequence[LoopObserver] = (),
+    watch: Watch | None = None,
+) -> TrialResult:
+    """Try an action on an object at one place after the other until one is held.
+
+    Args:
+        hand: The hand.
+        library: Its actions.
+        settings: Its loop's settings.
+        trial: What is tried.
+        observers: Told of every tick, as in the loop.
+        watch: Told of the moments of the trial.
+
+    Returns:
+        The result at the place where it was held, or else at the one with the least slip.
+
+    Raises:
+        UnknownAction: if there is no such action.
+        ConfigError: if the object is none.
+        ModelError: if the hand cannot be simulated.
+    """
+    action = library.find(trial.action, trial.elements)
+    options = SimOptions(object=trial.object, object_mass=trial.mass, support="held", carrier="arm")
+    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+    places = Places(simulation, hand, action).find(trial.places)
+    if not places:
+        return TrialResult(trial, False, "the object fits nowhere between the fingers")
+    tried: list[TrialResult] = []
+    for number, place in enumerate(places, 1):
+        simulation.reset()
+        simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
+        headless = HeadlessHand(hand, library, settings, simulation, observers)
+        result = _Run(headless, trial, place, number, watch).result()
+        if result.held:
+            return result
+        tried.append(result)
+    return min(tried, key=lambda result: result.slip)
+
+
+class _Run:
+    """One trial at one place."""
+
+    def __init__(
+        self, headless: HeadlessHand, trial: Trial, place: Place, number: int, watch: Watch | None
+    ) -> None:
+        self._headless, self._trial, self._place = headless, trial, place
+        self._number = number
+        self._watch = watch
+        self._around = headless.simulation.surroundings
+        self._script = CarrierScript(headless)
+        self._peak = 0.0
+
+    def result(self) -> TrialResult:
+        headless, around, trial = self._headless, self._around, self._trial
+        self._approach()
+        goal = Goal(
+            trial.action,
+            trial.elements,
+            intensity=trial.intensity,
+            goal_id=f"trial-{self._number}",
+        )
+        try:
+            outcome = outcome_of(headless.do(goal))
+        except ActionError as error:
+            return self._ended("", str(error), outcome="")
+        headless.wait(_SETTLE)
+        around.release()
+        headless.wait(_SETTLE)
+        self._tell("grasp")
+        forces = tuple(
+            (finger.name, round(float(force), 3))
+            for finger, force in zip(
+                headless.hand.fingers, headless.simulation.contact_forces, strict=True
+            )
+        )
+        start = around.position_in_hand
+        moved = float(np.linalg.norm(start - self._place.pose[:3, 3]))
+        if not around.touching() or moved > _FALLEN + 0.05:
+            return self._ended("it was not grasped", "", outcome, moved, forces)
+        headless.before_tick(self._note_force)
+        self._script.move(2, _LIFT, 1.0)
+        headless.wait(_HOLD)
+        self._tell("lift")
+        reason = self._fallen(start, "while it was lifted")
+        if not reason:
+            self._script.shake(_AMPLITUDE, _FREQUENCY, _CYCLES)
+            headless.wait(_SETTLE)
+            reason = self._fallen(start, "while it was shaken")
+        self._tell("shake")
+        slip = float(np.linalg.norm(around.position_in_hand - start))
+        return self._ended(reason, "", outcome, slip, forces)
+
+    def _approach(self) -> None:
+        """Bring the hand to the object along the free way."""
+        way = self._around.base_pose[:3, :3] @ self._place.way
+        self._script.jump(-way)
+        self._tell("start")
+        if np.any(way):
+            self._script.go(np.zeros(3), 1.0)
+            self._headless.wait(0.2)
+        self._tell("approach")
+
+    def _fallen(self, start: np.ndarray[tuple[int, ...], np.dtype[np.float64]], when: str) -> str:
+        slip = float(np.linalg.norm(self._around.position_in_hand - start))
+        if not self._around.touching() or slip > _FALLEN:
+            return f"it fell {when}"
+        return ""
+
+    def _note_force(self, _: float) -> None:
+        self._peak = max(self._peak, float(self._headless.simulation.contact_forces.max()))
+
+    def _tell(self, moment: str) -> None:
+        if self._watch is not None:
+            self._watch(moment, self._headless)
+
+    def _ended(
+        self,
+        reason: str,
+        refused: str,
+        outcome: str,
+        slip: float = 0.0,
+        forces: tuple[tuple[str, float], ...] = (),
+    ) -> TrialResult:
+        x, y, z = (round(float(v), 5) for v in self._place.pose[:3, 3])
+        return TrialResult(
+            self._trial,
+            not reason and not refused,
+            reason or refused,
+            outcome,
+            round(slip, 6),
+            forces,
+            round(self._peak, 3),
+            round(self._headless.time, 3),
+            self._number,
+            (x, y, z),
+        )
