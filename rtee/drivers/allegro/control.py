@@ -1,4 +1,4 @@
-"""The joint controller of a torque-driven hand: PD about a reference. No I/O, no clock."""
+"""The joint controller of a torque-driven hand: PD about a reference, and a little I. No I/O."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ class JointControl:
     Attributes:
         kp: Stiffness [N·m/rad].
         kd: Damping [N·m·s/rad].
+        ki: Integral gain [N·m/(rad·s)], against friction.
         position: Measured angles [rad].
         velocity: Filtered velocities [rad/s].
         torque: Torques sent last [N·m].
@@ -24,17 +25,29 @@ class JointControl:
     """
 
     def __init__(
-        self, scale: Scale, *, kp: float, kd: float, max_torque: float, smoothing: float
+        self,
+        scale: Scale,
+        *,
+        kp: float,
+        kd: float,
+        max_torque: float,
+        smoothing: float,
+        ki: float = 0.0,
+        most_integral: float = 0.0,
     ) -> None:
         self.scale = scale
         self.kp = kp
         self.kd = kd
+        self.ki = ki
         self.position = [math.nan] * JOINTS
         self.velocity = [0.0] * JOINTS
         self.torque = [0.0] * JOINTS
         self.stamp = -math.inf
         self.sets = 0
         self._smoothing = smoothing
+        self._most_integral = most_integral
+        self._integral = [0.0] * JOINTS
+        self._period = 0.0
         self._most = [min(pwm / scale.pwm_per_torque, max_torque) for pwm in LIMITS_PWM]
         self._limit = list(self._most)
         self._reference: list[float | None] = [None] * JOINTS
@@ -53,6 +66,7 @@ class JointControl:
     def limp(self) -> None:
         """Let every joint go."""
         self._reference = [None] * JOINTS
+        self._integral = [0.0] * JOINTS
 
     def take(self, finger: int, counts: Sequence[int], stamp: float) -> list[list[int]] | None:
         """Take one finger's positions; with the set complete, return the counts of all torques.
@@ -72,6 +86,7 @@ class JointControl:
 
     def _measure(self, measured: list[float], stamp: float) -> None:
         dt = stamp - self.stamp
+        self._period = dt if 0.0 < dt < 0.1 else 0.0
         if 0.0 < dt < 0.1 and self.sets:
             share = dt / (dt + self._smoothing)
             for i, angle in enumerate(measured):
@@ -89,7 +104,11 @@ class JointControl:
             torque = 0.0
             if reference is not None:
                 error = reference - self.position[i]
+                bound = self._most_integral
+                self._integral[i] += self.ki * error * self._period
+                self._integral[i] = min(max(self._integral[i], -bound), bound)
                 torque = self.kp * error + self.kd * (self._rate[i] - self.velocity[i])
+                torque += self._integral[i]
                 torque = min(max(torque, -self._limit[i]), self._limit[i])
             self.torque[i] = torque
             counts.append(int(torque * self.scale.pwm_per_torque))

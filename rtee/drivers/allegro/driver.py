@@ -84,7 +84,7 @@ class AllegroDriver(Driver):
             accepts=frozenset({"position", "max_effort"}),
             best_rate=1000.0 / self._period(self.options.version or 4),
             recoverable=True,
-            gains=("kp", "kd"),
+            gains=("kp", "ki", "kd"),
         )
 
     def _controller(self, version: int) -> JointControl:
@@ -93,6 +93,8 @@ class AllegroDriver(Driver):
             SCALES[version],
             kp=options.kp,
             kd=options.kd,
+            ki=options.ki,
+            most_integral=options.max_integral,
             max_torque=options.max_torque,
             smoothing=options.smoothing,
         )
@@ -306,8 +308,9 @@ class AllegroDriver(Driver):
             )
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Change stiffness ``kp`` [N·m/rad] and damping ``kd`` [N·m·s/rad]."""
+        """Change stiffness ``kp`` [N·m/rad], damping ``kd`` [N·m·s/rad] and integral ``ki``."""
         self.control.kp = max(0.0, gains.get("kp", self.control.kp))
+        self.control.ki = max(0.0, gains.get("ki", self.control.ki))
         self.control.kd = max(0.0, gains.get("kd", self.control.kd))
 
     async def stop(self) -> None:

@@ -26,6 +26,8 @@ class AllegroOptions(DeviceOptions):
         period: Period of the hand's position frames [ms]; by default 3 (version 4) or 2 (5).
         kp: Stiffness of the joints [N·m/rad].
         kd: Damping of the joints [N·m·s/rad].
+        ki: Integral gain of the joints [N·m/(rad·s)], against friction; 0: none.
+        max_integral: Torque that the integral may add [N·m].
         max_torque: Torque not to be exceeded [N·m], besides the hand's own limits.
         smoothing: Time constant of the velocity filter [s].
         info_every: Temperature and faults are asked for every so many exchanges.
@@ -41,6 +43,8 @@ class AllegroOptions(DeviceOptions):
     period: Annotated[int, Field(ge=1, le=50)] | None = None
     kp: NotNegative = 0.6
     kd: NotNegative = 0.03
+    ki: NotNegative = 0.8
+    max_integral: NotNegative = 0.05
     max_torque: Positive = 0.5
     smoothing: Positive = 0.006
     info_every: Annotated[int, Field(ge=1)] = 100

@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 _REFUSED = 0x10000
 _POLL = 0.005
+_PATIENCE = 0.5
+"""Longest time for an exchange that belongs to no cycle [s]."""
 _WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
 """The motors of the public description, counted over its two boards."""
 _BEST_RATE = 1000.0
@@ -158,7 +160,8 @@ class HeriEthercatDriver(Driver):
             for b in range(self._boards)
         ]
         # Slaves behind the hand's boards get nothing from here.
-        inputs = await self._ring.exchange(outputs, self.options.deadline)
+        deadline = self.options.deadline if self._powered else _PATIENCE
+        inputs = await self._ring.exchange(outputs, deadline)
         try:
             self._replies = [Reply.from_bytes(data) for data in inputs[: self._boards]]
         except HeriFrameError as error:

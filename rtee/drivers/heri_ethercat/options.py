@@ -35,6 +35,6 @@ class HeriEthercatOptions(DeviceOptions):
     product: int | None = None
     gains: tuple[Raw, Raw, Raw, Raw, Raw] = (0, 0, 0, 0, 0)
     torque_per_ampere: Positive = TORQUE_PER_AMPERE
-    watchdog: Annotated[float, Field(ge=0.0, le=6.5)] = 0.1
+    watchdog: Annotated[float, Field(ge=0.0, le=6.5)] = 0.25
     order_timeout: Positive = 1.0
     deadline: Positive = 0.02
