@@ -23,6 +23,7 @@ from typing import Any, Self
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
+from rtee.buses.timing import wake_exactly
 from rtee.buses.wire import CanWire, Wire
 from rtee.errors import BusBroken
 
@@ -138,6 +139,7 @@ class Simulation(ABC):
         self.close()
 
     def _run(self) -> None:
+        wake_exactly()
         while self._running:
             due = self._next_due()
             self._turn(None if due is None else max(0.0, due - time.monotonic()))

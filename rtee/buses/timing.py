@@ -12,6 +12,7 @@ import time
 
 _TFD_NONBLOCK = os.O_NONBLOCK
 _TFD_CLOEXEC = getattr(os, "O_CLOEXEC", 0)
+_PR_SET_TIMERSLACK = 29
 _libc = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
 
 
@@ -25,6 +26,12 @@ def silence(baudrate: float | None, bits: float = 11.0) -> float:
     if not baudrate:
         return 0.0
     return max(0.00175, 3.5 * bits / baudrate)
+
+
+def wake_exactly() -> None:
+    """Have the calling thread's timers go off at their time, not up to 50 µs later (Linux)."""
+    if _libc is not None:
+        _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 class Pause:

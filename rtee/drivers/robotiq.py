@@ -14,7 +14,7 @@ ExchangeKind = Literal["auto", "combined", "separate"]
 
 _TRIES = 3
 _REFRESH = 0.005
-"""The grippers refresh their registers every 5 ms."""
+"""Robotiq's grippers refresh their registers every 5 ms."""
 
 
 class Blocks:
@@ -42,6 +42,7 @@ class Blocks:
         kind: ExchangeKind = "auto",
         function: int = READ_HOLDING,
         retries: int = 1,
+        refresh: float = _REFRESH,
     ) -> None:
         self.bus = bus
         self.unit = unit
@@ -52,6 +53,7 @@ class Blocks:
         self._kind = kind
         self._function = function
         self._retries = retries
+        self._refresh = refresh
         self._silent = 0
         self._cached: tuple[tuple[int, ...], float] | None = None
 
@@ -131,4 +133,4 @@ class Blocks:
             once = self.bus.exchange_time(10 + 2 * sent, answer)
         else:
             once = self.bus.exchange_time(6 + 2 * sent, 5) + self.bus.exchange_time(5, answer)
-        return 1.0 / max(once, _REFRESH)
+        return 1.0 / max(once, self._refresh)

@@ -125,6 +125,7 @@ class OnRobot3FGDriver(Driver):
             count=STATUS_COUNT,
             deadline=0.5,
             kind=options.exchange,
+            refresh=0.0,
         )
         best = min(self._blocks.best_rate(4), options.rate if not bus.rtu else math.inf)
         try:
@@ -139,7 +140,7 @@ class OnRobot3FGDriver(Driver):
             raise HandshakeError(self.spec.name, "an OnRobot 3FG", error.message) from error
         self.capabilities = self._abilities(best, identity)
         every = self.spec.every or math.ceil(self.spec.rate / best)
-        self._blocks.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 3.0 / best)
+        self._blocks.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
 
     def _absent(self, what: str) -> NotConnected:
         return NotConnected(
