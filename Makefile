@@ -38,7 +38,9 @@ docs: .venv/.ready
 	$(BIN)/mkdocs build --strict
 
 bench: .venv/.ready
-	$(BIN)/python -m benchmarks
+	for name in extract loop latency log drivers codecs gui simulation; do \
+		$(BIN)/python benchmarks/$$name.py; \
+	done
 
 clean:
 	rm -rf .venv site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

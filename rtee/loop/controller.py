@@ -241,7 +241,7 @@ class Controller:
             measured: What was measured; a position must be finite once it has been.
         """
         self._measured = measured
-        self._seed(measured)
+        self._seed(stamp, measured)
         limiter = self._limiter
         if stamp >= self._thermal_due:
             self._watch_temperature(stamp, measured)
@@ -253,9 +253,10 @@ class Controller:
         if limiter.apply(self._profile.position):
             self._tell_limited(stamp)
 
-    def _seed(self, measured: Measured) -> None:
+    def _seed(self, stamp: float, measured: Measured) -> None:
         """Stand where the hand is, wherever nobody may move it or it has just been allowed."""
         start: dict[int, float] = {}
+        allowed: list[int] = []
         for i, active in enumerate(self.active):
             position = measured.position[i]
             if active and i not in self._seeding:
@@ -263,10 +264,14 @@ class Controller:
             if math.isfinite(position) and (active or position != self._limiter.position[i]):
                 start[i] = position
                 self._seeding.discard(i)
+                if active:
+                    allowed.append(i)
         if start:
             self._profile.seed(start)
             for i, position in start.items():
                 self._limiter.seed(i, position)
+        if allowed:  # a goal may have come between the permission and this tick
+            self._executor.seeded(allowed, stamp, measured)
 
     def _settle(self, stamp: float, measured: Measured) -> None:
         profile = self._profile

@@ -134,6 +134,16 @@ class Executor:
         elif stamp - run.told >= 1.0 / self._settings.feedback_rate:
             self._tell(run, stamp)
 
+    def seeded(self, indices: Collection[int], stamp: float, measured: Measured) -> None:
+        """Set out anew if the reference of actuators under way was put where the hand is."""
+        run = self._run
+        if (
+            run is not None
+            and run.phase is Phase.MOVING
+            and not run.plan.involved.isdisjoint(indices)
+        ):
+            self._set_out(run, stamp, measured)
+
     def end(
         self,
         stamp: float,

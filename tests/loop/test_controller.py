@@ -1,0 +1,35 @@
+"""The pure controller: what comes between two ticks is never lost."""
+
+from __future__ import annotations
+
+import math
+
+from rtee.actions.library import ActionLibrary
+from rtee.hand.model import Hand
+from rtee.loop.contact import Measured
+from rtee.loop.controller import Controller
+from rtee.loop.plan import make_plan
+from rtee.loop.settings import LoopSettings
+from rtee.types import Command, Goal, Result
+
+START = 0.1
+
+
+def test_a_goal_between_permission_and_tick_starts_where_the_hand_is(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    settings = LoopSettings(rate=100.0)
+    controller = Controller(hand, settings)
+    n = len(hand.actuators)
+    controller.apply(Command("active", values=dict.fromkeys(hand.actuator_names, 1.0)))
+    controller.take(make_plan(Goal("Trig", ("index",)), hand, library, settings), 0.0)
+    position = [START] * n
+    unmeasured = [math.nan] * n
+    for tick in range(500):
+        measured = Measured(position, unmeasured, unmeasured, [True] * n, [-1] * n)
+        controller.step(tick * settings.period, measured)
+        if tick == 0:
+            assert max(abs(p - START) for p in controller.reference_position) < 0.01
+        position = list(controller.reference_position)
+    results = [item for item in controller.outbox.items if isinstance(item, Result)]
+    assert [result.reached for result in results] == [True]
