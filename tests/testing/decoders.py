@@ -6,12 +6,21 @@ import struct
 from collections.abc import Callable
 
 from rtee.buses.modbus_frames import RtuRequests, TcpRequests, find_answer, rtu_frame
+from rtee.drivers.allegro import codec as allegro
+from rtee.drivers.cia402 import cia301
+from rtee.drivers.cia402 import codec as cia402
+from rtee.drivers.dynamixel import codec as dynamixel
 from rtee.drivers.dynamixel.codec import InstructionParser, StatusParser
+from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.onrobot_3fg import codec as onrobot
 from rtee.drivers.qb_softhand import codec as qb
+from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
+from rtee.drivers.qb_softhand.parameters import ListParser
 from rtee.drivers.robotiq_2f import codec as two
 from rtee.drivers.robotiq_3f import codec as three
 from rtee.drivers.schunk_svh import codec as svh
+from rtee.drivers.xbot2 import codec as xbot2
+from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.errors import FrameError
 from rtee.testing.fuzz import Decoder
 
@@ -67,6 +76,48 @@ DYNAMIXEL_ANSWERS = [
     bytes.fromhex("FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0"),
 ]
 
+MESSAGES: list[tuple[str, bytes, Callable[[bytes], object], tuple[type[Exception], ...]]] = [
+    ("Allegro positions", bytes(8), allegro.read_counts, (allegro.AllegroFrameError,)),
+    (
+        "Allegro information",
+        bytes.fromhex("00040102002801"),
+        allegro.HandInfo.from_bytes,
+        (allegro.AllegroFrameError,),
+    ),
+    (
+        "CANopen SDO",
+        bytes.fromhex("4B41600040000000"),
+        cia301.Sdo.from_bytes,
+        (cia301.CanopenFrameError,),
+    ),
+    (
+        "CANopen emergency",
+        bytes.fromhex("3081110000000000"),
+        cia301.Emergency.from_bytes,
+        (cia301.CanopenFrameError,),
+    ),
+    (
+        "CiA 402 status",
+        bytes.fromhex("3712DA03000008"),
+        cia402.Status.from_bytes,
+        (cia301.CanopenFrameError,),
+    ),
+    (
+        "XBot2 state",
+        xbot2.State(1, ("a", "b"), (0.5, 1.0), (0.0, 0.0), (0.0, 0.0), ()).to_bytes((0.0, 0.0), 1),
+        xbot2.State.from_bytes,
+        (XBot2FrameError,),
+    ),
+    (
+        "XBot2 command",
+        xbot2.Command(("a",), (0.5,), (), (xbot2.Control.POSITION,)).to_bytes(),
+        xbot2.Command.from_bytes,
+        (XBot2FrameError,),
+    ),
+    ("HERI II command", bytes(32), heri.Command.from_bytes, (heri.HeriFrameError,)),
+    ("HERI II reply", bytes(38), heri.Reply.from_bytes, (heri.HeriFrameError,)),
+]
+
 DECODERS = [
     Decoder("Modbus RTU requests", ROBOTIQ, parser=lambda: RtuRequests(9), prefix=b"\x09"),
     # A length in the garbage may span good frames; a connection begins with none.
@@ -114,5 +165,24 @@ DECODERS = [
         parser=StatusParser,
         prefix=b"\xff\xff\xfd\x00",
         limit=StatusParser.LIMIT,
+    ),
+    Decoder(
+        "Dynamixel fast answer",
+        [dynamixel.fast_status([dynamixel.StatusPacket(i, 0, bytes(10)) for i in range(2)])],
+        decode=lambda data: dynamixel.read_fast_status(data, [10, 10]),
+        errors=(dynamixel.DynamixelFrameError,),
+        prefix=b"\xff\xff\xfd\x00",
+    ),
+    Decoder(
+        "qb parameter list",
+        [b"".join(QbSoftHandEmulator().feed(bytes.fromhex("3A3A01040C00000C"), 0.0))],
+        parser=lambda: ListParser(1),
+        prefix=b"::\1\x0c",
+        limit=ListParser.LIMIT,
+        lost=8,
+    ),
+    *(
+        Decoder(name, [sample], decode=decode, errors=errors)
+        for name, sample, decode, errors in MESSAGES
     ),
 ]
