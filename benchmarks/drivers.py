@@ -9,7 +9,8 @@ turn-around. Beside it stands the limit that the driver computes from its bytes.
 Matrix: at 5 % of each fault of the wire, so many cycles; then the cable pulled and put back, the
 supply cut, the position stuck, another device answering. A cell says how many cycles succeeded, or
 what became of the driver. Beside the faults of the wire a clock of 1 kHz runs in the same event
-loop, as another hand would; its lateness stands in the last lines, and beside it that of the clock alone.
+loop, as another hand would; its lateness stands in the last lines, and beside it that of the clock
+alone.
 """
 
 from __future__ import annotations

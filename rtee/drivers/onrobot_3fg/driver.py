@@ -127,7 +127,9 @@ class OnRobot3FGDriver(Driver):
             kind=options.exchange,
             refresh=0.0,
         )
-        best = min(self._blocks.best_rate(4), options.rate if not bus.rtu else math.inf)
+        best = (
+            self._blocks.best_rate(len(Command(0, 0).to_registers())) if bus.rtu else options.rate
+        )
         try:
             identity = await self._identify(bus)
         except BusTimeout as error:
