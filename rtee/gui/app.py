@@ -24,8 +24,9 @@ _LOOK_AGAIN = 0.5
 _STICKY: Final = """<style>
 .mantine-ScrollArea-content div[style*="overflow: hidden"]:has(.rtee-top) {
   overflow: clip !important; }
-.mantine-ScrollArea-content div[style*="padding-top"] > div:has(.rtee-top) {
-  position: sticky; top: 0; z-index: 10; background: var(--mantine-color-body); }
+.mantine-ScrollArea-content div[style*="padding-top"] > :has(.rtee-top) {
+  position: sticky; top: 0.5em; z-index: 10; background: var(--mantine-color-body);
+  box-shadow: 0 -0.75em 0 var(--mantine-color-body); }
 </style>"""
 
 
@@ -65,11 +66,11 @@ class App:
         )
         server.gui.main_panel.dock_right()
         server.gui.set_panel_label("rtee")
-        self._top = server.gui.add_folder(None, order=-1)
+        self._top = server.gui.add_folder("Hand", order=-1)
         with self._top:
             self._banner = server.gui.add_html("")
             self._hands = server.gui.add_dropdown(
-                "Hand", (hand or "–",), hint="The running hands on this computer"
+                "Shown", (hand or "–",), hint="The hand shown, of those that run on this computer"
             )
         self._say("Looking for a hand …", WARN)
         self._hands.on_update(lambda _: self._bridge.call(self._choose))

@@ -90,4 +90,5 @@ def nice_range(lines: Sequence[FloatArray], least: float) -> tuple[float, float]
     step = 10.0 ** math.floor(math.log10(span))
     step *= next(factor for factor in (0.25, 0.5, 1.0, 2.5) if span <= 4.0 * factor * step)
     low, high = math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step
-    return (low, high) if high - low >= least else (low - step, high + step)
+    lacking = max(0, math.ceil((least - (high - low)) / (2.0 * step) - 1e-9))
+    return low - lacking * step, high + lacking * step

@@ -13,7 +13,9 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
     if len(names) < 2:
         return tuple(names)
     first, last = min(names), max(names)
-    same = next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), 0)
+    same = next(
+        (i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first)
+    )
     length = max(first.rfind(mark, 0, same) for mark in "_-. ") + 1
     short = tuple(name[length:] for name in names)
     return short if all(short) else tuple(names)

@@ -80,7 +80,7 @@ class HandScene:
         middle = 0.5 * (low + high)
         camera = self._server.initial_camera
         camera.look_at = tuple(middle)
-        camera.position = tuple(middle + size * np.array([0.62, 0.54, 0.36]))
+        camera.position = tuple(middle + size * np.array([0.68, 0.59, 0.4]))
         camera.near = 0.01 * size
         self._server.scene.add_grid(
             "/floor",

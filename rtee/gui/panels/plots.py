@@ -22,7 +22,8 @@ _LEAST = {
     "temperature": 5.0,
 }
 _FOLD = 6
-_HEIGHT = 128
+_HEIGHT = 140
+_SETTLE = 6
 _SMALL = "10px system-ui, sans-serif"
 
 
@@ -75,6 +76,7 @@ class PlotsPanel:
         self._plots: dict[str, viser.GuiUplotHandle] = {}
         self._ranges: dict[str, tuple[float, float]] = {}
         self._stale = True
+        self._settle = 0
 
     def _boxes(self, title: str, names: Sequence[str], shown: int) -> list[viser.GuiCheckboxHandle]:
         with self._gui.add_folder(title, expand_by_default=False):
@@ -168,17 +170,17 @@ class PlotsPanel:
             title=f"{name} [{self._units[name]}]",
             scales=self._scales(low, high),
             axes=(
-                uplot.Axis(font=_SMALL, size=22, space=50),
+                uplot.Axis(font=_SMALL, size=28, space=50),
                 uplot.Axis(font=_SMALL, size=44, space=24),
             ),
             legend=uplot.Legend(show=False),
             height=_HEIGHT,
-            padding=(4, 12, 0, 0),
+            padding=(10, 12, 0, 0),
         )
 
-    def _scales(self, low: float, high: float) -> dict[str, uplot.Scale]:
+    def _scales(self, low: float, high: float, beyond: float = 0.0) -> dict[str, uplot.Scale]:
         return {
-            "x": uplot.Scale(time=False, auto=True),
+            "x": uplot.Scale(time=False, range=(-self._window.value - beyond, 0.0)),
             "y": uplot.Scale(range=(low, high)),
         }
 
@@ -196,6 +198,13 @@ class PlotsPanel:
         if self._stale:
             self._stale = False
             self._rebuild()
+            self._settle = _SETTLE
+        if self._settle:
+            self._settle -= 1
+            if not self._settle:
+                # A plot draws no time axis until its scales change once it is in its place.
+                for name, plot in self._plots.items():
+                    plot.scales = self._scales(*self._ranges[name], beyond=1e-9)
         if self._pause.value:
             return
         for name, plot in self._plots.items():

@@ -23,7 +23,6 @@ Opened = Callable[[Playback | None], None]
 
 _NONE = "–"
 _SPEEDS = {"⅒ ×": 0.1, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "10 ×": 10.0}
-_MOST_MARKS = 40
 _REDRAW = 0.1
 
 

@@ -1,0 +1,77 @@
+"""Hands and GUIs in processes of their own, apart from all others on this computer."""
+
+from __future__ import annotations
+
+import os
+import queue
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
+
+
+class Program:
+    """A command of rtee that runs until it is ended."""
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        runtime = folder / "run"
+        runtime.mkdir(mode=0o700, exist_ok=True)
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("RTEE_")}
+        environment["XDG_RUNTIME_DIR"] = str(runtime)
+        self.process = subprocess.Popen(
+            [*COMMAND, *arguments],
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        self._lines: queue.Queue[str] = queue.Queue()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._lines.put(line)
+
+    def line(self, pattern: str, within: float = 40.0) -> re.Match[str]:
+        """Wait for a line of its output."""
+        said: list[str] = []
+        while True:
+            try:
+                said.append(self._lines.get(timeout=within))
+            except queue.Empty:
+                raise AssertionError(f"no '{pattern}' in: {''.join(said)}") from None
+            if found := re.search(pattern, said[-1]):
+                return found
+
+    def kill(self) -> None:
+        """Kill it as a crash would."""
+        self.process.kill()
+        self.process.wait(10)
+
+    def end(self) -> None:
+        """End it in good order."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            try:
+                self.process.wait(20)
+            except subprocess.TimeoutExpired:
+                self.kill()
+        self._thread.join(10)
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+
+def copy_of(repository: Path, folder: Path, hand: str) -> Path:
+    """Copy a hand, so that actions made in a test are stored in the copy."""
+    target = folder / "config" / hand
+    shutil.copytree(repository / "config" / hand, target)
+    return target

@@ -1,0 +1,207 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtee.actions.build import full_posture, generic
+from rtee.actions.types import (
+    ActionKind,
+    ActionReference,
+    Primitive,
+    PrimitiveKind,
+)
+from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
+from rtee.gui.history import LONGEST, POINTS, History, nice_range
+from rtee.gui.labels import short_names
+from rtee.gui.panels.actions import grouped
+from rtee.gui.panels.cards import described, said
+from rtee.gui.panels.choice import options_at
+from rtee.gui.panels.header import device_line
+from rtee.gui.panels.plots import units
+from rtee.gui.panels.recordings import files_in
+from rtee.gui.panels.table import table
+from rtee.hand.load import load_hand
+from rtee.hand.model import Hand
+from rtee.messages.state import State
+from rtee.types import DeviceStatus, Lifecycle, Result
+
+PAIRS = [("index", "thumb"), ("middle", "thumb"), ("index", "middle")]
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("schunk_svh")
+
+
+def _state(stamp: float, value: float, n: int = 2, m: int = 3) -> State:
+    full = np.full(n, value)
+    return State(
+        tick=0,
+        stamp=stamp,
+        wall_ns=0,
+        names=tuple("ab"[:n]),
+        position=full,
+        velocity=full,
+        effort=full,
+        current=full,
+        temperature=full,
+        grasped=np.zeros(n, dtype=np.int8),
+        fresh=np.ones(n, dtype=bool),
+        reference_position=full + 1.0,
+        reference_velocity=full,
+        reference_effort=full,
+        joint_names=tuple("xyz"[:m]),
+        joint_position=np.full(m, value),
+        channels={},
+    )
+
+
+@pytest.mark.parametrize(
+    ("chosen", "offered"),
+    [
+        ([], ("index", "thumb", "middle")),
+        (["index"], ("thumb", "middle")),
+        (["middle"], ("thumb", "index")),
+        (["index", "thumb"], ()),
+        (["ring"], ()),
+    ],
+)
+def test_only_partners_are_offered(chosen: list[str], offered: tuple[str, ...]) -> None:
+    assert options_at(PAIRS, chosen) == offered
+
+
+def test_names_lose_what_all_begin_with() -> None:
+    assert short_names(["left_hand_Pinky", "left_hand_Ring_Finger"]) == ("Pinky", "Ring_Finger")
+    assert short_names(["palm_a", "palm_b", "thumb"]) == ("palm_a", "palm_b", "thumb")
+    assert short_names(["joint_1", "joint_12"]) == ("1", "12")
+    assert short_names(["left_", "left_x"]) == ("left_", "left_x")
+    assert short_names(["alone"]) == ("alone",)
+    assert short_names(["same", "same"]) == ("same", "same")
+
+
+def test_actions_stand_by_kind_and_name(hand: Hand) -> None:
+    posture = full_posture(hand, {hand.actuator_names[1]: 0.1})
+    poke = generic(hand, "poke", {hand.actuator_names[0]: hand.actuators[0].upper})
+    trig = [Primitive(PrimitiveKind.TRIG, (finger,), (posture,)) for finger in ("index", "thumb")]
+    groups = grouped([poke, *trig])
+    assert list(groups) == [(ActionKind.PRIMITIVE, "Trig"), (ActionKind.GENERIC, "poke")]
+    assert groups[ActionKind.PRIMITIVE, "Trig"] == trig
+
+
+def test_a_use_is_described_as_people_write_it() -> None:
+    assert described(ActionReference("Trig", ("thumb",), 0.3)) == "Trig thumb × 0.3"
+    assert described(ActionReference("fist")) == "fist"
+
+
+@pytest.mark.parametrize(
+    ("result", "words"),
+    [
+        (Result("1", "a", reached=True), "reached"),
+        (
+            Result("1", "a", stalled=True, grasped=True, grasped_fingers=("index",)),
+            "grasped with index",
+        ),
+        (Result("1", "a", cancelled=True), "cancelled"),
+        (Result("1", "a", preempted=True), "replaced by another goal"),
+        (Result("1", "a", timed_out=True), "timed out"),
+        (Result("1", "a", stalled=True), "stalled"),
+        (Result("1", "a", aborted=True, reason="the link is lost"), "aborted: the link is lost"),
+    ],
+)
+def test_a_result_is_said_in_words(result: Result, words: str) -> None:
+    assert said(result)[0] == words
+
+
+def test_a_device_line_says_fault_and_hint_and_escapes_them() -> None:
+    status = DeviceStatus(
+        "arm<1>",
+        "schunk_svh",
+        Lifecycle.FAULT,
+        fault_code=7,
+        fault_name="overcurrent",
+        hint="recover it",
+    )
+    line = device_line(status)
+    assert "arm&lt;1&gt;" in line
+    assert "fault 7: overcurrent" in line
+    assert "recover it" in line
+
+
+def test_a_table_escapes_names() -> None:
+    assert "&lt;b&gt;" in table(("name", "n"), [["<b>", "1"]])
+
+
+def test_history_keeps_the_newest_and_thins() -> None:
+    history = History(2, 3, rate=100.0)
+    assert [len(line) for line in history.window("position", (0, 1), 10.0)] == [0, 0, 0]
+    size = history._values["position"].nbytes
+    for i in range(7000):
+        history.add(_state(0.01 * i, float(i)))
+    time, first = history.window("position", (0,), LONGEST)
+    assert POINTS <= len(time) <= 2 * POINTS
+    assert time[-1] <= 0.0
+    assert time[0] >= -LONGEST
+    assert first[0] >= 999.0, "what is older has been overwritten"
+    assert history._values["position"].nbytes == size
+    _, reference = history.window("reference", (1,), 1.0)
+    _, joint = history.window("joint", (2,), 1.0)
+    assert np.array_equal(reference, joint + 1.0)
+
+
+def test_thinning_keeps_the_same_points_as_time_goes_on() -> None:
+    history = History(1, 1, rate=100.0)
+    for i in range(1000):
+        history.add(_state(0.01 * i, float(i), 1, 1))
+    before = set(history.window("position", (0,), 9.0)[1].tolist())
+    history.add(_state(10.0, 1000.0, 1, 1))
+    after = set(history.window("position", (0,), 9.0)[1].tolist())
+    assert len(after - before) <= 1
+
+
+@pytest.mark.parametrize(
+    "values", [[0.0], [0.03, 1.17], [-250.0, 1.0], [1e-9, 2e-9], [36.5, 36.6, np.nan]]
+)
+def test_a_range_holds_its_values_and_is_round(values: list[float]) -> None:
+    low, high = nice_range([np.array(values)], 0.1)
+    known = [v for v in values if np.isfinite(v)]
+    assert low <= min(known)
+    assert high >= max(known)
+    assert high - low >= 0.0999
+    assert high - low <= 3.1 * max(max(known) - min(known), 0.1)
+
+
+def test_a_range_of_nothing_is_still_a_range() -> None:
+    assert nice_range([np.full(3, np.nan)], 0.1) == (0.0, 0.1)
+    assert nice_range([], 5.0) == (0.0, 5.0)
+
+
+def test_units_are_those_of_the_actuators() -> None:
+    assert units("position", slides=False, turns=True) == "rad"
+    assert units("effort", slides=True, turns=False) == "N"
+    assert units("velocity", slides=True, turns=True) == "rad/s | m/s"
+    assert units("temperature", slides=True, turns=True) == "°C"
+
+
+def test_lines_of_one_colour_differ_in_their_dashes() -> None:
+    looks = {(line_colour(i), line_dash(i)) for i in range(28)}
+    assert len(looks) == 28
+
+
+def test_fingers_have_their_colours(hand: Hand) -> None:
+    colours = link_colours(hand)
+    assert set(colours) == set(hand.urdf.links)
+    assert len(set(colours.values())) == len(hand.fingers) + 1
+    assert rgb("#0072b2") == (0, 114, 178)
+    assert ramp(-1.0) == ramp(0.0) != ramp(1.0) == ramp(2.0)
+
+
+def test_only_recordings_of_the_hand_are_offered(tmp_path: Path) -> None:
+    for name in ("svh_20260101T000000000Z_000", "svh_20260102T000000000Z_000"):
+        (tmp_path / f"{name}.mcap").write_bytes(b"")
+    (tmp_path / "other_20260101T000000000Z_000.mcap").write_bytes(b"")
+    (tmp_path / "notes.json").write_text("{}")
+    found = files_in(tmp_path, "svh")
+    assert [name[:12] for name in found] == ["svh_20260102", "svh_20260101"]
+    assert files_in(tmp_path / "nowhere", "svh") == {}
