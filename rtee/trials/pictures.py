@@ -31,7 +31,7 @@ SIZE = (360, 400)
 
 _TABLE_COLOUR = "#c9ccd1"
 _CAPTION = 26
-_REACH = np.array([[0.0, 0.0, -0.12], [0.0, 0.0, 0.15]])
+_REACH = np.array([[0.0, 0.0, -0.03], [0.0, 0.0, 0.04]])
 """Ways of the hand in a trial, from where it starts."""
 
 

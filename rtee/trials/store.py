@@ -19,6 +19,7 @@ FILE_NAME = "trials.yaml"
 def to_document(result: TrialResult) -> dict[str, Any]:
     """Return a result as plain data."""
     trial = result.trial
+    forces = {"forces": dict(result.forces)} if result.forces else {}
     return {
         "action": trial.action,
         "elements": list(trial.elements),
@@ -29,7 +30,7 @@ def to_document(result: TrialResult) -> dict[str, Any]:
         "reason": result.reason,
         "outcome": result.outcome,
         "slip": result.slip,
-        "forces": dict(result.forces),
+        **forces,
         "peak": result.peak,
         "duration": result.duration,
         "places": result.places,
@@ -57,7 +58,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
         str(entry["reason"]),
         str(entry["outcome"]),
         float(entry["slip"]),
-        tuple((str(name), float(force)) for name, force in entry["forces"].items()),
+        tuple((str(name), float(force)) for name, force in entry.get("forces", {}).items()),
         float(entry["peak"]),
         float(entry["duration"]),
         int(entry["places"]),

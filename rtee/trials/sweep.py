@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Primitive
-from rtee.errors import RteeError
+from rtee.errors import ConfigError, RteeError
 from rtee.hand.config import HandConfig
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
@@ -149,20 +151,17 @@ def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Iterat
     Raises:
         ConfigError: if Dask is missing or the scheduler does not answer.
     """
-    from rtee.errors import ConfigError
-
     try:
-        from distributed import Client
-        from distributed import as_completed as finished
+        distributed: Any = importlib.import_module("distributed")
     except ImportError:
         raise ConfigError(
             "a cluster needs the extra 'sweep'; install it by: pip install 'rtee[sweep]'"
         ) from None
     try:
-        client = Client(address, timeout=10)
+        client = distributed.Client(address, timeout=10)
     except (OSError, ValueError) as error:
         raise ConfigError(f"no Dask scheduler answers at '{address}': {error}") from error
     with client:
         futures = [client.submit(attempt, name, trial, pure=False) for trial in trials]
-        for future in finished(futures):
+        for future in distributed.as_completed(futures):
             yield future.result()

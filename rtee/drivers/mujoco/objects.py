@@ -153,7 +153,11 @@ def add_object(
 
 def _geom(body: mujoco.MjsBody, name: str, mass: float, friction: float) -> mujoco.MjsGeom:
     return body.add_geom(
-        name=name, mass=mass, friction=[friction, 0.01, 1e-3], condim=4, rgba=[0.90, 0.62, 0.0, 1.0]
+        name=name,
+        mass=mass,
+        friction=[friction, 0.01, 1e-3],
+        condim=4,
+        rgba=[0.74, 0.60, 0.44, 1.0],
     )
 
 
@@ -185,4 +189,4 @@ def _add_drill(body: mujoco.MjsBody, mass: float, friction: float) -> None:
     plate = _geom(trigger, TRIGGER, 0.05 * mass, friction)
     plate.type = mujoco.mjtGeom.mjGEOM_BOX
     plate.size = [0.5 * value for value in _PLATE]
-    plate.rgba = [0.84, 0.37, 0.0, 1.0]
+    plate.rgba = [0.75, 0.15, 0.12, 1.0]

@@ -1,0 +1,183 @@
+"""What a good grasp holds is held, what no grasp can hold is lost, and the places make sense."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("mujoco")
+
+from rtee.cli.try_ import app
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.errors import ConfigError, UnknownAction
+from rtee.trials.place import Places
+from rtee.trials.recorded import recorder_for
+from rtee.trials.store import from_document, read_results, to_document, write_results
+from rtee.trials.sweep import (
+    all_trials,
+    attempt,
+    bench,
+    fingerprint,
+    sweep,
+    sweep_on_cluster,
+)
+from rtee.trials.trial import Trial, TrialResult, run_trial
+
+GRIPPER = "robotiq_2f_85"
+BALL = Trial("Grasp", object="sphere:0.03")
+
+
+@pytest.fixture(scope="module")
+def held() -> TrialResult:
+    ready = bench(GRIPPER)
+    return run_trial(ready.hand, ready.library, ready.settings, BALL)
+
+
+def test_a_gripper_holds_a_ball(held: TrialResult) -> None:
+    assert held.held, held.reason
+    assert held.outcome == "grasped"
+    assert held.slip < 0.01
+    assert dict(held.forces)["finger_1"] == pytest.approx(dict(held.forces)["finger_2"], rel=0.1)
+    assert held.peak >= max(force for _, force in held.forces) * 0.9
+
+
+def test_the_same_trial_gives_the_same_result(held: TrialResult) -> None:
+    ready = bench(GRIPPER)
+    assert run_trial(ready.hand, ready.library, ready.settings, BALL) == held
+
+
+def test_what_is_wider_than_the_gripper_is_not_held() -> None:
+    result = attempt(GRIPPER, Trial("Grasp", object="sphere:0.06"))
+    assert not result.held
+    assert result.reason
+
+
+def test_without_closing_it_falls() -> None:
+    result = attempt(GRIPPER, Trial("Grasp", object="sphere:0.03", intensity=0.0, places=1))
+    assert not result.held
+    assert result.reason == "it was not grasped"
+
+
+def test_an_unknown_action_is_refused() -> None:
+    ready = bench(GRIPPER)
+    with pytest.raises(UnknownAction):
+        run_trial(ready.hand, ready.library, ready.settings, Trial("Wave"))
+
+
+@pytest.mark.parametrize("shape", ["sphere:0.015", "box:0.03x0.03x0.08", "cylinder:0.02x0.1"])
+def test_places_are_free_and_between_the_fingertips(shape: str) -> None:
+    ready = bench("schunk_svh")
+    options = SimOptions(object=shape, carrier="arm")
+    names = ready.hand.actuator_names
+    simulation = make_simulation(ready.hand, options, names, 0.004)
+    before = simulation.data.qpos.tobytes()
+    action = ready.library.find("PinchTight", ("thumb", "index"))
+    places = Places(simulation, ready.hand, action).find(2)
+    assert simulation.data.qpos.tobytes() == before
+    assert places
+    evidence = action.evidence[0]
+    for place in places:
+        assert 0.0 < place.intensity <= 1.0
+        assert np.linalg.norm(place.pose[:3, 3] - np.array(evidence.point)) < 0.08
+        assert place.pose[:3, :3] @ place.pose[:3, :3].T == pytest.approx(np.eye(3))
+
+
+def test_results_are_kept_as_they_are(tmp_path: Path, held: TrialResult) -> None:
+    path = tmp_path / "trials.yaml"
+    lost = TrialResult(Trial("Trig", ("no",), "drill"), False, 'it "fell": 3')
+    write_results(path, "abc", [lost, held])
+    text = path.read_text()
+    assert read_results(path, "abc") == {held.trial.key: held, lost.trial.key: lost}
+    assert read_results(path, "other") == {}
+    write_results(path, "abc", [held, lost])
+    assert path.read_text() == text
+    assert from_document(json.loads(json.dumps(to_document(held)))) == held
+
+
+def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "trials.yaml"
+    path.write_text("trials: 3\n")
+    with pytest.raises(ConfigError, match="no results of trials"):
+        read_results(path)
+
+
+def test_the_fingerprint_follows_the_files(tmp_path: Path) -> None:
+    (tmp_path / "hand.yaml").write_text("name: a\n")
+    first = fingerprint(tmp_path)
+    assert fingerprint(tmp_path) == first
+    (tmp_path / "hand.yaml").write_text("name: b\n")
+    assert fingerprint(tmp_path) != first
+
+
+def test_a_sweep_of_two_processes_equals_single_trials(held: TrialResult) -> None:
+    small = Trial("Grasp", object="sphere:0.02")
+    found = {result.trial: result for result in sweep(GRIPPER, [BALL, small], jobs=2)}
+    assert found[BALL] == held
+    assert found[small] == attempt(GRIPPER, small)
+
+
+def test_a_cluster_of_two_workers_gives_the_same_results(held: TrialResult) -> None:
+    distributed = pytest.importorskip("distributed")
+    small = Trial("Grasp", object="sphere:0.02")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        coming = sweep_on_cluster(GRIPPER, [BALL, small], cluster.scheduler_address)
+        found = {result.trial: result for result in coming}
+    assert found == {BALL: held, small: attempt(GRIPPER, small)}
+
+
+def test_all_actions_meet_all_objects() -> None:
+    library = bench(GRIPPER).library
+    trials = all_trials(library, ["sphere:0.02", "drill"])
+    assert len(trials) == 2 * len(library)
+    assert len({trial.key for trial in trials}) == len(trials)
+
+
+def test_a_trial_is_recorded_and_pictured(tmp_path: Path) -> None:
+    pytest.importorskip("embreex")
+    from PIL import Image
+
+    from rtee.log import read
+
+    command = [GRIPPER, "Grasp", "--object", "sphere:0.03"]
+    command += ["--pictures", str(tmp_path / "p"), "--log", str(tmp_path / "l"), "--json"]
+    outcome = CliRunner().invoke(app, command)
+    assert outcome.exit_code == 0, outcome.output
+    assert json.loads(outcome.stdout)["held"]
+    with Image.open(next((tmp_path / "p").glob("*.png"))) as strip:
+        assert strip.width > 4 * strip.height
+        assert len(strip.convert("RGB").getcolors(1 << 24)) > 100
+    recording = read(next((tmp_path / "l").glob("*.mcap")))
+    assert recording.finished
+    assert [span.outcome for span in recording.spans] == ["grasped"]
+    assert any("contact_force" in name for name in recording.channels)
+
+
+def test_a_lost_object_is_exit_status_1() -> None:
+    outcome = CliRunner().invoke(app, [GRIPPER, "Grasp", "--object", "sphere:0.06"])
+    assert outcome.exit_code == 1
+    assert "lost" in outcome.stdout
+
+
+def test_all_resumes_what_is_known(tmp_path: Path) -> None:
+    path = tmp_path / "trials.yaml"
+    ready = bench(GRIPPER)
+    known = [TrialResult(trial, True) for trial in all_trials(ready.library, ["sphere:0.02"])]
+    write_results(path, fingerprint(ready.folder), known)
+    command = [GRIPPER, "--all", "--object", "sphere:0.02", "--out", str(path)]
+    outcome = CliRunner().invoke(app, command)
+    assert outcome.exit_code == 0, outcome.output
+    assert read_results(path) == {result.trial.key: result for result in known}
+
+
+def test_the_recorder_drops_nothing(tmp_path: Path) -> None:
+    ready = bench(GRIPPER)
+    with recorder_for(ready, tmp_path) as recorder:
+        run_trial(ready.hand, ready.library, ready.settings, BALL, observers=[recorder])
+    assert recorder.dropped == 0
