@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import signal
 import sys
-import threading
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, AsyncExitStack, nullcontext
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,10 +23,10 @@ from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings
 from rtee.loop.clock import Clock
 from rtee.loop.configure import DeviceChoice, device_settings, loop_settings, realtime_settings
+from rtee.loop.ending import Signals, companion, receive_signals, wait_for_end
 from rtee.loop.handloop import HandLoop
-from rtee.loop.observer import Observer
 from rtee.loop.realtime import Collector, set_up, share_the_interpreter
-from rtee.loop.report import Tally, start_line, statistics_line
+from rtee.loop.report import EventLog, Tally, start_line, statistics_line
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings, RealtimeSettings
 from rtee.loop.stopping import bring_to_rest
 from rtee.loop.ticker import drive
@@ -39,10 +37,6 @@ log = logging.getLogger(__name__)
 
 CONNECT_WITHIN = 3.0
 """The hands start to tick after this time [s], even if a device is still connecting or homing."""
-
-_SIGNALS = [
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +188,7 @@ async def run_hands(
     realtime = _realtime(prepared, options)
     collector = Collector()
     async with AsyncExitStack() as stack:
-        signals = stack.enter_context(_signals())
+        signals = stack.enter_context(receive_signals())
         trace = _Trace()
         pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
         running = [await _open(hand, pool, options, stack, trace) for hand in prepared]
@@ -256,7 +250,7 @@ async def _open(
     trace.recorders.append(recorder)
     loop.add_observer(recorder)
     loop.add_observer(tally)
-    loop.add_observer(_EventLog())
+    loop.add_observer(EventLog())
     await stack.enter_async_context(loop)
     return _Running(prepared, loop, recorder, tally)
 
@@ -277,7 +271,7 @@ async def _run(
     options: RunOptions,
     collector: Collector,
     until: anyio.Event,
-    signals: AsyncIterator[signal.Signals] | None,
+    signals: Signals,
 ) -> None:
     clocks: dict[float, list[HandLoop]] = {}
     for one in running:
@@ -288,8 +282,8 @@ async def _run(
             for rate, loops in clocks.items():
                 group.start_soon(drive, loops, Clock(rate), collector.idle)
             for command in options.companions:
-                group.start_soon(_companion, command)
-            reason = await _end(options.duration, until, signals)
+                group.start_soon(companion, command)
+            reason = await wait_for_end(options.duration, until, signals)
             await _rest(running, reason, ticking=True)
             rested = True
             group.cancel_scope.cancel()
@@ -328,64 +322,6 @@ def _failure(error: Exception, running: Sequence[_Running]) -> RteeError:
     if isinstance(error, RteeError):
         return error
     return LoopError(f"the loop failed: {type(error).__name__}: {error}")
-
-
-def _signals() -> AbstractContextManager[AsyncIterator[signal.Signals] | None]:
-    """Receive signals from before the first device is touched; one that comes early is kept."""
-    if threading.current_thread() is not threading.main_thread():
-        return nullcontext()
-    return anyio.open_signal_receiver(*_SIGNALS)
-
-
-async def _end(
-    duration: float | None, until: anyio.Event, signals: AsyncIterator[signal.Signals] | None
-) -> str:
-    """Wait for the end; return why it came."""
-    reasons: list[str] = []
-
-    async def after_signal(received: AsyncIterator[signal.Signals]) -> None:
-        async for number in received:
-            reasons.append(f"received {signal.Signals(number).name}")
-            until.set()
-
-    async def after_duration(seconds: float) -> None:
-        await anyio.sleep(seconds)
-        reasons.append(f"ran for {seconds:g} s")
-        until.set()
-
-    async with anyio.create_task_group() as group:
-        if signals is not None:
-            group.start_soon(after_signal, signals)
-        if duration is not None:
-            group.start_soon(after_duration, duration)
-        await until.wait()
-        group.cancel_scope.cancel()
-    return reasons[0] if reasons else "the run ended"
-
-
-async def _companion(command: Sequence[str]) -> None:
-    """Run a program beside, until it ends or we do."""
-    try:
-        process = await anyio.open_process(command, stdin=None, stdout=None, stderr=None)
-    except OSError as error:
-        log.error("%s cannot be started: %s", command[0], error)
-        return
-    try:
-        await process.wait()
-    finally:
-        if process.returncode is None:
-            process.terminate()
-        with anyio.CancelScope(shield=True):
-            await process.aclose()
-
-
-class _EventLog(Observer):
-    """Writes events to Python's log, so that they are seen where the run was started."""
-
-    def on_event(self, event: Event) -> None:
-        """Log it."""
-        level = {"warning": logging.WARNING, "error": logging.ERROR}
-        log.log(level.get(event.severity, logging.INFO), "%s", event.text)
 
 
 class _Trace:

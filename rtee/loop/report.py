@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Sequence
 
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
-from rtee.types import DeviceStatus, Lifecycle, LoopStatistics, Result
+from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, Result
+
+log = logging.getLogger(__name__)
 
 
 class Tally(Observer):
@@ -83,3 +86,12 @@ def statistics_line(statistics: LoopStatistics, names: Sequence[str]) -> str:
         f" busy p50 {micro(s.busy_p50)}, p99 {micro(s.busy_p99)}, max {micro(s.busy_max)} µs"
         f"{dropped}"
     )
+
+
+class EventLog(Observer):
+    """Writes events to Python's log, so that they are seen where the run was started."""
+
+    def on_event(self, event: Event) -> None:
+        """Log it."""
+        level = {"warning": logging.WARNING, "error": logging.ERROR}
+        log.log(level.get(event.severity, logging.INFO), "%s", event.text)

@@ -1,0 +1,74 @@
+"""What ends a run, and programs that run beside it as long."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from collections.abc import AsyncIterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+
+import anyio
+
+log = logging.getLogger(__name__)
+
+_SIGNALS = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
+
+
+Signals = AsyncIterator[signal.Signals] | None
+"""Signals as they come; ``None`` outside of the main thread, which alone gets them."""
+
+
+def receive_signals() -> AbstractContextManager[Signals]:
+    """Receive the signals that end a run; one that comes before anybody waits for it is kept."""
+    if threading.current_thread() is not threading.main_thread():
+        return nullcontext()
+    return anyio.open_signal_receiver(*_SIGNALS)
+
+
+async def wait_for_end(duration: float | None, until: anyio.Event, signals: Signals) -> str:
+    """Wait for a signal, the end of a duration or an event; return in words what it was.
+
+    Args:
+        duration: How long to wait at most [s]; ``None``: without end.
+        until: Ends the wait when it is set; is set in any case.
+        signals: The signals received.
+    """
+    reasons: list[str] = []
+
+    async def after_signal(received: AsyncIterator[signal.Signals]) -> None:
+        async for number in received:
+            reasons.append(f"received {signal.Signals(number).name}")
+            until.set()
+
+    async def after_duration(seconds: float) -> None:
+        await anyio.sleep(seconds)
+        reasons.append(f"ran for {seconds:g} s")
+        until.set()
+
+    async with anyio.create_task_group() as group:
+        if signals is not None:
+            group.start_soon(after_signal, signals)
+        if duration is not None:
+            group.start_soon(after_duration, duration)
+        await until.wait()
+        group.cancel_scope.cancel()
+    return reasons[0] if reasons else "the run ended"
+
+
+async def companion(command: Sequence[str]) -> None:
+    """Run a program beside, until it ends or this is cancelled; then it is told to end."""
+    try:
+        process = await anyio.open_process(command, stdin=None, stdout=None, stderr=None)
+    except OSError as error:
+        log.error("%s cannot be started: %s", command[0], error)
+        return
+    try:
+        await process.wait()
+    finally:
+        if process.returncode is None:
+            process.terminate()
+        with anyio.CancelScope(shield=True):
+            await process.aclose()
