@@ -19,10 +19,10 @@ from rtee.types import Command, Event, Goal, Reference, Result
 log = logging.getLogger(__name__)
 
 ITSELF = "rtee"
+"""The client of goals that the loop gives itself."""
 
 HOLDING_EFFORT = "holding_effort"
 """The gain of the hand itself: the effort kept on what is held."""
-"""The client of goals that the loop gives itself."""
 
 
 class HandLoop(HandTicks):
