@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtee.actions.library import ActionLibrary
-from rtee.actions.types import Composed, Primitive, Timed
+from rtee.actions.types import Composed, Generic, Primitive, Timed
 from rtee.drivers.registry import find_driver
 from rtee.hand.config import HandConfig, read_config
 from rtee.hand.load import load_hand
@@ -17,7 +17,8 @@ from rtee.hand.model import Hand, JointRole
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CONFIG = REPOSITORY / "config"
-HANDS = (
+HANDS = tuple(sorted(path.parent.name for path in CONFIG.glob("*/hand.yaml")))
+PAPERS = {
     "dagana",
     "heri_ii",
     "onrobot_3fg15",
@@ -26,7 +27,7 @@ HANDS = (
     "robotiq_2f_85",
     "robotiq_3f",
     "schunk_svh",
-)
+}
 
 
 @pytest.fixture(params=HANDS)
@@ -49,8 +50,8 @@ def library(name: str, hand: Hand) -> ActionLibrary:
     return ActionLibrary.load(hand, CONFIG / name / "actions")
 
 
-def test_the_list_is_complete() -> None:
-    assert tuple(sorted(path.parent.name for path in CONFIG.glob("*/hand.yaml"))) == HANDS
+def test_the_papers_hands_are_there() -> None:
+    assert set(HANDS) >= PAPERS
 
 
 def test_it_has_its_names(name: str, hand: Hand, config: HandConfig) -> None:
@@ -146,7 +147,7 @@ def test_its_devices_have_drivers_and_options_they_know(config: HandConfig) -> N
 
 def test_its_actions_load(library: ActionLibrary) -> None:
     assert any(isinstance(action, Primitive) for action in library.all())
-    assert isinstance(library.find("Grasp"), Composed)
+    assert isinstance(library.find("Grasp"), Composed | Generic)
 
 
 def test_actions_say_what_they_are_for(library: ActionLibrary) -> None:
