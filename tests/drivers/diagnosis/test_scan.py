@@ -44,7 +44,7 @@ async def test_a_device_on_a_line_is_found_with_its_options(
     name: str, properties: dict[str, object], what: str
 ) -> None:
     with SimulatedLine([device(name, **properties)], wire_time=False) as line:
-        found = await scanned(line)
+        found = await scanned(line, units=[9, 12, 66])
     assert [one.driver for one in found.found] == [name]
     assert found.found[0].what.startswith(what)
     assert found.found[0].options["port"]
@@ -53,7 +53,7 @@ async def test_a_device_on_a_line_is_found_with_its_options(
 async def test_two_slaves_on_a_line_are_both_found() -> None:
     both = [device("robotiq_2f", unit=9), device("robotiq_2f", unit=10)]
     with SimulatedLine(both, wire_time=False) as line:
-        found = await scanned(line)
+        found = await scanned(line, units=[9, 10])
     assert [one.options["unit"] for one in found.found] == [9, 10]
 
 

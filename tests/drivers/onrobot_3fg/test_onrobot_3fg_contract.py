@@ -1,4 +1,4 @@
-"""The 3FG passes the suite of all drivers, through the Compute Box and directly."""
+"""The 3FG passes the suite of all drivers, and what is special about it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from rtee.buses.faults import Faults
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.onrobot_3fg.codec import Scale
 from rtee.errors import HandshakeError, NotConnected
@@ -24,7 +25,7 @@ def with_an_object(emulator: Any) -> list[float]:
 TCP = DeviceCase(
     driver="onrobot_3fg",
     actuators=(actuator("robot_onrobot_3fg15_finger_joint1", 0.0, 2.9, effort=10.0),),
-    options={"host": "192.0.2.1", "emulator": {"haste": 4.0}, "settle": 0.02},
+    options={"host": "192.0.2.1", "emulator": {"haste": 8.0}, "settle": 0.02},
     hold=lambda emulator: emulator.hold(),
     commands=lambda emulator: emulator.moves,
     efforts=with_an_object,
@@ -32,18 +33,12 @@ TCP = DeviceCase(
     fault="calibration_lost",
     homes=False,
     checksums=False,
-    cycles=cycles(200),
+    cycles=cycles(100),
 )
 
 
 class TestThroughTheComputeBox(DriverContract):
     case = TCP
-
-
-class TestDirectly(DriverContract):
-    case = replace(
-        TCP, options={**TCP.options, "port": "/dev/ttyUSB0"}, checksums=True, cycles=cycles(100)
-    )
 
 
 pytestmark = pytest.mark.anyio
@@ -96,6 +91,22 @@ async def test_an_internal_grip_opens_into_its_object() -> None:
         session.emulator.axis.obstacle = VirtualObject(0.100, 1e5, closing=1.0)
         state = await gripped(session, 0.2)
         assert float(state.position[0]) == pytest.approx(SCALE.position(0.100), abs=0.08)
+
+
+@pytest.mark.parametrize("exchange", ["auto", "separate"])
+async def test_a_direct_line_works_too(exchange: str) -> None:
+    options = {**TCP.options, "port": "/dev/ttyUSB0", "exchange": exchange}
+    async with Session(replace(TCP, options=options)) as session:
+        await session.start()
+        session.wire.faults = Faults(
+            drop=0.05, corrupt=0.05, delay=0.05, split=0.05, noise=0.05, delay_time=0.003
+        )
+        for _ in range(60):
+            state = await session.cycle(Reference.at([1.5]))
+            assert state is None or -0.1 <= float(state.position[0]) <= 3.0
+        session.wire.faults = Faults()
+        assert session.near(await session.reach([0.7]), [0.7])
+        assert session.driver.capabilities.best_rate > 130.0
 
 
 async def test_no_tool_behind_the_box_is_named() -> None:

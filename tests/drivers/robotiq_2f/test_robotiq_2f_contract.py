@@ -30,14 +30,14 @@ RTU = DeviceCase(
     options={
         "port": "/dev/ttyUSB0",
         "home": "on_connect",
-        "emulator": {"haste": 4.0, "activation_time": 0.1},
+        "emulator": {"haste": 8.0, "activation_time": 0.2},
     },
     hold=lambda emulator: emulator.hold(),
     commands=lambda emulator: emulator.moves,
     efforts=begun_with,
     max_efforts=[12.0],
     fault="overcurrent",
-    cycles=cycles(200),
+    cycles=cycles(100),
 )
 
 

@@ -29,14 +29,14 @@ CASE = DeviceCase(
     options={
         "port": "/dev/ttyUSB0",
         "home": "on_connect",
-        "emulator": {"activation_time": 0.2, "haste": 4.0},
+        "emulator": {"activation_time": 0.2, "haste": 8.0},
     },
     hold=lambda emulator: emulator.hold(),
     commands=lambda emulator: emulator.moves,
     efforts=efforts,
     max_efforts=[5.0, 12.0],
     fault="mode_change_failed",
-    cycles=cycles(200),
+    cycles=cycles(100),
 )
 
 
