@@ -91,7 +91,7 @@ def picture_of(hand: str, action: str, folder: Path) -> None:
             with browser(width, height) as context:
                 page = context.pages[0]
                 page.goto(gui[1])
-                page.get_by_role("button", name="Do", exact=True).first.wait_for()
+                page.get_by_text("Primitives", exact=True).wait_for()
                 page.wait_for_timeout(3000)
                 page.locator(".mantine-Notification-closeButton").first.click()
                 act(page, action)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+import numpy as np
 import viser
 from viser import uplot
 
@@ -23,7 +24,6 @@ _LEAST = {
 }
 _FOLD = 6
 _HEIGHT = 140
-_SETTLE = 6
 _SMALL = "10px system-ui, sans-serif"
 
 
@@ -76,7 +76,6 @@ class PlotsPanel:
         self._plots: dict[str, viser.GuiUplotHandle] = {}
         self._ranges: dict[str, tuple[float, float]] = {}
         self._stale = True
-        self._settle = 0
 
     def _boxes(self, title: str, names: Sequence[str], shown: int) -> list[viser.GuiCheckboxHandle]:
         with self._gui.add_folder(title, expand_by_default=False):
@@ -133,7 +132,7 @@ class PlotsPanel:
             f"{escape(name)}</span>"
             for name, colour, dash in said
         )
-        hint = "thin: reference" if columns else "choose actuators below"
+        hint = "thin:&nbsp;reference" if columns else "choose actuators below"
         return (
             f'<div style="font-size:0.75em;line-height:1.5;padding:0.4em 0.75em 0">{items}'
             f'<span style="color:#7a7f87">{hint}</span></div>'
@@ -164,23 +163,25 @@ class PlotsPanel:
                 add(len(self._names) + index, self._joints[index], 1.25)
         data = self._data(name)
         low, high = self._ranges[name] = nice_range(data[1:], _LEAST[name])
+        # A plot that begins without its whole time never gets a time axis.
+        begin = np.array([-float(self._window.value), 0.0])
         return self._gui.add_uplot(
-            data,
+            (begin, *(np.zeros(2) for _ in data[1:])),
             tuple(series),
             title=f"{name} [{self._units[name]}]",
             scales=self._scales(low, high),
             axes=(
                 uplot.Axis(font=_SMALL, size=28, space=50),
-                uplot.Axis(font=_SMALL, size=44, space=24),
+                uplot.Axis(font=_SMALL, size=48, space=24),
             ),
             legend=uplot.Legend(show=False),
             height=_HEIGHT,
             padding=(10, 12, 0, 0),
         )
 
-    def _scales(self, low: float, high: float, beyond: float = 0.0) -> dict[str, uplot.Scale]:
+    def _scales(self, low: float, high: float) -> dict[str, uplot.Scale]:
         return {
-            "x": uplot.Scale(time=False, range=(-self._window.value - beyond, 0.0)),
+            "x": uplot.Scale(time=False, range=(-float(self._window.value), 0.0)),
             "y": uplot.Scale(range=(low, high)),
         }
 
@@ -198,13 +199,6 @@ class PlotsPanel:
         if self._stale:
             self._stale = False
             self._rebuild()
-            self._settle = _SETTLE
-        if self._settle:
-            self._settle -= 1
-            if not self._settle:
-                # A plot draws no time axis until its scales change once it is in its place.
-                for name, plot in self._plots.items():
-                    plot.scales = self._scales(*self._ranges[name], beyond=1e-9)
         if self._pause.value:
             return
         for name, plot in self._plots.items():
