@@ -22,10 +22,12 @@ def _complete_driver(incomplete: str) -> list[str]:
     return [name for name in ("devices", *driver_names()) if name.startswith(incomplete)]
 
 
-def _companions(gui: bool) -> tuple[tuple[str, ...], ...]:
+def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     if not gui:
         return ()
-    return ((sys.executable, "-c", "from rtee.cli import main; main()", "gui"),)
+    # A hand given by its folder has a name of its own; the GUI then shows the first that runs.
+    shown = [] if Path(hands[0]).exists() else [hands[0]]
+    return ((sys.executable, "-c", "from rtee.cli import main; main()", "gui", *shown),)
 
 
 def _options(values: Sequence[str]) -> dict[str, object]:
@@ -127,7 +129,7 @@ def run(
         record=not no_log,
         duration=duration,
         trace=trace,
-        companions=_companions(gui),
+        companions=_companions(gui, hands),
     )
 
     async def main() -> int:

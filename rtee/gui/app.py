@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 from collections.abc import Iterator
 from html import escape
 from typing import Final
@@ -155,9 +156,11 @@ async def serve(
         port: Port to listen on; the next free one if it is taken.
         endpoint: Where the hand is, if not on this computer.
     """
-    server = viser.ViserServer(host=host, port=port, verbose=False)
+    with contextlib.redirect_stdout(io.StringIO()):  # it has a banner of its own
+        server = viser.ViserServer(host=host, port=port, verbose=False)
     print(f"rtee: GUI at http://{host}:{server.get_port()}", flush=True)  # noqa: T201
     try:
         await App(server, hand, endpoint).run()
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
