@@ -145,8 +145,13 @@ class Simulation(ABC):
             self._turn(None if due is None else max(0.0, due - time.monotonic()))
             with contextlib.suppress(BlockingIOError):
                 os.read(self._wake_out, 4096)
-            while not self._tasks.empty():
-                self._tasks.get()()
+            self._serve()
+        self._serve()
+
+    def _serve(self) -> None:
+        """Do what others asked for between two turns."""
+        while not self._tasks.empty():
+            self._tasks.get()()
 
 
 class SimulatedLine(Simulation):

@@ -55,6 +55,7 @@ class DeviceCase:
         options: The driver's options; they should allow homing on connect, quickly.
         emulator: Name of its emulator where it differs from the driver's.
         rate: Rate of the imagined loop [Hz].
+        deadline: Longest time of one exchange [s]; ``None`` lets the driver decide.
         postures: Two postures to move between [rad | m]; by default a quarter and three quarters
             of the way.
         tolerance: Error at which a posture counts as reached [rad | m].
@@ -77,6 +78,7 @@ class DeviceCase:
     options: Mapping[str, Any] = field(default_factory=dict)
     emulator: str | None = None
     rate: float = 100.0
+    deadline: float | None = None
     postures: tuple[Sequence[float], Sequence[float]] | None = None
     tolerance: float = 0.02
     within: float = 5.0
@@ -100,6 +102,7 @@ class DeviceCase:
             actuators=self.actuators,
             options=self.options,
             rate=self.rate,
+            deadline=self.deadline,
             emulated=True,
             source="contract",
         )

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
+import threading
 from collections.abc import AsyncIterator
 
 import pytest
+import serial
+import serial.rfc2217
 
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
@@ -218,6 +222,89 @@ async def test_a_port_in_use_by_another_program_is_busy() -> None:
             await one.serial(line.address, owner="a")
             with pytest.raises(BusBusy, match="another program"):
                 await other.serial(line.address, owner="b")
+
+
+async def test_a_cancelled_open_leaves_no_file_open() -> None:
+    with SimulatedLine([Echo()]) as line:
+        files = open_files()
+        for turns in range(40):
+            bus = SerialBus(line.address, Line())
+            task = asyncio.create_task(bus.connect())
+            for _ in range(turns % 4):
+                await asyncio.sleep(0)
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            await bus.close()
+        async with asyncio.timeout(5):
+            while open_files() > files:  # noqa: ASYNC110 - files have no event
+                await asyncio.sleep(0.01)
+
+
+@pytest.mark.filterwarnings("ignore:set.* is deprecated:DeprecationWarning")  # pyserial's own
+async def test_a_port_of_another_computer_by_rfc2217() -> None:
+    with SimulatedLine([Echo()], tcp=True) as line, PortServer(line.address) as server:
+        async with BusPool() as pool:
+            bus = await pool.serial(server.address, owner="a")
+            for text in (b"hello", b"again", b"\xff\xff"):
+                found = await bus.transact(frame_of(text), StarParser(), 3.0)
+                assert found == text.upper()
+            server.hang_up()
+            async with asyncio.timeout(10):
+                while bus.connected:  # noqa: ASYNC110 - what breaks a link tells nobody
+                    await asyncio.sleep(0.01)
+            with pytest.raises(BusBroken):
+                await bus.transact(frame_of(b"x"), StarParser(), 0.5)
+
+
+class PortServer:
+    """Offers a port by RFC 2217, as serial servers do, with pyserial's own server side."""
+
+    def __init__(self, port: str) -> None:
+        self._port = serial.serial_for_url(port, 115200, timeout=0.01)
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._peer: socket.socket | None = None
+        self._ended = False
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    @property
+    def address(self) -> str:
+        return f"rfc2217://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def __enter__(self) -> PortServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._ended = True
+        self._thread.join(5)
+        self._server.close()
+        self._port.close()
+
+    def hang_up(self) -> None:
+        self._ended = True
+
+    def _serve(self) -> None:
+        self._server.settimeout(5)
+        peer, _ = self._server.accept()
+        peer.settimeout(0.005)
+        with peer:
+            manager = serial.rfc2217.PortManager(self._port, SocketFile(peer))
+            while not self._ended:
+                data = self._port.read(self._port.in_waiting or 1)
+                if data:
+                    peer.sendall(b"".join(manager.escape(data)))
+                try:
+                    received = peer.recv(1024)
+                except TimeoutError:
+                    continue
+                if not received:
+                    return
+                self._port.write(b"".join(manager.filter(received)))
+
+
+class SocketFile:
+    def __init__(self, peer: socket.socket) -> None:
+        self.write = peer.sendall
 
 
 async def test_the_gap_before_a_request_is_kept() -> None:

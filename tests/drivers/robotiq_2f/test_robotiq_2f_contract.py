@@ -89,6 +89,34 @@ async def test_a_gripper_without_function_23_is_driven_by_16_and_3() -> None:
         assert 23 not in {pdu[0] for pdu in session.emulator.requests[-20:]}
 
 
+async def test_a_slow_network_is_bridged_where_the_deadline_allows_it() -> None:
+    options = {**RTU.options, "port": "socket://192.0.2.1:54321"}
+    async with Session(replace(RTU, options=options, deadline=0.4)) as session:
+        await session.start()
+        session.wire.faults = Faults(delay=1.0, delay_time=0.02)
+        for goal in ([0.6], [0.2]):
+            assert session.near(await session.reach(goal), goal)
+        assert session.driver.counters()["timeouts"] == 0
+
+
+async def test_two_grippers_share_a_line() -> None:
+    second = replace(RTU, options={**RTU.options, "unit": 10})
+    async with BusPool(wire_time=False) as pool:
+        async with (
+            Session(RTU, pool=pool, name="left") as left,
+            Session(second, pool=pool, name="right") as right,
+        ):
+            await left.start()
+            await right.start()
+            assert len(pool.buses) == 1
+            there = await asyncio.gather(left.reach([0.3]), right.reach([0.7]))
+            assert left.near(there[0], [0.3])
+            assert right.near(there[1], [0.7])
+            await left.driver.close()
+            assert right.near(await right.reach([0.5]), [0.5])
+        assert pool.buses == ()
+
+
 async def test_one_exchange_does_a_whole_cycle() -> None:
     async with Session(RTU) as session:
         await session.start()
