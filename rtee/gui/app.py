@@ -44,6 +44,8 @@ class App:
 
     Attributes:
         server: The browser's server.
+        session: The hand that is shown, if one is.
+        said: What the banner says.
     """
 
     def __init__(self, server: viser.ViserServer, hand: str | None, endpoint: str | None) -> None:
@@ -55,6 +57,8 @@ class App:
             endpoint: Where it is, if not on this computer.
         """
         self.server = server
+        self.session: Session | None = None
+        self.said = ""
         self._endpoint = endpoint
         self._wanted = hand
         self._fixed = hand is not None
@@ -74,17 +78,21 @@ class App:
                 "Shown", (hand or "–",), hint="The hand shown, of those that run on this computer"
             )
         self._say("Looking for a hand …", WARN)
-        self._hands.on_update(lambda _: self._bridge.call(self._choose))
+        self._hands.on_update(lambda _: self._bridge.call(self._chosen))
         self._leave: anyio.CancelScope | None = None
 
-    async def _choose(self) -> None:
-        name = str(self._hands.value)
+    async def _chosen(self) -> None:
+        self.choose(str(self._hands.value))
+
+    def choose(self, name: str) -> None:
+        """Show another hand; call it from the event loop."""
         if name not in ("–", self._wanted):
             self._wanted = name
             if self._leave is not None:
                 self._leave.cancel()
 
     def _say(self, text: str, colour: str) -> None:
+        self.said = text
         self._banner.content = (
             f'{_STICKY}<div role="alert" class="rtee-top" style="padding:0.25em 0.75em;'
             f'font-weight:600;color:{colour}">{escape(text)}</div>'
@@ -135,9 +143,11 @@ class App:
             hand = await model_of(remote)
             session = Session(self._bridge, remote, hand, self._top)
             self._say(f"{remote.name}: connected", GOOD)
+            self.session = session
             try:
                 await session.run()
             finally:
+                self.session = None
                 session.remove()
 
 

@@ -10,9 +10,10 @@ import anyio
 import numpy as np
 import viser
 
-from rtee.actions.types import Action, Evidence, Posture
+from rtee.actions.types import Action, ActionKind, Evidence, Posture
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.actions import ActionsPanel
+from rtee.gui.panels.cards import Card
 from rtee.gui.panels.header import Header
 from rtee.gui.panels.making import MakingPanel
 from rtee.gui.panels.plots import PlotsPanel
@@ -86,6 +87,11 @@ class Session:
             self._table = TablePanel(gui, hand)
         self._panel.dock_left()
         self._panel.set_width(_PANEL_WIDTH)
+
+    @property
+    def cards(self) -> dict[tuple[ActionKind, str], Card]:
+        """The cards of the actions by kind and name."""
+        return self._actions.cards
 
     def _show(self, posture: Posture | None, intensity: float, evidence: Evidence | None) -> None:
         if posture is None:

@@ -74,8 +74,6 @@ class ActionsPanel:
                     order=place,
                 )
             self._known[key] = signature
-        for kind, folder in self._folders.items():
-            folder.visible = any(key[0] is kind for key in self._cards)
         self._filter()
         return actions
 
@@ -83,6 +81,10 @@ class ActionsPanel:
         wanted = str(self._search.value).lower().split()
         for card in self._cards.values():
             card.visible = all(word in card.words for word in wanted)
+        for kind, folder in self._folders.items():
+            folder.visible = any(
+                card.visible for key, card in self._cards.items() if key[0] is kind
+            )
 
 
 def _signature(action: Action) -> object:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-import numpy as np
 import viser
 from viser import uplot
 
@@ -163,10 +162,8 @@ class PlotsPanel:
                 add(len(self._names) + index, self._joints[index], 1.25)
         data = self._data(name)
         low, high = self._ranges[name] = nice_range(data[1:], _LEAST[name])
-        # A plot that begins without its whole time never gets a time axis.
-        begin = np.array([-float(self._window.value), 0.0])
         return self._gui.add_uplot(
-            (begin, *(np.zeros(2) for _ in data[1:])),
+            data,
             tuple(series),
             title=f"{name} [{self._units[name]}]",
             scales=self._scales(low, high),
@@ -181,7 +178,7 @@ class PlotsPanel:
 
     def _scales(self, low: float, high: float) -> dict[str, uplot.Scale]:
         return {
-            "x": uplot.Scale(time=False, range=(-float(self._window.value), 0.0)),
+            "x": uplot.Scale(time=False),
             "y": uplot.Scale(range=(low, high)),
         }
 

@@ -1,0 +1,93 @@
+"""The GUI without a browser: its server, its panels and hands that come and go."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import anyio
+import pytest
+import viser
+from remote.serving import make_hand, make_library, serving
+
+import rtee
+from rtee.actions.types import ActionKind
+from rtee.gui.app import App
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep other hands of this computer out."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RTEE_RUNTIME_DIR", raising=False)
+
+
+@pytest.fixture
+def server() -> Iterator[viser.ViserServer]:
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        yield server
+        server.stop()
+
+
+async def shows(app: App, text: str) -> None:
+    """Wait until the banner says something; the test's timeout ends it."""
+    while text not in app.said:  # noqa: ASYNC110
+        await anyio.sleep(0.02)
+
+
+async def has(app: App, kind: ActionKind, name: str, *, there: bool = True) -> None:
+    """Wait until an action has a card, or none."""
+    while app.session is None or ((kind, name) in app.session.cards) is not there:  # noqa: ASYNC110
+        await anyio.sleep(0.02)
+
+
+async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path: Path) -> None:
+    async with anyio.create_task_group() as group:
+        app = App(server, None, None)
+        group.start_soon(app.run)
+        await shows(app, "no hand is running")
+        for name in (f"small{number}" for number in range(10)):
+            hand = make_hand(tmp_path, name)
+            async with serving(hand, make_library(hand)):
+                app.choose(name)
+                await shows(app, f"{name}: connected")
+                await has(app, ActionKind.TIMED, "wave")
+            await shows(app, "Not connected")
+        group.cancel_scope.cancel()
+
+
+async def test_actions_made_elsewhere_come_and_go(
+    server: viser.ViserServer, tmp_path: Path
+) -> None:
+    hand = make_hand(tmp_path)
+    async with (
+        serving(hand, make_library(hand)),
+        rtee.connect("small") as other,
+        anyio.create_task_group() as group,
+    ):
+        app = App(server, "small", None)
+        group.start_soon(app.run)
+        await shows(app, "small: connected")
+        await other.add_generic("nudge", {"push": 0.01})
+        await has(app, ActionKind.GENERIC, "nudge")
+        await other.remove_action("nudge")
+        await has(app, ActionKind.GENERIC, "nudge", there=False)
+        group.cancel_scope.cancel()
+
+
+async def test_every_control_says_what_it_is_for(server: viser.ViserServer, tmp_path: Path) -> None:
+    hand = make_hand(tmp_path)
+    async with serving(hand, make_library(hand)), anyio.create_task_group() as group:
+        app = App(server, "small", None)
+        group.start_soon(app.run)
+        await shows(app, "small: connected")
+        handles = list(server.gui._gui_input_handle_from_uuid.values())
+        group.cancel_scope.cancel()
+    assert len(handles) > 50
+    silent = [handle.label for handle in handles if not handle.hint]
+    assert silent == []
