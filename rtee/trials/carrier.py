@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from rtee.drivers.mujoco.simulation import Simulation
 from rtee.trials.headless import HeadlessHand
 from rtee.types import FloatArray
 
@@ -17,7 +18,7 @@ class CarrierScript:
         at: Where the carrier is told to be ``(6,)``: x, y, z [m], roll, pitch, yaw [rad].
     """
 
-    def __init__(self, headless: HeadlessHand) -> None:
+    def __init__(self, headless: HeadlessHand[Simulation]) -> None:
         self._headless = headless
         self.at: FloatArray = np.zeros(6)
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
-from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import LoopError
 from rtee.hand.model import Hand
 from rtee.loop.contact import Measured
@@ -15,12 +15,45 @@ from rtee.loop.controller import Controller
 from rtee.loop.observer import LoopObserver, TickRecord
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
-from rtee.types import Command, Feedback, FloatArray, Goal, Result
+from rtee.types import BoolArray, Command, Feedback, FloatArray, Goal, Result
 
 _PATIENCE = 120.0
 
 
-class HeadlessHand:
+class Play(Protocol):
+    """What plays the hand: the simulation, or a kinematic stand-in."""
+
+    @property
+    def position(self) -> FloatArray:
+        """Actuator positions ``(n,)`` [rad | m]."""
+
+    @property
+    def velocity(self) -> FloatArray:
+        """Actuator velocities ``(n,)`` [rad/s | m/s]."""
+
+    @property
+    def effort(self) -> FloatArray:
+        """Actuator efforts ``(n,)`` [N·m | N]."""
+
+    @property
+    def contact_forces(self) -> FloatArray:
+        """Contact force on each fingertip ``(fingers,)`` [N]."""
+
+    @property
+    def object_pose(self) -> FloatArray | None:
+        """Pose ``(7,)`` of the object in the world, if there is one."""
+
+    def advance(self) -> None:
+        """Go on by one period."""
+
+    def command(self, position: FloatArray, max_effort: FloatArray, mask: BoolArray) -> None:
+        """Set references and effort limits of the masked actuators."""
+
+
+P = TypeVar("P", bound=Play)
+
+
+class HeadlessHand(Generic[P]):
     """Runs goals on a simulated hand at simulated time.
 
     The controller is the one of the loop and the records are those of the loop, so a recording made
@@ -41,7 +74,7 @@ class HeadlessHand:
         hand: Hand,
         library: ActionLibrary,
         settings: LoopSettings,
-        simulation: Simulation,
+        simulation: P,
         observers: Sequence[LoopObserver] = (),
     ) -> None:
         """Start with every actuator active and standing where it is.

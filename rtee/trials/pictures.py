@@ -172,11 +172,11 @@ def write_strip(path: Path, pictures: Sequence[tuple[str, bytes]]) -> None:
     write_atomically(path, out.getvalue())
 
 
-def trial_camera(hand: Hand) -> Callable[[HeadlessHand], bytes]:
+def trial_camera(hand: Hand) -> Callable[[HeadlessHand[Simulation]], bytes]:
     """Return what takes pictures of a trial; all pictures of one trial show the same section."""
     cameras: list[tuple[Simulation, Camera]] = []
 
-    def take(headless: HeadlessHand) -> bytes:
+    def take(headless: HeadlessHand[Simulation]) -> bytes:
         simulation = headless.simulation
         if not cameras or cameras[-1][0] is not simulation:
             cameras.append((simulation, Camera(simulation, hand, _REACH)))

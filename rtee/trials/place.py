@@ -43,13 +43,15 @@ class Place:
 
 
 def posture_of(hand: Hand, action: Action) -> FloatArray:
-    """Return the actuator positions ``(n,)`` of an action; of a timed one, its widest grasp."""
-    if isinstance(action, Timed):
-        postures = [step.posture for step in action.steps]
-        found = max(postures, key=lambda posture: len(posture.involved))
-    else:
-        found = action.posture
-    return np.array([found.position[name] for name in hand.actuator_names])
+    """Return the actuator positions ``(n,)`` of an action; of a timed one, those at its end."""
+    steps = (
+        [step.posture for step in action.steps] if isinstance(action, Timed) else [action.posture]
+    )
+    found = np.array(hand.rest)
+    for posture in steps:
+        for name in posture.involved:
+            found[hand.actuator_index(name)] = posture.position[name]
+    return found
 
 
 def fingers_of(hand: Hand, action: Action) -> tuple[str, ...]:

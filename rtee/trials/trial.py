@@ -10,6 +10,7 @@ import numpy as np
 from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ActionError
 from rtee.hand.model import Hand
 from rtee.log.recording import outcome_of
@@ -20,7 +21,7 @@ from rtee.trials.headless import HeadlessHand
 from rtee.trials.place import Place, Places
 from rtee.types import Goal
 
-Watch = Callable[[str, HeadlessHand], None]
+Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a trial: ``start``, ``approach``, ``grasp``, ``lift``, ``shake``."""
 
 _SETTLE = 0.4
@@ -137,7 +138,12 @@ class _Run:
     """One trial at one place."""
 
     def __init__(
-        self, headless: HeadlessHand, trial: Trial, place: Place, number: int, watch: Watch | None
+        self,
+        headless: HeadlessHand[Simulation],
+        trial: Trial,
+        place: Place,
+        number: int,
+        watch: Watch | None,
     ) -> None:
         self._headless, self._trial, self._place = headless, trial, place
         self._number = number

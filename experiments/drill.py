@@ -1,0 +1,68 @@
+"""HERI II uses a drill in the hand: GRASP3f holds it, TrigOn presses its trigger, TrigOff lets go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from experiments.common import Outcome, main, recording, strip
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.trials.headless import HeadlessHand
+from rtee.trials.sweep import bench
+from rtee.types import Goal
+
+PRESSED, LET_GO = 0.005, 0.001
+MOMENTS = {0.0: "start", 1.6: "GRASP3f", 4.0: "TrigOn", 5.9: "TrigOff"}
+
+
+def run(folder: Path, *, pictures: bool = True) -> Outcome:
+    """Present the drill, run the timed action, and watch the trigger."""
+    ready = bench("heri_ii")
+    outcome = Outcome(
+        f"the trigger is pressed by more than {PRESSED * 1e3:g} mm and let go again to less than "
+        f"{LET_GO * 1e3:g} mm, and the drill stays in the hand under its own weight"
+    )
+    place = np.eye(4)
+    # The handle lies across the fingers, its trigger before finger_1.
+    place[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+    place[:3, 3] = (0.018, -0.010, 0.158)
+    options = SimOptions(object="drill", object_mass=0.4, carrier="arm")
+    names = ready.hand.actuator_names
+    simulation = make_simulation(ready.hand, options, names, ready.settings.period, place=place)
+    around = simulation.surroundings
+    trigger: list[float] = []
+    stills: list[tuple[str, bytes]] = []
+    with recording(ready, folder, outcome) as recorder:
+        headless = HeadlessHand(ready.hand, ready.library, ready.settings, simulation, [recorder])
+        headless.before_tick(lambda _: trigger.append(around.trigger))
+        if pictures:
+            from rtee.trials.pictures import Camera
+
+            camera = Camera(simulation, ready.hand, np.zeros((1, 3)))
+            due = dict(MOMENTS)
+
+            def look(time: float) -> None:
+                for moment in [m for m in due if time >= m]:
+                    stills.append((due.pop(moment), camera.picture()))
+
+            headless.before_tick(look)
+        result = headless.do(Goal("drill", goal_id="drill"))
+        around.release()
+        before = around.position_in_hand
+        headless.wait(2.0)
+    moved = float(np.linalg.norm(around.position_in_hand - before))
+    outcome.check(result.succeeded, "the timed action was completed")
+    outcome.check(max(trigger) > PRESSED, f"the trigger was pressed by {max(trigger) * 1e3:.1f} mm")
+    outcome.check(trigger[-1] < LET_GO, f"the trigger came back to {trigger[-1] * 1e3:.1f} mm")
+    outcome.check(
+        bool(around.touching()) and moved < 0.02, f"the drill moved by {moved * 1e3:.1f} mm in 2 s"
+    )
+    if stills:
+        strip(folder / "heri_ii_drill.png", stills, outcome)
+    return outcome
+
+
+if __name__ == "__main__":
+    main(run, "drill")
