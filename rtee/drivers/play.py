@@ -68,6 +68,7 @@ class Player:
         if baudrate is not None and can is None:
             options["baudrate"] = baudrate
         self.emulator: Emulator = make_emulator(name, options)
+        _check_wire(name, self.emulator, can is not None)
         rate = baudrate or self.emulator.baudrate
         self.simulation: Simulation
         if can is not None:
@@ -155,3 +156,17 @@ class Player:
             text = ", ".join(f"{k} {v}" for k, v in dataclasses.asdict(told).items())
         faults = ", ".join(sorted(self.emulator.faults)) or "none"
         return f"{text}\nfaults: {faults}".strip()
+
+
+def _check_wire(name: str, emulator: Emulator, can: bool) -> None:
+    """Refuse a device on a wire that is not its own."""
+    kind = type(emulator)
+    if kind.on_frame is not Emulator.on_frame and not can:
+        raise ConfigError(f"'{name}' is a device on a CAN bus: give --can CHANNEL")
+    if kind.feed is not Emulator.feed and can:
+        raise ConfigError(f"'{name}' is no device on a CAN bus: give --link or --tcp, or neither")
+    if kind.on_frame is Emulator.on_frame and kind.feed is Emulator.feed:
+        raise ConfigError(
+            f"'{name}' can be played only to its own driver: rtee run HAND --driver devices "
+            "--emulated"
+        )

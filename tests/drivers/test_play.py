@@ -78,9 +78,13 @@ def test_typing_makes_faults() -> None:
 def test_mistakes_are_named() -> None:
     with pytest.raises(ConfigError, match="there is no emulator for 'robotik'"):
         Player("robotik")
-    with pytest.raises(
-        ConfigError, match="unknown property 'modell'"
-    ):
+    with pytest.raises(ConfigError, match="unknown property 'modell'"):
         Player("robotiq_2f", {"modell": "2f_85"})
+    with pytest.raises(ConfigError, match="'allegro' is a device on a CAN bus"):
+        Player("allegro")
+    with pytest.raises(ConfigError, match="'qb_softhand' is no device on a CAN bus"):
+        Player("qb_softhand", can="x")
+    with pytest.raises(ConfigError, match="only to its own driver"):
+        Player("heri_ethercat")
     with pytest.raises(ConfigError, match="give one of"):
         Player("robotiq_2f", tcp=0, can="x")
