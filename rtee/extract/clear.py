@@ -41,9 +41,12 @@ _SAFE: Final = 2e-5
 _MARGIN: Final = 1e-4
 _CLOSE: Final = 5e-5
 _NEAR: Final = 5e-3
-_STATIONS: Final = 9
+_STATIONS: Final = 10
 _WAYS: Final = 4
+_SHORT: Final = 2e-3
 _FOLLOWED: Final = 2
+_EARLIEST: Final = 0.15
+_POSE: Final = (1.0,)
 
 
 @dataclass(slots=True)
@@ -52,13 +55,13 @@ class Constraint:
 
     Attributes:
         pair: The links.
-        at: Where on the way, an intensity; 1 is the pose itself.
+        times: Where on the way, as intensities; 1 is the pose itself.
         allowance: How deep their convex parts may overlap there before they collide [m].
         weight: Factor of the penalty.
     """
 
     pair: LinkPair
-    at: float
+    times: tuple[float, ...]
     allowance: float
     weight: float = _WEIGHT
 
@@ -111,18 +114,23 @@ class ClearSearch:
             Coordinates ``(k,)`` of clear poses; if no clear way was found, of poses behind
             collisions on the way.
         """
+        free: list[FloatArray] = []
         behind: list[FloatArray] = []
         for _ in range(_WAYS):
-            found = self._explore(starts, tries)
-            blocks = [(y, self._blocked(y)) for y in found[:_FOLLOWED]]
-            free = [y for y, blocked in blocks if blocked is None]
-            behind += [y for y, blocked in blocks if blocked is not None]
-            if free or not blocks:
-                return [*free, *behind]
-            for y, blocked in blocks:
-                if blocked is not None:
-                    self._learn_way(blocked, y)
-        return behind
+            found = self._explore(starts, tries if not behind else _FOLLOWED)
+            for y in found[:_FOLLOWED]:
+                blocked = self._blocked(y)
+                if blocked is None:
+                    free.append(y)
+                    continue
+                behind.append(y)
+                self._learn_way(blocked, y)
+                nearer = self._creep(self._before(y, blocked))
+                if self._touches(nearer) and self._blocked(nearer) is None:
+                    free.append(nearer)
+            if not found or any(y is found[0] for y in free):
+                break
+        return [*sorted(free, key=self._value), *behind]
 
     def _explore(self, starts: Sequence[FloatArray], tries: int) -> list[FloatArray]:
         """Return clear poses, the best first.
@@ -153,8 +161,13 @@ class ClearSearch:
                 self._calibrate(pose)
         return sorted(found, key=self._value)
 
-    def _push_out(self, y: FloatArray) -> FloatArray | None:
-        """Return a clear pose reached from a good one."""
+    def _push_out(self, start: FloatArray) -> FloatArray | None:
+        """Return a clear pose reached from a good one.
+
+        Where the convex parts push a pose the wrong way out, the way to it is gone back to before
+        its first collision, and on from there.
+        """
+        y = start
         for _ in range(_ROUNDS):
             hits = self._watch.near(self._posture(y)) or self._watch.at(self._posture(y))
             if not hits:
@@ -167,8 +180,14 @@ class ClearSearch:
                 self._learn(pair, y)
             y = self._descend(y, _EVALUATIONS).y
             if not self._reached(y):
-                return None
-        return None
+                break
+        blocked = self._blocked(start)
+        return None if blocked is None else self._creep(self._leap(self._before(start, blocked)))
+
+    def _before(self, y: FloatArray, blocked: Blocked) -> FloatArray:
+        """Return the pose on the way just before a collision."""
+        share = max(0.0, blocked.at - _SHORT)
+        return self._space.rest + share * (y - self._space.rest)
 
     def _leap(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose, some way from a clear one.
@@ -199,7 +218,7 @@ class ClearSearch:
         is improved within these walls and a radius that shrinks when the pose found is not clear.
         """
         best, radius = self._value(y), _RADIUS
-        concerned = {c.pair.links: c.pair for c in self._constraints if c.at == 1.0}
+        concerned = {c.pair.links: c.pair for c in self._constraints if c.times == _POSE}
         walls = self._walls(y, concerned)
         for _ in range(_CREEPS):
             bounds = (np.maximum(self._low, y - radius), np.minimum(self._high, y + radius))
@@ -227,7 +246,7 @@ class ClearSearch:
         self._scene.place(self._posture(y))
         for c in self._constraints:
             overlap = -self._scene.distance(c.pair)
-            if c.at == 1.0 and overlap > -_NEAR:
+            if c.times == _POSE and overlap > -_NEAR:
                 gap = self._scene.exact_distance(c.pair)
                 c.allowance = max(c.allowance, overlap + gap - _CLOSE)
                 c.weight = _WEIGHT
@@ -268,35 +287,37 @@ class ClearSearch:
         """Learn from a collision at a pose."""
         if self._bound(pair, y):
             return
-        known = next((c for c in self._constraints if c.pair is pair and c.at == 1.0), None)
+        known = self._known(pair, _POSE)
         if known is not None:
             self._tighten(known, self._overlap(pair, self._way(y), 1.0))
             return
         way = self._way(y)
         at = bisect(self._scene, pair, way, 0.0, 1.0, _COARSE)
         overlap = self._overlap(pair, way, max(0.0, at - _COARSE))
-        self._constraints.append(Constraint(pair, 1.0, overlap))
+        self._constraints.append(Constraint(pair, _POSE, overlap))
 
     def _learn_way(self, blocked: Blocked, y: FloatArray) -> None:
         """Learn from a collision on the way to a pose."""
         if self._bound(blocked.pair, y):
             return
         way = self._way(y)
-        times = np.linspace(blocked.at, 1.0, _STATIONS)[:-1]
-        overlaps = [self._overlap(blocked.pair, way, float(t)) for t in times]
-        at = float(times[int(np.argmax(overlaps))])
-        for known in self._constraints:
-            if known.pair is blocked.pair and known.at != 1.0 and abs(known.at - at) < 0.1:
-                self._tighten(known, max(overlaps))
-                known.at = at
-                return
-        self._constraints.append(Constraint(blocked.pair, at, overlaps[0], _WEIGHT / at))
+        times = tuple(np.linspace(_EARLIEST, 1.0, _STATIONS, endpoint=False).tolist())
+        overlap = self._overlap(blocked.pair, way, blocked.at)
+        known = self._known(blocked.pair, times)
+        if known is not None:
+            deepest = max(self._overlap(blocked.pair, way, t) for t in (*times, blocked.at))
+            self._tighten(known, deepest)
+        else:
+            self._constraints.append(Constraint(blocked.pair, times, overlap))
+
+    def _known(self, pair: LinkPair, times: tuple[float, ...]) -> Constraint | None:
+        return next((c for c in self._constraints if c.pair is pair and c.times == times), None)
 
     def _tighten(self, constraint: Constraint, overlap: float) -> None:
         """Allow less than an overlap at which the links do collide."""
         least = min(constraint.allowance, overlap)
         constraint.allowance = least - max(_CLOSE, _SHRINK * least)
-        constraint.weight = min(_STRONGEST / constraint.at, constraint.weight * _STRENGTHEN)
+        constraint.weight = min(_STRONGEST, constraint.weight * _STRENGTHEN)
 
     def _bound(self, pair: LinkPair, y: FloatArray) -> bool:
         """Bound an actuator that alone moves two links, where they first collide on its way."""
@@ -349,22 +370,28 @@ class ClearSearch:
     def _objective(self, *, ways_only: bool = False) -> Objective:
         """Return the goal with a penalty for overlaps beyond the allowances."""
         scene, space, goal, rest = self._scene, self._space, self._goal, self._scene.hand.rest
-        known = [c for c in self._constraints if c.at != 1.0 or not ways_only]
-        constraints = sorted(known, key=lambda c: -c.at)
+        here = [c for c in self._constraints if c.times == _POSE and not ways_only]
+        before = [c for c in self._constraints if c.times != _POSE]
 
         def function(y: FloatArray) -> tuple[float, FloatArray]:
             u = space.posture(y)
             scene.place(u)
             value, slope = goal.slope(space)
-            at = 1.0
-            for c in constraints:
-                if c.at != at:
-                    at = c.at
-                    scene.place(rest + at * (u - rest))
+            for c in here:
                 gap = scene.distance(c.pair)
                 if gap < -c.allowance:
                     value -= c.weight * (gap + c.allowance)
-                    slope = slope - c.weight * at * scene.derivative(c.pair, space)
+                    slope = slope - c.weight * scene.derivative(c.pair, space)
+            for c in before:
+                least, rise = np.inf, slope
+                for t in c.times:
+                    scene.place(rest + t * (u - rest))
+                    gap = scene.distance(c.pair)
+                    if gap < min(least, -c.allowance):
+                        least, rise = gap, t * scene.derivative(c.pair, space)
+                if least < -c.allowance:
+                    value -= c.weight * (least + c.allowance)
+                    slope = slope - c.weight * rise
             return value, slope
 
         return function

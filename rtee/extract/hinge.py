@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.hand.geometry import Shape, hull_of
+from rtee.hand.tessellation import halved
 from rtee.types import FloatArray
 
 OUTER: Final = 0.5
@@ -44,7 +45,6 @@ class ClippedShape(Shape):
         self.convex = hull
         self.triangles = (points, faces)
         self.points = np.array(hull.points())
-        self.surface = points
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Jaw:
         vertices, faces = self.shape.triangles
         outside = (self.arms(vertices) > limit)[faces]
         whole = outside.all(axis=1)
-        pieces = _fine(vertices[faces[~whole]])
+        pieces = halved(vertices[faces[~whole]], _EDGE)
         kept = pieces[(self.arms(pieces) > limit).all(axis=1)]
         return np.concatenate([vertices[faces[whole]], kept])
 
@@ -144,21 +144,6 @@ def _overlap(first: Sequence[Jaw], second: Sequence[Jaw], limit: float) -> bool:
 
 def _transform(pose: pin.SE3) -> coal.Transform3s:
     return coal.Transform3s(pose.rotation, pose.translation)
-
-
-def _fine(corners: FloatArray) -> FloatArray:
-    """Return triangles ``(t, 3, 3)`` with short edges, longer ones halved."""
-    while True:
-        lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-        long = lengths.max(axis=1, initial=0.0) > _EDGE
-        if not long.any():
-            return corners
-        halved, longest = corners[long], lengths[long].argmax(axis=1)
-        rows = np.arange(len(halved))
-        a, b, c = (halved[rows, (longest + i) % 3] for i in range(3))
-        middle = (a + b) / 2.0
-        parts = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
-        corners = np.concatenate([corners[~long], *parts])
 
 
 def _mesh(corners: FloatArray) -> coal.BVHModelOBBRSS:

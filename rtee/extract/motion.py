@@ -70,7 +70,7 @@ class Motion:
         """Return how far two links have moved against each other where they are near.
 
         Near are the points of one link that lie within the other one's bounding box, widened by
-        5 mm, at the one or the other end of a part of the way.
+        5 mm and the distance of the points, at the one or the other end of a part of the way.
 
         Args:
             pair: The links.
@@ -90,9 +90,10 @@ class Motion:
             now = []
             for fixed, moving in couples:
                 to_fixed = scene.shape_pose(fixed).actInv(scene.shape_pose(moving))
-                points = shapes[moving].surface @ to_fixed.rotation.T + to_fixed.translation
+                points = shapes[moving].lattice @ to_fixed.rotation.T + to_fixed.translation
                 low, high = shapes[fixed].box
-                near = ((points > low - _NEAR) & (points < high + _NEAR)).all(axis=1)
+                reach = _NEAR + shapes[moving].spacing
+                near = ((points > low - reach) & (points < high + reach)).all(axis=1)
                 now.append((points, near))
             if last:
                 total.append(total[-1] + max(map(_displacement, last, now)))

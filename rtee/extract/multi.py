@@ -69,7 +69,9 @@ class MultiSearch:
         if not candidates[0].usable and self._promising():
             clear = clear_postures(self.inspector, goal, space, watch, found, tries=2)
             candidates += [candidate(u) for u in clear[:1]]
-        return Found(PrimitiveKind.MULTI_PINCH_TIGHT, names, ranked(candidates, self.rank))
+        lower, upper = real_limits(self._hand)
+        extent = upper - lower
+        return Found(PrimitiveKind.MULTI_PINCH_TIGHT, names, ranked(candidates, self.rank, extent))
 
     @property
     def _hand(self) -> Hand:

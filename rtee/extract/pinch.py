@@ -120,7 +120,9 @@ class PinchSearch:
 
     def _found(self, kind: PrimitiveKind, candidates: Sequence[Candidate]) -> Found:
         names = tuple(finger.name for finger in self.fingers)
-        return Found(kind, names, ranked(candidates, self.rank))
+        lower, upper = real_limits(self._hand)
+        extent = upper - lower
+        return Found(kind, names, ranked(candidates, self.rank, extent))
 
 
 def find_pinch(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -13,8 +14,13 @@ from rtee.types import FloatArray
 
 Rank = Literal["depth", "opposition"]
 
-_SAME: Final = 0.01
-"""Postures that differ by less in every actuator are one [rad | m]."""
+_SAME: Final = 0.02
+"""Postures that differ by less in every actuator, as a part of its range, are one."""
+
+_AS_GOOD: Final = 0.01
+"""But only if their depths or distances differ by no more than this part."""
+
+_DIGITS: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +34,11 @@ class Candidate:
 
     u: FloatArray
     evidence: Evidence
+
+    @property
+    def gap(self) -> float:
+        """The distance of the tips, or minus their depth [m]."""
+        return self.evidence.distance - self.evidence.depth
 
     @property
     def usable(self) -> bool:
@@ -55,27 +66,40 @@ class Found:
         return self.candidates[0]
 
 
-def ranked(candidates: Sequence[Candidate], rank: Rank) -> tuple[Candidate, ...]:
+def ranked(
+    candidates: Sequence[Candidate], rank: Rank, extent: FloatArray
+) -> tuple[Candidate, ...]:
     """Return distinct candidates, the best first.
 
     Those with a clear pose and a clear way come first, then those with a clear pose; among them the
     deepest, or with rank ``opposition`` those in force closure and then the one whose worse angle
-    is least.
+    is least. Depths that differ by less than 10 µm are equal; then the better opposed comes first.
+
+    Args:
+        candidates: The candidates.
+        rank: What makes one better than another.
+        extent: Range of every actuator ``(n,)`` [rad | m].
     """
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: _key(c, rank)):
-        if all(np.abs(candidate.u - other.u).max() > _SAME for other in kept):
+        if not any(_alike(candidate, other, extent) for other in kept):
             kept.append(candidate)
     return tuple(kept)
 
 
+def _alike(one: Candidate, other: Candidate, extent: FloatArray) -> bool:
+    near = bool((np.abs(one.u - other.u) <= _SAME * extent).all())
+    a, b = one.gap, other.gap
+    return near and abs(a - b) <= _AS_GOOD * max(abs(a), abs(b))
+
+
 def _key(candidate: Candidate, rank: Rank) -> tuple[float, ...]:
     evidence = candidate.evidence
-    depth = evidence.distance - evidence.depth
     head = (not candidate.usable, not evidence.clear)
     opposed = evidence.opposition
+    opposition = (
+        (True, math.inf) if opposed is None else (not opposed.force_closure, max(opposed.angles))
+    )
     if rank == "depth":
-        return (*head, depth)
-    if opposed is None:
-        return (*head, True, np.inf, depth)
-    return (*head, not opposed.force_closure, max(opposed.angles), depth)
+        return (*head, round(candidate.gap, _DIGITS), *opposition)
+    return (*head, *opposition, candidate.gap)

@@ -23,6 +23,9 @@ from rtee.types import FloatArray
 _FLAT: Final = 1e-4
 """A mesh flatter than this part of its extent has no proper convex hull and is thickened."""
 
+_SPACING: Final = 0.008
+_ALONG: Final = 8
+
 _THICKNESS: Final = 1e-5
 """Half the thickness that a flat mesh gets [m]."""
 
@@ -102,9 +105,18 @@ class Shape:
         return float((heights.max(axis=1) - heights.min(axis=1)).min()) / 3.0
 
     @cached_property
-    def surface(self) -> FloatArray:
-        """Points ``(k, 3)`` [m] in the shape's own frame, spread over its surface."""
-        return np.array(self.exact.vertices()) if self.is_mesh else self.triangles[0]
+    def lattice(self) -> FloatArray:
+        """Points ``(k, 3)`` [m] in the shape's own frame that fill its bounding box."""
+        low, high = self.box
+        counts = np.ceil((high - low) / self.spacing).astype(int) + 1
+        lines = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
+        return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+
+    @property
+    def spacing(self) -> float:
+        """Greatest distance of neighbours in the lattice along an axis [m]."""
+        low, high = self.box
+        return max(_SPACING, float((high - low).max()) / _ALONG)
 
     @cached_property
     def points(self) -> FloatArray:

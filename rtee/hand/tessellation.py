@@ -50,6 +50,26 @@ def sphere(radius: float) -> Triangles:
     return _revolve([(radius * float(np.cos(a)), radius * float(np.sin(a))) for a in angles])
 
 
+def halved(corners: FloatArray, longest: float) -> FloatArray:
+    """Return triangles ``(t, 3, 3)`` with their edges halved until none is longer than allowed.
+
+    Args:
+        corners: Triangles ``(t, 3, 3)`` [m].
+        longest: Greatest length of an edge [m].
+    """
+    while True:
+        lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+        long = lengths.max(axis=1, initial=0.0) > longest
+        if not long.any():
+            return corners
+        parts, edge = corners[long], lengths[long].argmax(axis=1)
+        rows = np.arange(len(parts))
+        a, b, c = (parts[rows, (edge + i) % 3] for i in range(3))
+        middle = (a + b) / 2.0
+        pieces = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
+        corners = np.concatenate([corners[~long], *pieces])
+
+
 def _revolve(profile: list[tuple[float, float]]) -> Triangles:
     """Return the surface that a profile of (radius, height) sweeps around z, from below to above.
 

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from extract.models import Model, box, sphere
+from rtee.extract.collisions import Watch, first_contact
+from rtee.extract.evidence import Inspector
+from rtee.extract.motion import Motion
+from rtee.extract.scene import Scene
+from rtee.hand.load import load_hand
+
+
+def gantry(*posts: str) -> Model:
+    """Return a ball that moves in the x-z plane, among posts that stand."""
+    model = Model().link("posts", *posts).joint("stand", "base", "posts", kind="fixed")
+    model.link("carriage").link("ball", sphere(0.01))
+    model.joint("x", "base", "carriage", kind="prismatic", axis=(1, 0, 0), limits=(0, 1))
+    model.joint("z", "carriage", "ball", kind="prismatic", axis=(0, 0, 1), limits=(0, 1))
+    return model.finger("ball", "ball")
+
+
+def watch(inspector: Inspector) -> Watch:
+    return inspector.collisions.watch(range(len(inspector.scene.hand.actuators)), [])
+
+
+def test_a_post_thinner_than_a_step_blocks_the_way(tmp_path: Path) -> None:
+    inspector = Inspector.of(gantry(box((0.0001, 0.2, 0.2), (0.5, 0, 0))).load(tmp_path))
+    blocked = watch(inspector).along(np.array([1.0, 0.0]))
+    assert blocked is not None
+    assert blocked.pair.links == ("posts", "ball")
+    assert blocked.at == pytest.approx(0.49, abs=1e-3)
+
+
+def test_the_first_of_several_collisions_is_reported(tmp_path: Path) -> None:
+    posts = [box((0.01, 0.2, 0.2), (x, 0, 0)) for x in (0.7, 0.3, 0.5)]
+    inspector = Inspector.of(gantry(*posts).load(tmp_path))
+    blocked = watch(inspector).along(np.array([1.0, 0.0]))
+    assert blocked is not None
+    assert blocked.at == pytest.approx(0.285, abs=1e-3)
+
+
+def test_a_way_past_a_post_is_free_though_a_way_through_it_is_not(tmp_path: Path) -> None:
+    inspector = Inspector.of(gantry(box((0.02, 0.2, 0.2), (0.5, 0, 0))).load(tmp_path))
+    found = watch(inspector)
+    assert found.along(np.array([1.0, 0.3])) is None
+    assert found.along(np.array([1.0, 0.1])) is not None
+    assert found.at(np.array([1.0, 0.1])) == []
+    assert [pair.links for pair in found.at(np.array([0.5, 0.0]))] == [("posts", "ball")]
+
+
+def two_arms(gap: float) -> Model:
+    """Return two arms of two links each, side by side, ``gap`` apart."""
+    model = Model()
+    for name, y in (("a", 0.0), ("b", 0.02 + gap)):
+        link = box((0.02, 0.02, 0.1), (0, 0, 0.05))
+        model.link(f"{name}1", link).link(f"{name}2", link)
+        model.joint(f"{name}_1", "base", f"{name}1", xyz=(0, y, 0))
+        model.joint(f"{name}_2", f"{name}1", f"{name}2", xyz=(0, 0, 0.1))
+        model.finger(name, f"{name}2")
+    return model
+
+
+def test_joined_links_and_links_touching_at_rest_are_not_checked(tmp_path: Path) -> None:
+    collisions = Inspector.of(two_arms(0.0).load(tmp_path)).collisions
+    assert set(collisions.at_rest) == {("a1", "b1"), ("a1", "b2"), ("a2", "b1"), ("a2", "b2")}
+    assert collisions.checked == ()
+
+
+def test_disabled_pairs_are_not_checked(tmp_path: Path) -> None:
+    model = two_arms(0.005).disable("b2", "a1")
+    checked = {pair.links for pair in Inspector.of(model.load(tmp_path)).collisions.checked}
+    assert checked == {("a1", "b1"), ("a2", "b1"), ("a2", "b2")}
+
+
+def test_only_pairs_that_move_are_watched(tmp_path: Path) -> None:
+    inspector = Inspector.of(two_arms(0.005).load(tmp_path))
+    hand = inspector.scene.hand
+    found = inspector.collisions.watch([hand.actuator_index("a_2")], [frozenset(("a2", "b2"))])
+    assert {pair.links for pair in found.pairs} == {("a2", "b1")}
+
+
+@pytest.mark.parametrize("name", ["schunk_svh", "robotiq_3f", "heri_ii"])
+def test_no_distance_changes_faster_than_the_bound_on_the_motion(name: str) -> None:
+    scene = Scene(load_hand(name))
+    motion = Motion(scene)
+    hand = scene.hand
+    step = 1e-3
+    for goal in np.random.default_rng(2).uniform(hand.lower, hand.upper, (4, len(hand.rest))):
+        way = motion.way(goal)
+        for pair in scene.tips.values():
+            bound = motion.speed(pair, way)
+            for t in (0.2, 0.5, 0.8):
+                distances = []
+                for s in (t, t + step):
+                    scene.place(way.at(s))
+                    distances.append(scene.distance(pair))
+                assert abs(distances[1] - distances[0]) <= bound * step + 1e-6
+
+
+def test_first_contact_is_where_the_tips_begin_to_touch(tmp_path: Path) -> None:
+    scene = Scene(gantry(box((0.1, 0.1, 0.1), (0.6, 0, 0))).load(tmp_path))
+    motion = Motion(scene)
+    pair = scene.pairs["posts", "ball"]
+    way = motion.way(np.array([0.8, 0.0]))
+    at = first_contact(scene, pair, way, motion.speed(pair, way))
+    assert at == pytest.approx(0.54 / 0.8, abs=1e-4)
+    away = motion.way(np.array([0.2, 0.8]))
+    assert first_contact(scene, pair, away, motion.speed(pair, away)) is None

@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from extract.models import APART, LENGTH, Model, box, figure_3, planar, sphere
+from rtee.actions.types import Primitive
+from rtee.extract.evidence import Inspector
+from rtee.extract.extraction import extract
+from rtee.hand.model import Hand
+
+
+def pinches(hand: Hand, **options: object) -> dict[tuple[str, ...], Primitive]:
+    found = extract(hand, **options).primitives  # type: ignore[arg-type]
+    return {p.elements: p for p in found if "Pinch" in p.name}
+
+
+def sliders(left: tuple[str, ...], right: tuple[str, ...], gap: float = 0.02) -> Model:
+    """Return two tips that slide towards each other along x, by up to 30 mm each."""
+    model = Model()
+    for name, side, shapes in (("left", -1, left), ("right", 1, right)):
+        model.link(name, *shapes).finger(name, name)
+        model.joint(
+            f"{name}_x",
+            "base",
+            name,
+            kind="prismatic",
+            xyz=(side * gap / 2, 0, 0),
+            axis=(-side, 0, 0),
+            limits=(0, 0.03),
+        )
+    return model
+
+
+def test_the_deepest_pose_is_stored_with_its_evidence(tmp_path: Path) -> None:
+    pad = box((0.001, 0.2, 0.2))
+    model = sliders(
+        (box((0.1, 0.2, 0.2), (-0.05, 0, 0)),), (box((0.1, 0.2, 0.2), (0.05, 0, 0)), pad)
+    )
+    found = pinches(model.load(tmp_path))["left", "right"]
+    evidence = found.evidence[0]
+    assert dict(found.posture.position) == {"left_x": 0.03, "right_x": 0.03}
+    assert evidence.depth == pytest.approx(0.0405, abs=1e-6)
+    assert evidence.distance == 0.0
+    assert evidence.frame_distance == pytest.approx(0.04, abs=1e-6)
+    assert evidence.normal is not None
+    assert abs(evidence.normal[0]) == pytest.approx(1.0)
+    assert evidence.contact_at == pytest.approx(0.0195 / 0.06, abs=1e-4)
+    assert evidence.clear
+    assert evidence.path_clear
+
+
+def test_any_shape_of_a_tip_can_make_the_contact(tmp_path: Path) -> None:
+    far = sphere(0.001, (-0.5, 0, 0))
+    small = (far, sphere(0.005, (0, 0.03, 0)), far)
+    model = sliders(small, (far, far, sphere(0.005, (0, 0.03, 0))))
+    found = pinches(model.load(tmp_path))["left", "right"]
+    assert found.evidence[0].depth == pytest.approx(0.01, abs=1e-5)
+    assert found.evidence[0].point is not None
+    assert found.evidence[0].point[1] == pytest.approx(0.03, abs=1e-3)
+
+
+def test_of_several_shapes_none_near_enough_means_no_pinch(tmp_path: Path) -> None:
+    model = sliders((sphere(0.001), sphere(0.001, (-0.1, 0, 0))), (sphere(0.001),), gap=0.1)
+    assert pinches(model.load(tmp_path))["left", "right"].name == "PinchLoose"
+
+
+def test_a_loose_pinch_is_the_closest_pose_within_the_limits(tmp_path: Path) -> None:
+    model = planar(Model(), "a", side=1)
+    planar(model, "b", side=-1)
+    model.parts = [part.replace('upper="1.2"', 'upper="0.2"') for part in model.parts]
+    found = pinches(model.load(tmp_path))["a", "b"]
+    gap = 2 * (APART - LENGTH * math.sin(0.2) - 0.005 * math.cos(0.2))
+    assert found.name == "PinchLoose"
+    assert found.evidence[0].distance == pytest.approx(gap, abs=1e-5)
+    assert found.evidence[0].depth == 0.0
+    assert found.evidence[0].contact_at is None
+
+
+def blocked(post: str, gap: float = 0.02) -> Model:
+    """Return sliders whose left one carries an arm that runs into a post of the base."""
+    arm = box((0.002, 0.1, 0.002), (0, 0.2, 0))
+    model = sliders((), (box((0.1, 0.2, 0.2), (0.05, 0, 0)),), gap)
+    model.parts = [
+        part.replace(
+            '<parent link="base"/><child link="left"/>', '<parent link="lift"/><child link="left"/>'
+        )
+        for part in model.parts
+        if '<link name="left">' not in part
+    ]
+    # What a joint of the base's own carries would be adjacent to the post.
+    model.link("lift").joint(
+        "left_y", "base", "lift", kind="prismatic", axis=(0, 1, 0), limits=(0, 1e-6)
+    )
+    model.link("left", box((0.1, 0.2, 0.2), (-0.05, 0, 0))).link("arm", arm).joint(
+        "weld", "left", "arm", kind="fixed"
+    )
+    return model.link("post", post).joint("stand", "base", "post", kind="fixed")
+
+
+def test_the_deepest_clear_pose_comes_before_the_deepest(tmp_path: Path) -> None:
+    model = blocked(box((0.01, 0.01, 0.01), (0.0165, 0.2, 0)))
+    found = pinches(model.load(tmp_path))["left", "right"]
+    first, *rest = found.evidence
+    assert first.clear
+    assert first.path_clear
+    # The arm, 1 mm thick to each side and 10 mm off, meets the post's face at 11.5 mm.
+    assert found.posture.position["left_x"] == pytest.approx(0.0205, abs=1e-4)
+    assert first.depth < max(e.depth for e in rest)
+    worst = max(rest, key=lambda e: e.depth)
+    assert worst.colliding == (("arm", "post"),)
+    assert not worst.clear
+    assert not worst.path_clear
+
+
+def test_a_pose_behind_an_obstacle_comes_last(tmp_path: Path) -> None:
+    model = Model().link("wall", box((0.02, 0.1, 0.02), (0.05, 0, 0.07)))
+    model.joint("stand", "base", "wall", kind="fixed")
+    # Deeper and deeper behind the plate the higher the ball comes, but the wall is in the way.
+    plate = (
+        '<origin xyz="0.12 0 0.05" rpy="0 -0.3 0"/><geometry><box size="0.02 0.1 0.4"/></geometry>'
+    )
+    model.link("plate", plate).joint("hold", "base", "plate", kind="fixed").finger("plate", "plate")
+    model.link("carriage").link("ball", sphere(0.01)).finger("ball", "ball")
+    model.joint("x", "base", "carriage", kind="prismatic", axis=(1, 0, 0), limits=(0, 0.1))
+    model.joint("z", "carriage", "ball", kind="prismatic", axis=(0, 0, 1), limits=(0, 0.12))
+    found = pinches(model.load(tmp_path))["plate", "ball"]
+    assert found.evidence[0].clear
+    assert found.evidence[0].path_clear
+    behind = [e for e in found.evidence if not e.path_clear]
+    assert behind
+    assert max(e.depth for e in behind) > found.evidence[0].depth
+
+
+def test_only_an_unclear_pose_is_kept_and_says_so(tmp_path: Path) -> None:
+    model = blocked(box((0.05, 0.01, 0.01), (0.0125, 0.2, 0)), gap=0.035)
+    found = pinches(model.load(tmp_path))["left", "right"]
+    assert not any(evidence.clear for evidence in found.evidence)
+    assert found.evidence[0].colliding == (("arm", "post"),)
+
+
+def test_stored_postures_hold_what_their_evidence_says(tmp_path: Path) -> None:
+    hand = figure_3(4).load(tmp_path)
+    inspector = Inspector.of(hand)
+    for elements, primitive in pinches(hand).items():
+        tips = inspector.scene.tips[elements]  # tips are named like fingers
+        for posture, evidence in zip(primitive.postures, primitive.evidence, strict=True):
+            u = np.array([posture.position[name] for name in hand.actuator_names])
+            inspector.scene.place(u)
+            assert inspector.scene.touching(tips)
+            assert -inspector.scene.distance(tips) == pytest.approx(evidence.depth, abs=1e-8)
+            assert (u >= hand.lower).all()
+            assert (u <= hand.upper).all()
+            for name in set(hand.actuator_names) - set(posture.involved):
+                assert posture.position[name] == hand.actuator(name).rest
+
+
+def test_rank_by_opposition_never_puts_a_worse_opposed_one_first(tmp_path: Path) -> None:
+    hand = figure_3(4).load(tmp_path)
+    by_depth, by_opposition = (pinches(hand, rank=rank) for rank in ("depth", "opposition"))
+    for elements in by_depth:
+        first, other = (found[elements].evidence[0] for found in (by_opposition, by_depth))
+        assert first.opposition is not None
+        assert other.opposition is not None
+        if first.clear == other.clear and first.path_clear == other.path_clear:
+            assert first.opposition.force_closure >= other.opposition.force_closure
+
+
+def test_the_result_does_not_depend_on_repetition_or_jobs(tmp_path: Path) -> None:
+    hand = figure_3(4).load(tmp_path)
+    first, again, two = (extract(hand, jobs=jobs).primitives for jobs in (1, 1, 2))
+    assert first == again == two
+
+
+def test_progress_is_told(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    extract(figure_3(4).load(tmp_path), progress=lambda done, total: told.append((done, total)))
+    assert [done for done, _ in told] == list(range(1, len(told) + 1))
+    assert told[-1][0] == told[-1][1]
