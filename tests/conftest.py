@@ -6,6 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# No test asserts times, and a busy computer must not fail one.
+settings.register_profile("rtee", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("rtee")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

@@ -449,8 +449,6 @@ class Cia402Driver(Driver):
             drive.controlword = (
                 Control.ENABLE if drive.state is State.ENABLED else Control.DISABLE_VOLTAGE
             )
-            if drive.nmt not in (NmtState.OPERATIONAL, None):
-                raise NotConnected(self.spec.name, f"node {drive.id} is not operational")
         self._home_asked = True
 
 

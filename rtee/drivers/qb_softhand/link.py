@@ -9,7 +9,7 @@ from rtee.drivers.qb_softhand.parameters import ListParser, Parameter
 from rtee.errors import BusTimeout, FrameError
 
 _LIST_DEADLINE = 0.4
-PATIENCE = 0.2
+PATIENCE = 0.5
 """Longest time for an exchange that belongs to no cycle [s]."""
 
 

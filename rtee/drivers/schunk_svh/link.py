@@ -12,7 +12,7 @@ from rtee.errors import FrameError
 
 T = TypeVar("T")
 
-PATIENCE = 0.4
+PATIENCE = 1.0
 """Longest time for an exchange that belongs to no cycle [s]."""
 
 

@@ -45,7 +45,8 @@ def device(n: int = 2, *, limits: tuple[float, float] = (-1.0, 2.0), **options: 
         ),
         options={
             "port": "/dev/dxl",
-            "deadline": 0.2,
+            "deadline": 0.3,
+            "retries": 9,
             "servos": {f"j{i}": {"id": i} for i in range(n)},
             **options,
         },

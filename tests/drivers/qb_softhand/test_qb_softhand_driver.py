@@ -69,9 +69,9 @@ def hand(pool: BusPool, name: str = "qb") -> QbSoftHandEmulator:
 async def settle(made: QbSoftHandDriver, goal: list[float]) -> np.ndarray:
     for _ in range(100):
         state = await made.sense()
-        await made.move(Reference.at(goal))
         if np.abs(state.position - goal).max() < 3e-4:
             break
+        await made.move(Reference.at(goal))
         await anyio.sleep(0.002)
     return state.position
 
