@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+import numpy as np
 import viser
 from viser import uplot
 
@@ -70,10 +71,9 @@ class PlotsPanel:
             }
         self._chosen = self._boxes("Actuators", self._names, _FOLD)
         self._chosen_joints = self._boxes("Joints", self._joints, 0)
-        for box in (self._window, *self._quantities.values(), *self._chosen, *self._chosen_joints):
+        for box in (*self._quantities.values(), *self._chosen, *self._chosen_joints):
             box.on_update(lambda _: self._changed())
         self._plots: dict[str, viser.GuiUplotHandle] = {}
-        self._ranges: dict[str, tuple[float, float]] = {}
         self._stale = True
 
     def _boxes(self, title: str, names: Sequence[str], shown: int) -> list[viser.GuiCheckboxHandle]:
@@ -112,7 +112,6 @@ class PlotsPanel:
         for plot in self._plots.values():
             plot.remove()
         self._plots.clear()
-        self._ranges.clear()
         columns, joints = self._columns, self._joint_columns
         self._legend.content = self._legend_html(columns, joints)
         with self._folder:
@@ -160,13 +159,13 @@ class PlotsPanel:
                 add(index, f"{self._names[index]} reference", 0.75, 0.7)
             for index in joints:
                 add(len(self._names) + index, self._joints[index], 1.25)
-        data = self._data(name)
-        low, high = self._ranges[name] = nice_range(data[1:], _LEAST[name])
+        # Changing a plot's scales would make it anew; unseen lines keep its range as it should be.
+        series += [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]
         return self._gui.add_uplot(
-            data,
+            self._data(name),
             tuple(series),
             title=f"{name} [{self._units[name]}]",
-            scales=self._scales(low, high),
+            scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
             axes=(
                 uplot.Axis(font=_SMALL, size=28, space=50),
                 uplot.Axis(font=_SMALL, size=48, space=24),
@@ -176,12 +175,6 @@ class PlotsPanel:
             padding=(10, 12, 0, 0),
         )
 
-    def _scales(self, low: float, high: float) -> dict[str, uplot.Scale]:
-        return {
-            "x": uplot.Scale(time=False),
-            "y": uplot.Scale(range=(low, high)),
-        }
-
     def _data(self, name: str) -> tuple[FloatArray, ...]:
         length = float(self._window.value)
         columns = self._columns
@@ -189,7 +182,8 @@ class PlotsPanel:
         if name == "position":
             data += self._source.window("reference", columns, length)[1:]
             data += self._source.window("joint", self._joint_columns, length)[1:]
-        return data
+        ends = nice_range(data[1:], _LEAST[name])
+        return (*data, *(np.full(len(data[0]), end) for end in ends))
 
     def draw(self) -> None:
         """Bring the plots up to date; call it a few times a second."""
@@ -203,8 +197,4 @@ class PlotsPanel:
             if len(data) != len(plot.data):
                 self._stale = True
                 return
-            low, high = nice_range(data[1:], _LEAST[name])
-            if (low, high) != self._ranges[name]:
-                self._ranges[name] = (low, high)
-                plot.scales = self._scales(low, high)
             plot.data = data
