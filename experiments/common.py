@@ -50,6 +50,9 @@ def recording(ready: Bench, folder: Path, outcome: Outcome) -> Iterator[Recorder
         yield recorder
     for path in sorted(set(folder.glob("*.mcap")) - before):
         found = read(path)
+        if not len(found.actuator_states):
+            outcome.files.append(path)
+            continue
         plot = path.with_suffix(".png")
         write_png(figure(found, by=By.ACTUATOR, fingers=fingers(found)), plot)
         outcome.files += [path, plot]

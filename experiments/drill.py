@@ -1,4 +1,4 @@
-"""HERI II uses a drill in the hand: GRASP3f holds it, TrigOn presses its trigger, TrigOff lets go."""
+"""HERI II uses a drill in the hand: GRASP3f holds it, TrigOn presses its trigger, TrigOff ends."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def run(folder: Path, *, pictures: bool = True) -> Outcome:
             due = dict(MOMENTS)
 
             def look(time: float) -> None:
-                for moment in [m for m in due if time >= m]:
-                    stills.append((due.pop(moment), camera.picture()))
+                reached = [moment for moment in due if time >= moment]
+                stills.extend((due.pop(moment), camera.picture()) for moment in reached)
 
             headless.before_tick(look)
         result = headless.do(Goal("drill", goal_id="drill"))

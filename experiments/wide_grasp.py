@@ -8,7 +8,7 @@ from experiments.common import Outcome, hold, main
 from rtee.trials.trial import Trial
 
 TRIALS = (
-    ("robotiq_3f", Trial("timed_wide_grasp", object="cylinder:0.03x0.12")),
+    ("robotiq_3f", Trial("timed_wide_grasp", object="cylinder:0.045x0.12")),
     ("robotiq_2f_140", Trial("Grasp", object="box:0.05x0.05x0.1")),
 )
 

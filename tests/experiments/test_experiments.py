@@ -1,0 +1,61 @@
+"""Every experiment passes its own condition."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from experiments import drill, heri_objects, svh, variants
+from experiments.common import Outcome, hold
+from rtee.log import read
+from rtee.trials.trial import Trial
+
+
+def passed(outcome: Outcome) -> bool:
+    assert outcome.facts
+    assert outcome.passed, outcome.facts
+    return all(path.stat().st_size > 0 for path in outcome.files)
+
+
+def test_svh_reaches_its_postures(tmp_path: Path) -> None:
+    outcome = svh.run(tmp_path, pictures=False, most=2)
+    assert passed(outcome)
+    assert {path.suffix for path in outcome.files} == {".mcap", ".png"}
+    names = [span.name for span in read(next(tmp_path.glob("*.mcap"))).spans]
+    assert names[-1] == "schunkGrasp"
+
+
+def test_the_trigger_is_pressed_and_let_go(tmp_path: Path) -> None:
+    outcome = drill.run(tmp_path, pictures=False)
+    assert passed(outcome)
+    (span,) = read(next(tmp_path.glob("*.mcap"))).spans
+    assert [inner.name for inner in span.inner] == ["GRASP3f", "TrigOn", "TrigOff"]
+
+
+def test_heri_ii_holds_an_object(tmp_path: Path) -> None:
+    outcome = Outcome("held")
+    hold("heri_ii", heri_objects.TRIALS[0], tmp_path, outcome, pictures=False)
+    assert passed(outcome)
+
+
+def test_an_experiment_that_fails_says_so(tmp_path: Path) -> None:
+    outcome = Outcome("held")
+    hold("robotiq_2f_85", Trial("Grasp", object="sphere:0.06"), tmp_path, outcome, pictures=False)
+    assert not outcome.passed
+    assert outcome.facts[0].startswith("FAILED")
+
+
+@pytest.mark.parametrize("variant", variants.EXPECTED)
+def test_the_variants_have_the_stated_primitives(variant: int, tmp_path: Path) -> None:
+    from collections import Counter
+
+    from rtee.extract.extraction import extract
+
+    found = Counter(p.name for p in extract(variants.hand(variant, tmp_path)).primitives)
+    assert found == variants.EXPECTED[variant]
