@@ -1,0 +1,72 @@
+"""How fast hands are simulated: headless against simulated time, and in lockstep with the loop.
+
+Run: ``python benchmarks/simulation.py [--seconds S]``; prints Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+import anyio
+
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.run import RunOptions, run_hands
+from rtee.trials.headless import HeadlessHand
+from rtee.trials.sweep import bench
+from rtee.types import Goal
+
+HEADLESS = (
+    ("robotiq_2f_85", "Grasp", "sphere:0.03"),
+    ("robotiq_3f", "Grasp", "cylinder:0.025x0.12"),
+    ("heri_ii", "Grasp", "sphere:0.03"),
+    ("schunk_svh", "Grasp", "sphere:0.03"),
+)
+ROUNDS = 5
+
+
+def headless(name: str, action: str, shape: str) -> float:
+    """Return the seconds simulated per second of one processor, controller included (median)."""
+    ready = bench(name)
+    factors = []
+    for _ in range(ROUNDS):
+        simulation = make_simulation(
+            ready.hand, SimOptions(object=shape), ready.hand.actuator_names, ready.settings.period
+        )
+        hand = HeadlessHand(ready.hand, ready.library, ready.settings, simulation)
+        began = time.process_time()
+        hand.do(Goal(action))
+        hand.wait(1.0)
+        factors.append(hand.time / (time.process_time() - began))
+    return statistics.median(factors)
+
+
+def lockstep(seconds: float) -> str:
+    """Run the SVH in lockstep at 500 Hz with loop and log; return the loop's own statistics."""
+    lines: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        options = RunOptions(driver="mujoco", rate=500.0, duration=seconds, log=Path(folder))
+        anyio.run(lambda: run_hands(["schunk_svh"], options, serve=None, say=lines.append))
+    return next(line for line in lines if " ticks at " in line)
+
+
+def main() -> None:
+    """Print the figures as Markdown."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of the lockstep run")
+    seconds = parser.parse_args().seconds
+    print("| hand | grasp | simulated seconds per second of one processor |")
+    print("| --- | --- | --- |")
+    for name, action, shape in HEADLESS:
+        factor = headless(name, action, shape)
+        print(f"| {name} | {action} on {shape} | {factor:.1f} |", flush=True)
+    print("\nSVH in lockstep at 500 Hz, with loop and log:\n")
+    print(f"    {lockstep(seconds)}")
+
+
+if __name__ == "__main__":
+    main()
