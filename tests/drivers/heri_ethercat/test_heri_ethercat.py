@@ -131,6 +131,12 @@ async def settle(made: HeriEthercatDriver, goal: list[float]) -> np.ndarray:
     return state.position
 
 
+async def hold(made: HeriEthercatDriver, goal: list[float]) -> None:
+    for _ in range(5):
+        await made.sense()
+        await made.move(Reference.at(goal))
+
+
 @pytest.mark.anyio
 async def test_four_motors_of_two_boards_move_by_name() -> None:
     names = (NAMES[3], *NAMES[:3])
@@ -183,7 +189,7 @@ async def test_faults_are_named_and_acknowledged() -> None:
         where = await settle(made, [0.6] * 4)
         hand(pool).inject("hardware")
         with pytest.raises(DeviceFault, match="board 0: hardware") as told:
-            await settle(made, [0.7] * 4)
+            await hold(made, [0.6] * 4)
         assert told.value.code == Fault.HARDWARE
         with pytest.raises(DeviceFault, match="hardware"):
             await made.recover()
