@@ -9,8 +9,8 @@ The GUI's memory is its resident set after every second, extrapolated to an hour
 through the second half of the time. The time from command to motion is from asking for an action
 until the first state with another position arrives, at 1000 states a second, ten times.
 
-The browser renders in software here and keeps a CPU busy; on an operator's own computer it costs
-the robot PC nothing, which `--no-browser` measures with a client of the GUI's server only.
+The browser renders in software here and keeps a CPU busy, which on an operator's own computer costs
+the robot PC nothing: `--no-browser` leaves it out.
 """
 
 from __future__ import annotations
