@@ -14,6 +14,7 @@ from rtee.trials.sweep import bench
 from rtee.types import Goal
 
 PRESSED, LET_GO = 0.005, 0.001
+TURNED = 30.0
 MOMENTS = {0.0: "start", 1.6: "GRASP3f", 4.0: "TrigOn", 5.9: "TrigOff"}
 
 
@@ -22,12 +23,13 @@ def run(folder: Path, *, pictures: bool = True) -> Outcome:
     ready = bench("heri_ii")
     outcome = Outcome(
         f"the trigger is pressed by more than {PRESSED * 1e3:g} mm and let go again to less than "
-        f"{LET_GO * 1e3:g} mm, and the drill stays in the hand under its own weight"
+        f"{LET_GO * 1e3:g} mm, and the drill stays in the hand under its "
+        f"own weight, turned by less than {TURNED:g} degrees"
     )
     place = np.eye(4)
     # The handle lies across the fingers, its trigger before finger_1.
     place[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
-    place[:3, 3] = (0.018, -0.010, 0.158)
+    place[:3, 3] = (0.018, -0.012, 0.155)
     options = SimOptions(object="drill", object_mass=0.4, carrier="arm")
     names = ready.hand.actuator_names
     simulation = make_simulation(ready.hand, options, names, ready.settings.period, place=place)
@@ -51,14 +53,17 @@ def run(folder: Path, *, pictures: bool = True) -> Outcome:
         result = headless.do(Goal("drill", goal_id="drill"))
         around.release()
         before = around.position_in_hand
+        pressed = max(trigger)
         headless.wait(2.0)
     moved = float(np.linalg.norm(around.position_in_hand - before))
     outcome.check(result.succeeded, "the timed action was completed")
-    outcome.check(max(trigger) > PRESSED, f"the trigger was pressed by {max(trigger) * 1e3:.1f} mm")
+    outcome.check(pressed > PRESSED, f"the trigger was pressed by {pressed * 1e3:.1f} mm")
     outcome.check(trigger[-1] < LET_GO, f"the trigger came back to {trigger[-1] * 1e3:.1f} mm")
     outcome.check(
         bool(around.touching()) and moved < 0.02, f"the drill moved by {moved * 1e3:.1f} mm in 2 s"
     )
+    turned = np.degrees(around.turned_in_hand(place))
+    outcome.check(turned < TURNED, f"the drill turned by {turned:.0f} degrees since it was given")
     if stills:
         strip(folder / "heri_ii_drill.png", stills, outcome)
     return outcome

@@ -7,7 +7,7 @@ from pathlib import Path
 from experiments.common import Outcome, hold, main
 from rtee.trials.trial import Trial
 
-OBJECT = "cylinder:0.025x0.14"
+OBJECT = "cylinder:0.025x0.12"
 GRASPS = (
     ("robotiq_2f_85", "SingleJointMultipleTips_2", "finger_joint"),
     ("qb_softhand", "SingleJointMultipleTips_5", "qbhand_synergy_joint"),

@@ -15,6 +15,7 @@ from rtee.cli._common import complete_hand
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from rtee.drivers.mujoco.simulation import Simulation
     from rtee.trials.headless import HeadlessHand
     from rtee.trials.trial import Trial, TrialResult
 
@@ -136,7 +137,7 @@ def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> Tr
         make_folder(pictures)
         take = trial_camera(ready.hand)
 
-        def watch(moment: str, headless: HeadlessHand) -> None:
+        def watch(moment: str, headless: HeadlessHand[Simulation]) -> None:
             if moment == "start":
                 stills.clear()
             stills.append((moment, take(headless)))

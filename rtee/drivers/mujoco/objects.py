@@ -18,7 +18,7 @@ OBJECT = "object"
 TRIGGER = "object/trigger"
 """Name of the body and joint of a trigger."""
 
-TRIGGER_TRAVEL = 0.012
+TRIGGER_TRAVEL = 0.010
 """How far a drill's trigger can be pressed [m]."""
 
 _FORMS = (
@@ -27,9 +27,9 @@ _FORMS = (
 _NUMBERS = {"box": 3, "cylinder": 2, "sphere": 1}
 _LARGEST = 2.0
 _MESHES = (".stl", ".obj")
-_HANDLE = (0.018, 0.130)
+_HANDLE = (0.026, 0.032, 0.130)
 _BODY = (0.050, 0.140, 0.050)
-_PLATE = (0.024, 0.010, 0.028)
+_PLATE = (0.024, 0.006, 0.026)
 _SPRING = 250.0
 _PRELOAD = 0.004
 
@@ -72,7 +72,7 @@ class ObjectShape:
             case "sphere":
                 reach = self.size[0]
             case "drill":
-                reach = 0.5 * _HANDLE[1]
+                reach = 0.5 * _HANDLE[2]
             case _:
                 reach = 0.0
         return float(pose[2, 3]) - reach
@@ -168,21 +168,23 @@ def _add_drill(body: mujoco.MjsBody, mass: float, friction: float) -> None:
     0, not pressed, to `TRIGGER_TRAVEL`.
     """
     handle = _geom(body, OBJECT, 0.5 * mass, friction)
-    handle.type = mujoco.mjtGeom.mjGEOM_CYLINDER
-    handle.size = [_HANDLE[0], 0.5 * _HANDLE[1], 0.0]
+    handle.type = mujoco.mjtGeom.mjGEOM_BOX
+    handle.size = [0.5 * value for value in _HANDLE]
     motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass, friction)
     motor.type = mujoco.mjtGeom.mjGEOM_BOX
     motor.size = [0.5 * value for value in _BODY]
-    motor.pos = [0.0, 0.03, 0.5 * (_HANDLE[1] + _BODY[2])]
-    front = _HANDLE[0] + TRIGGER_TRAVEL + 0.5 * _PLATE[1]
+    motor.pos = [0.0, 0.03, 0.5 * (_HANDLE[2] + _BODY[2])]
+    front = 0.5 * _HANDLE[1] + TRIGGER_TRAVEL + 0.5 * _PLATE[1]
     trigger = body.add_body(
-        name=TRIGGER, pos=[0.0, front, 0.5 * _HANDLE[1] - 0.5 * _PLATE[2] - 0.002]
+        name=TRIGGER, pos=[0.0, front, 0.5 * _HANDLE[2] - 0.5 * _PLATE[2] - 0.002]
     )
     joint = trigger.add_joint(
         name=TRIGGER, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, -1.0, 0.0], armature=0.01
     )
     joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     joint.range = [0.0, TRIGGER_TRAVEL]
+    joint.solref_limit = [0.004, 1.0]
+    joint.solimp_limit = [0.99, 0.999, 0.0005, 0.5, 2.0]
     joint.stiffness = [_SPRING, 0.0, 0.0]
     joint.springref = -_PRELOAD
     joint.damping = [2.0, 0.0, 0.0]
