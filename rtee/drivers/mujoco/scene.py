@@ -122,6 +122,8 @@ def add_table(spec: mujoco.MjSpec, height: float) -> None:
         name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_TABLE, pos=[0.0, 0.0, height - _TABLE[2]]
     )
     geom.friction = [0.8, 0.01, 1e-3]
+    geom.solref = [0.006, 1.0]
+    geom.priority = 1  # its hard contact counts, whatever stands on it
 
 
 def make_simulation(

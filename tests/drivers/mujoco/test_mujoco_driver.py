@@ -169,3 +169,20 @@ async def test_close_forgets_and_configure_starts_anew() -> None:
     await driver.configure()
     await driver.activate()
     assert (await driver.sense()).position[0] == pytest.approx(0.0, abs=1e-3)
+
+
+async def test_an_object_stands_on_the_table_and_is_lifted_by_the_carrier() -> None:
+    driver = await active(object="box:0.04x0.04x0.12", support="table", carrier="lift")
+    simulation, around = driver.simulation, driver.simulation.surroundings
+    start = around.pose
+    for _ in range(100):
+        await driver.sense()
+    assert around.released
+    assert around.pose[:3] == pytest.approx(start[:3], abs=2e-3)
+    await run(driver, Reference.at([0.8], max_effort=[5.0]), 300)
+    assert around.touching()
+    for step in range(200):
+        around.carry(np.array([0.0, 0.0, 0.1 * step / 200, 0.0, 0.0, 0.0]))
+        await driver.sense()
+    assert around.pose[2] > start[2] + 0.07
+    assert simulation.surroundings.base_pose[2, 3] == pytest.approx(0.1, abs=0.01)
