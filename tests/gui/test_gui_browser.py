@@ -119,7 +119,7 @@ def test_an_action_made_here_appears_in_a_second_window(
     assert stored.is_file()
 
 
-def test_stop_works_by_button_and_key(page: Page) -> None:
+def test_stop_is_confirmed(page: Page) -> None:
     page.get_by_role("button", name="STOP").click()
     page.get_by_text("confirmed by").first.wait_for()
 
