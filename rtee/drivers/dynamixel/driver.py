@@ -5,16 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import struct
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
-from rtee.drivers.base import Driver
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.calibration import (
     Calibrated,
@@ -22,34 +17,23 @@ from rtee.drivers.dynamixel.calibration import (
     read_calibration,
     write_calibration,
 )
+from rtee.drivers.dynamixel.cycle import STATE, DynamixelCycle
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator
 from rtee.drivers.dynamixel.link import DynamixelLink
-from rtee.drivers.dynamixel.options import DynamixelOptions
-from rtee.drivers.dynamixel.setup import Found
 from rtee.drivers.dynamixel.table import model_of
-from rtee.drivers.dynamixel.units import Scale
 from rtee.drivers.emulators import emulator_of, owner_of
-from rtee.drivers.options import read_options
 from rtee.errors import (
     BusError,
     CalibrationError,
     ConfigError,
-    DeviceFault,
-    NotConnected,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
+from rtee.types import FloatArray
 
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
-
-_STATE = struct.Struct("<hii")
-_HEALTH = struct.Struct("<HB")
 _SLOW = 5.0
-_GAINS = {"p": table.POSITION_P, "i": table.POSITION_I, "d": table.POSITION_D}
 
 
-class DynamixelDriver(Driver):
+class DynamixelDriver(DynamixelCycle):
     """Dynamixel X servos on one line.
 
     A cycle is one group read of current, velocity and position, and one group write of goal
@@ -62,49 +46,6 @@ class DynamixelDriver(Driver):
     Attributes:
         scales: Units of the joints, in the order of the actuators.
     """
-
-    Options: ClassVar[type[DynamixelOptions]] = DynamixelOptions
-
-    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        super().__init__(spec, buses)
-        self.options = read_options(DynamixelOptions, spec)
-        names = [a.name for a in spec.actuators]
-        if set(names) != set(self.options.servos):
-            absent = sorted(set(names) ^ set(self.options.servos))
-            raise ConfigError(
-                f"device '{spec.name}': option 'servos' must name the device's actuators, each "
-                f"once; these do not match: {', '.join(absent)}"
-            )
-        self._servos = [self.options.servos[name] for name in names]
-        self._ids = [servo.id for servo in self._servos]
-        self._names = dict(zip(self._ids, names, strict=True))
-        self.scales = [Scale(s.zero, s.direction, s.gear) for s in self._servos]
-        self._link: DynamixelLink | None = None
-        self._found: dict[int, Found] = {}
-        self._active = False
-        self._count = 0
-        self._temperature = np.full(len(names), math.nan)
-        self._sent: dict[str, dict[int, int]] = {}
-        self.capabilities = Capabilities(
-            measures=frozenset({"position", "velocity", "current", "temperature"}),
-            accepts=frozenset({"position", "max_velocity"}),
-            best_rate=self._best_rate(fast=self.options.fast != "never"),
-            watchdog=self.options.watchdog > 0.0,
-            recoverable=True,
-            gains=tuple(_GAINS),
-        )
-
-    def _best_rate(self, *, fast: bool) -> float:
-        n, size = len(self._ids), table.STATE_SIZE
-        answer = 8 + n * (size + 4) if fast else n * (size + 11)
-        count = 14 + n + answer + 14 + n * 5
-        return 1.0 / (count * 10.0 / self.options.baudrate + self.options.turnaround)
-
-    @property
-    def _line(self) -> DynamixelLink:
-        if self._link is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._link
 
     # --- life --------------------------------------------------------------------------------
 
@@ -201,11 +142,13 @@ class DynamixelDriver(Driver):
         Raises:
             CalibrationError: if one stands where it cannot be.
         """
-        data, _ = await self._line.run(lambda: self._line.read_group(table.STATE, table.STATE_SIZE))
+        data, _ = await self._line.run(
+            lambda: self._line.read_group(table.STATE, table.STATE_SIZE), _SLOW
+        )
         for number, scale, actuator in zip(
             self._ids, self.scales, self.spec.actuators, strict=True
         ):
-            pulses = _STATE.unpack(data[number])[2]
+            pulses = STATE.unpack(data[number])[2]
             outside = scale.unwrap(pulses, actuator.lower, actuator.upper)
             if outside > self.options.outside:
                 raise CalibrationError(
@@ -235,12 +178,12 @@ class DynamixelDriver(Driver):
         setup.refuse(link, self.spec.name, self._names, errors)
         torque, _ = link.read_group(table.TORQUE.address, 1)
         off = {n: replace(self._found[n], torque=False) for n in self._ids if not torque[n][0]}
-        positions = {n: _STATE.unpack(state[n])[2] for n in off}
+        positions = {n: STATE.unpack(state[n])[2] for n in off}
         setup.prepare(link, self.options, off, positions, self._most_current())
         guard, _ = link.read_group(table.BUS_WATCHDOG.address, 1)
         setup.arm(link, self.options.watchdog)
         # What a servo does when a tripped watchdog is cleared must not depend on its old goal.
-        tripped = {n: _STATE.unpack(state[n])[2] for n in self._ids if guard[n][0] == 0xFF}
+        tripped = {n: STATE.unpack(state[n])[2] for n in self._ids if guard[n][0] == 0xFF}
         link.write_group(table.GOAL_POSITION, tripped)
         self._sent = {}
         if off:
@@ -249,136 +192,12 @@ class DynamixelDriver(Driver):
             )
             link.delay = sum(found.return_delay for found in self._found.values()) * 2e-6
 
-    def _most_current(self) -> dict[int, int]:
-        most = {}
-        for servo, scale in zip(self._servos, self.scales, strict=True):
-            limit = self._found[servo.id].current_limit
-            wanted = servo.current or self.options.current
-            if wanted is not None and math.isfinite(scale.current_unit):
-                limit = min(limit, round(wanted / scale.current_unit))
-            most[servo.id] = limit
-        return most
-
     async def deactivate(self) -> None:
         """Take the torque away."""
         self._active = False
         if self._link is not None:
             link = self._link
             await link.run(lambda: link.write_group(table.TORQUE, dict.fromkeys(self._ids, 0)))
-
-    async def close(self) -> None:
-        """Give the line back; servos with torque keep it."""
-        link, self._link = self._link, None
-        self._active = False
-        if link is not None:
-            await link.bus.release(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the line."""
-        return {} if self._link is None else self._link.bus.counters.as_mapping()
-
-    # --- every cycle -------------------------------------------------------------------------
-
-    async def sense(self) -> ActuatorState:
-        """Return current, velocity and position of all servos, read at once."""
-        self._count += 1
-        return await self._line.run(self._sense)
-
-    def _sense(self) -> ActuatorState:
-        link = self._line
-        if self._count % self.options.health_every == 1 or self.options.health_every == 1:
-            self._look_after()
-        data, errors = link.read_group(table.STATE, table.STATE_SIZE)
-        stamp = time.monotonic()
-        if self._active:
-            setup.refuse(link, self.spec.name, self._names, errors)
-        n = len(self._ids)
-        position, velocity = np.empty(n), np.empty(n)
-        effort, current = np.empty(n), np.empty(n)
-        for i, (number, scale) in enumerate(zip(self._ids, self.scales, strict=True)):
-            amount, speed, pulses = _STATE.unpack(data[number])
-            position[i] = scale.to_rad(pulses)
-            velocity[i] = scale.to_speed(speed)
-            current[i] = scale.to_current(amount)
-            effort[i] = scale.to_effort(amount)
-        return ActuatorState.measured(
-            position,
-            stamp,
-            velocity=velocity,
-            effort=effort,
-            current=current,
-            temperature=self._temperature.copy(),
-        )
-
-    def _look_after(self) -> None:
-        """Read temperatures, and see that no servo has lost its torque or tripped its watchdog."""
-        link = self._line
-        health, _ = link.read_group(table.HEALTH, table.HEALTH_SIZE)
-        self._temperature = np.array([float(_HEALTH.unpack(health[n])[1]) for n in self._ids])
-        if not self._active:
-            return
-        # The watchdog first: a tripped one explains a servo that does not follow.
-        if self.options.watchdog > 0.0:
-            guard, errors = link.read_group(table.BUS_WATCHDOG.address, 1)
-            tripped = [n for n in self._ids if guard[n][0] == 0xFF]
-            if tripped:
-                raise self._fault(setup.WATCHDOG_TRIPPED, "watchdog tripped", tripped)
-        torque, errors = link.read_group(table.TORQUE.address, 1)
-        setup.refuse(link, self.spec.name, self._names, errors)
-        lost = [n for n in self._ids if not torque[n][0]]
-        if lost:
-            raise self._fault(setup.TORQUE_LOST, "torque lost", lost)
-
-    def _fault(self, code: int, what: str, numbers: list[int]) -> DeviceFault:
-        named = ", ".join(f"{n} ({self._names[n]})" for n in numbers)
-        return DeviceFault(
-            self.spec.name, code, f"{what}: servo {named}", hint="`rtee recover` powers it again"
-        )
-
-    async def move(self, reference: Reference) -> None:
-        """Write changed limits, then the goal positions."""
-        await self._line.run(lambda: self._move(reference))
-
-    def _move(self, reference: Reference) -> None:
-        link = self._line
-        goals: dict[int, int] = {}
-        currents: dict[int, int] = {}
-        speeds: dict[int, int] = {}
-        most = self._most_current()
-        limited = "max_effort" in self.capabilities.accepts
-        for i, (number, scale) in enumerate(zip(self._ids, self.scales, strict=True)):
-            if not reference.mask[i]:
-                continue
-            goals[number] = scale.to_pulses(float(reference.position[i]))
-            effort, velocity = float(reference.max_effort[i]), float(reference.max_velocity[i])
-            if limited:
-                wanted = scale.to_current_counts(effort) if math.isfinite(effort) else most[number]
-                currents[number] = min(wanted, most[number])
-            # A profile velocity of 0 means none at all.
-            speeds[number] = scale.to_speed_counts(velocity) if math.isfinite(velocity) else 0
-        if self.options.mode == "current_based_position":
-            self._write_changed("current", table.GOAL_CURRENT, currents)
-        if not any(f.drive_mode & 0x04 for f in self._found.values()):
-            self._write_changed("speed", table.PROFILE_VELOCITY, speeds)
-        link.write_group(table.GOAL_POSITION, goals)
-
-    def _write_changed(self, what: str, register: table.Register, values: dict[int, int]) -> None:
-        sent = self._sent.setdefault(what, {})
-        changed = {n: v for n, v in values.items() if sent.get(n) != v}
-        if changed:
-            self._line.write_group(register, changed)
-            sent.update(changed)
-
-    async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Write gains of the position controllers of all servos."""
-        link = self._line
-
-        def write() -> None:
-            for name, value in gains.items():
-                count = min(max(round(value), 0), 16383)
-                link.write_group(_GAINS[name], dict.fromkeys(self._ids, count))
-
-        await link.run(write)
 
     # --- stop and faults ---------------------------------------------------------------------
 
@@ -390,7 +209,7 @@ class DynamixelDriver(Driver):
 
         def hold() -> None:
             data, _ = link.read_group(table.STATE, table.STATE_SIZE)
-            goals = {n: _STATE.unpack(data[n])[2] for n in self._ids}
+            goals = {n: STATE.unpack(data[n])[2] for n in self._ids}
             link.write_group(table.GOAL_POSITION, goals)
 
         with contextlib.suppress(RteeError, OSError):
@@ -440,10 +259,12 @@ class DynamixelDriver(Driver):
         """
         await self.deactivate()
         await ready("Put every joint into the rest posture; the servos are without torque.")
-        data, _ = await self._line.run(lambda: self._line.read_group(table.STATE, table.STATE_SIZE))
+        data, _ = await self._line.run(
+            lambda: self._line.read_group(table.STATE, table.STATE_SIZE), _SLOW
+        )
         for number, scale, angle in zip(self._ids, self.scales, rest, strict=True):
             scale.zero, scale.turn = 0.0, 0
-            pulses = _STATE.unpack(data[number])[2]
+            pulses = STATE.unpack(data[number])[2]
             scale.zero = float((pulses - scale.to_pulses(float(angle))) % table.PULSES)
         found = self._as_calibrated()
         write_calibration(path, found)

@@ -1,25 +1,51 @@
-"""The SVH's serial protocol: packets, messages and a resynchronising parser. No I/O."""
+"""The SVH's messages: what the data of its packets says. No I/O."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from enum import IntEnum
-from functools import reduce
-from operator import xor
 from typing import ClassVar, Self
 
-BAUDRATE = 921_600
-CHANNELS = 9
-SYNC = b"\x4c\xaa"
-PAYLOAD = 64
-"""Bytes of data in every packet of the host, padded with zeros."""
-PACKET = PAYLOAD + 8
-"""Bytes of a padded packet on the wire."""
-GAP = 782e-6
-"""Pause the hand needs after each packet of the host [s]."""
+from rtee.drivers.schunk_svh.packets import (
+    BAUDRATE,
+    CHANNELS,
+    GAP,
+    PACKET,
+    PAYLOAD,
+    SYNC,
+    Command,
+    Packet,
+    Parser,
+    SvhFrameError,
+    checksums,
+)
 
-_HEADER = struct.Struct("<2sBBH")
+__all__ = [
+    "BAUDRATE",
+    "CHANNELS",
+    "GAP",
+    "PACKET",
+    "PAYLOAD",
+    "SYNC",
+    "Command",
+    "ControllerState",
+    "CurrentSettings",
+    "Feedback",
+    "FeedbackAll",
+    "FirmwareInfo",
+    "Packet",
+    "Parser",
+    "PositionSettings",
+    "SvhFrameError",
+    "checksums",
+    "encoders",
+    "read_encoders",
+    "read_target",
+    "read_targets",
+    "target",
+    "targets",
+]
+
 _FEEDBACK = struct.Struct("<ih")
 _FEEDBACK_ALL = struct.Struct("<9i9h")
 _TARGETS = struct.Struct("<9i")
@@ -27,158 +53,6 @@ _TEN_FLOATS = struct.Struct("<10f")
 _STATE = struct.Struct("<6H")
 _ENCODERS = struct.Struct("<9I")
 _FIRMWARE = struct.Struct("<4sHH48s")
-
-
-class SvhFrameError(ValueError):
-    """Bytes that are no packet, or a packet whose data does not fit its command."""
-
-
-class Command(IntEnum):
-    """The low nibble of a packet's address."""
-
-    GET_CONTROL_FEEDBACK = 0x0
-    SET_CONTROL_COMMAND = 0x1
-    GET_CONTROL_FEEDBACK_ALL = 0x2
-    SET_CONTROL_COMMAND_ALL = 0x3
-    GET_POSITION_SETTINGS = 0x4
-    SET_POSITION_SETTINGS = 0x5
-    GET_CURRENT_SETTINGS = 0x6
-    SET_CURRENT_SETTINGS = 0x7
-    GET_CONTROLLER_STATE = 0x8
-    SET_CONTROLLER_STATE = 0x9
-    GET_ENCODER_VALUES = 0xA
-    SET_ENCODER_VALUES = 0xB
-    GET_FIRMWARE_INFO = 0xC
-
-
-def checksums(data: bytes | bytearray) -> tuple[int, int]:
-    """Return the sum modulo 256 and the exclusive-or of the data bytes."""
-    return sum(data) & 0xFF, reduce(xor, data, 0)
-
-
-@dataclass(frozen=True, slots=True)
-class Packet:
-    """One packet, either way.
-
-    Attributes:
-        command: What it is about.
-        channel: The channel it is about, 0 where the command has none.
-        data: Its data as on the wire.
-        index: The host's packet counter, 0 to 254; a reply carries that of its request.
-    """
-
-    command: Command
-    channel: int = 0
-    data: bytes = b""
-    index: int = 0
-
-    def to_bytes(self, *, pad: bool = True) -> bytes:
-        """Return the packet as sent; the host always pads its data to 64 bytes."""
-        if len(self.data) > PAYLOAD or not 0 <= self.channel <= 15 or not 0 <= self.index <= 255:
-            raise SvhFrameError(f"no packet can carry {self}")
-        data = self.data.ljust(PAYLOAD, b"\x00") if pad else self.data
-        address = self.command | self.channel << 4
-        return _HEADER.pack(SYNC, self.index, address, len(data)) + data + bytes(checksums(data))
-
-    @classmethod
-    def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` is, whole and nothing else.
-
-        Raises:
-            SvhFrameError: if it is none.
-        """
-        if len(raw) < 8:
-            raise SvhFrameError(f"{len(raw)} bytes are too few for a packet")
-        sync, index, address, length = _HEADER.unpack_from(raw)
-        if sync != SYNC:
-            raise SvhFrameError("a packet begins with 4C AA")
-        if length > PAYLOAD or len(raw) != length + 8:
-            raise SvhFrameError(f"a data length of {length} does not fit {len(raw)} bytes")
-        data = raw[6:-2]
-        if bytes(checksums(data)) != raw[-2:]:
-            raise SvhFrameError("the checksums do not match")
-        command = address & 0xF
-        if command > Command.GET_FIRMWARE_INFO:
-            raise SvhFrameError(f"there is no command {command:#x}")
-        return cls(Command(command), address >> 4, data, index)
-
-
-class Parser:
-    """Finds packets in a stream; a bad one costs itself, not the one that follows.
-
-    Attributes:
-        errors: Packets dropped for a bad length, command or checksum.
-        skipped: Bytes dropped between packets.
-    """
-
-    LIMIT: ClassVar[int] = 4 * PACKET
-
-    def __init__(self) -> None:
-        self._buffer = bytearray()
-        self.errors = 0
-        self.skipped = 0
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept because a packet may still be completed."""
-        return len(self._buffer)
-
-    def reset(self) -> None:
-        """Forget what has come in."""
-        self._buffer.clear()
-
-    def feed(self, data: bytes) -> list[Packet]:
-        """Take bytes as they come in and return the packets completed by them."""
-        packets: list[Packet] = []
-        for start in range(0, len(data), PACKET):
-            self._buffer += data[start : start + PACKET]
-            self._scan(packets)
-        return packets
-
-    def _scan(self, packets: list[Packet]) -> None:
-        buffer = self._buffer
-        while buffer:
-            start = buffer.find(SYNC)
-            if start < 0:
-                keep = 1 if buffer[-1] == SYNC[0] else 0
-                self.skipped += len(buffer) - keep
-                del buffer[: len(buffer) - keep]
-                return
-            if start:
-                self.skipped += start
-                del buffer[:start]
-            if len(buffer) < 6:
-                return
-            length = buffer[4] | buffer[5] << 8
-            if length <= PAYLOAD and len(buffer) < length + 8:
-                inside = self._whole_inside()
-                if not inside:
-                    return
-                self.errors += 1
-                del buffer[:inside]
-                continue
-            try:
-                packets.append(Packet.from_bytes(bytes(buffer[: length + 8])))
-                del buffer[: length + 8]
-            except SvhFrameError:
-                self.errors += 1
-                del buffer[:1]
-
-    def _whole_inside(self) -> int:
-        """Return where a whole packet begins inside one that is incomplete, or 0.
-
-        A header found in noise announces bytes that never come; the packet after it must not wait.
-        """
-        buffer = self._buffer
-        start = buffer.find(SYNC, 1)
-        while 0 < start <= len(buffer) - 8:
-            length = buffer[start + 4] | buffer[start + 5] << 8
-            end = start + length + 8
-            fits = 0 < length <= PAYLOAD and end <= len(buffer)
-            if fits and bytes(checksums(buffer[start + 6 : end - 2])) == buffer[end - 2 : end]:
-                return start
-            start = buffer.find(SYNC, start + 1)
-        return 0
 
 
 def _unpack(form: struct.Struct, packet: Packet, what: str) -> tuple[float, ...]:
