@@ -97,6 +97,9 @@ class Cia402Driver(Cia402Cycle):
         await self._settled()
         for drive in self.drives:
             enabled = drive.state is State.ENABLED
+            if not enabled:
+                # It may have lost its supply, and with it what homing had found.
+                self._homed.discard(drive.id)
             drive.controlword = Control.ENABLE if enabled else Control.DISABLE_VOLTAGE
             drive.stand(self._measured(drive))
 

@@ -129,9 +129,20 @@ class SchunkSvhDriver(Driver):
         self._baseline = state
         if not self.stops:
             self.stops = read_stops(options.stops_file)
+        if self.stops and not self._plausible(await link.feedback_all()):
+            self.stops = {}
         if not set(self._index) <= {c for c in range(codec.CHANNELS) if state.enabled >> c & 1}:
             # Switched off since: the supply may have been, too, and with it the encoders' zero.
             self.stops = {}
+
+    def _plausible(self, feedback: codec.FeedbackAll) -> bool:
+        """Return whether every finger stands where its stop allows."""
+        for index, stop in self.stops.items():
+            low, high = self._table[index].soft_limits(stop)
+            slack = (high - low) // 10
+            if not low - slack <= feedback.positions[index] <= high + slack:
+                return False
+        return True
 
     def _adopt(self, firmware: codec.FirmwareInfo) -> None:
         def with_options(channel: Channel) -> Channel:

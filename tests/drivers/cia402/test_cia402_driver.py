@@ -198,6 +198,11 @@ async def test_homing_only_when_allowed() -> None:
         assert drives(pool).drives[5].homed
         assert drives(pool).drives[5].axis.position == -500
         assert await settle(made, [0.2]) == pytest.approx([0.2], abs=2e-3)
+        pool.simulation("jaws/gripper").power_cycle()
+        await anyio.sleep(0.02)
+        await made.configure()
+        with pytest.raises(DeviceFault, match="not homed"):
+            await made.activate()
 
 
 @pytest.mark.anyio

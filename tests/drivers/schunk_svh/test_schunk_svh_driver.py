@@ -134,6 +134,18 @@ async def test_attaches_to_a_hand_that_holds_without_moving_it(tmp_path: Path) -
         assert not changed & {*MOTION, Command.SET_CONTROLLER_STATE, Command.SET_POSITION_SETTINGS}
 
 
+async def test_stops_of_another_power_up_are_not_believed(tmp_path: Path) -> None:
+    file = tmp_path / "stops.json"
+    async with BusPool(wire_time=False) as pool:
+        async with driver(pool, device(["Pinky"], stops_file=str(file))) as first:
+            await first.configure()
+            await first.activate()
+        file.write_text('{"stops": {"7": 900000}}')
+        async with driver(pool, device(["Pinky"], stops_file=str(file))) as second:
+            await second.configure()
+            assert not second.stops
+
+
 async def test_a_power_cycle_costs_the_zero() -> None:
     async with BusPool(wire_time=False) as pool, driver(pool, device(["Pinky"])) as made:
         await made.configure()
