@@ -247,6 +247,8 @@ class RobotiqDriver(Driver, Generic[S]):
 
     async def _within(self, steps: Callable[[], Awaitable[None]]) -> None:
         """Do what moves the gripper by itself, in time; cancelling stops it."""
+        blocks = self._open()
+        usual, blocks.deadline = blocks.deadline, PATIENT
         try:
             async with asyncio.timeout(self._settings.activation_timeout):
                 await steps()
@@ -263,6 +265,8 @@ class RobotiqDriver(Driver, Generic[S]):
             with contextlib.suppress(BusError):
                 await self._write(self.RESET)
             raise
+        finally:
+            blocks.deadline = usual
 
     async def _until(self, done: Callable[[S], bool]) -> None:
         missed = 0

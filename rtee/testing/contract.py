@@ -425,7 +425,7 @@ class DriverContract:
                 await fast.start()
                 await slow.start()
                 slow.wire.faults = Faults(delay=1.0, delay_time=0.1, requests=False)
-                waiting = asyncio.ensure_future(self._try(slow.driver.sense))
+                waiting = asyncio.ensure_future(self._try(slow.driver.sense, 5))
                 done = 0
                 while not waiting.done():
                     await fast.sense()
@@ -435,11 +435,12 @@ class DriverContract:
 
         run(test)
 
-    async def _try(self, call: Callable[[], Any]) -> None:
-        try:
-            await call()
-        except RteeError:
-            pass
+    async def _try(self, call: Callable[[], Any], times: int) -> None:
+        for _ in range(times):
+            try:
+                await call()
+            except RteeError:
+                await asyncio.sleep(0)
 
     # --- closing -----------------------------------------------------------------------------
 

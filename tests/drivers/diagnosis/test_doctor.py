@@ -51,7 +51,9 @@ def real(line: SimulatedLine) -> str:
 async def test_all_is_well() -> None:
     async with BusPool() as pool:
         checks = await check_device(gripper(emulated=True), pool)
-    assert {check.verdict for check in checks} == {Verdict.OK}
+    # A busy computer may cost a repetition on the wire, which is a warning.
+    assert {check.verdict for check in checks if check.subject != "wire"} == {Verdict.OK}
+    assert named(checks, "wire").verdict is not Verdict.WRONG
     assert "model 2F-85" in named(checks, "identity").text
     assert named(checks, "rate").text == "up to 164 Hz"
 

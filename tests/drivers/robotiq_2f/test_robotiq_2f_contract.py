@@ -86,6 +86,8 @@ async def test_a_gripper_without_function_23_is_driven_by_16_and_3() -> None:
     async with Session(replace(RTU, options={**RTU.options, "emulator": emulator})) as session:
         await session.start()
         assert session.near(await session.reach([0.4]), [0.4])
+        for _ in range(30):
+            await session.cycle(Reference.at([0.4]))
         assert 23 not in {pdu[0] for pdu in session.emulator.requests[-20:]}
 
 
