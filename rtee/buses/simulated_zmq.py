@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import zmq
 
@@ -14,6 +14,20 @@ from rtee.buses.faults import Faults
 from rtee.buses.simulated import Simulation
 from rtee.buses.zmq import Endpoints
 from rtee.errors import BusBroken
+
+
+class Ports(NamedTuple):
+    """TCP ports of a server.
+
+    Attributes:
+        state: Where it publishes.
+        command: Where it takes commands.
+        service: Where it answers requests.
+    """
+
+    state: int
+    command: int
+    service: int
 
 
 @runtime_checkable
@@ -29,14 +43,20 @@ class SimulatedZmq(Simulation):
     """The server's ends: publishes what `Emulator.step` returns, feeds commands, answers requests.
 
     Attributes:
-        endpoints: Its addresses; chosen at the first start and kept.
+        endpoints: Its addresses; ports that are not given are chosen at the first start and kept.
     """
 
     def __init__(
-        self, *, name: str = "zmq", faults: Faults | None = None, host: str = "127.0.0.1"
+        self,
+        *,
+        name: str = "zmq",
+        faults: Faults | None = None,
+        host: str = "127.0.0.1",
+        ports: Ports | None = None,
     ) -> None:
         super().__init__(name)
-        self.endpoints = Endpoints(*[f"tcp://{host}:*"] * 3)
+        chosen: tuple[int | str, ...] = ports or ("*", "*", "*")
+        self.endpoints = Endpoints(*(f"tcp://{host}:{port}" for port in chosen))
         self._faults = faults or Faults()
         self._context: zmq.Context[Any] | None = None
         self._sockets: list[Any] = []

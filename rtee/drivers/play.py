@@ -12,10 +12,13 @@ from rtee.buses.emulator import Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
 from rtee.buses.simulated import SimulatedCan, SimulatedLine, Simulation
+from rtee.buses.simulated_zmq import Ports, Serves, SimulatedZmq
 from rtee.drivers.emulators import make_emulator
 from rtee.errors import ConfigError, RteeError, suggestion
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
+_ZMQ_PORT = 5556
+"""Where a ZeroMQ server publishes; it answers requests one port above, takes commands two above."""
 HELP = """\
 fault NAME        put a fault into the device
 clear [NAME]      take it away, or all
@@ -35,7 +38,7 @@ class Player:
         name: Name of the device's driver.
         properties: Properties of the emulated device.
         link: Path of the pty, made as a symbolic link; by default in a temporary folder.
-        tcp: TCP port to listen at instead.
+        tcp: TCP port to listen at instead; the first of three for a ZeroMQ server.
         raw: The port carries a serial line's bytes, not Modbus TCP.
         host: Address to listen at.
         can: Channel of a CAN bus instead.
@@ -71,7 +74,12 @@ class Player:
         _check_wire(name, self.emulator, can is not None)
         rate = baudrate or self.emulator.baudrate
         self.simulation: Simulation
-        if can is not None:
+        if isinstance(self.emulator, Serves):
+            base = tcp or _ZMQ_PORT
+            ports = Ports(state=base, command=base + 2, service=base + 1)
+            self.simulation = SimulatedZmq(name=name, host=host, ports=ports)
+            self.simulation.emulators.append(self.emulator)
+        elif can is not None:
             self.simulation = SimulatedCan(
                 [self.emulator],
                 name=name,

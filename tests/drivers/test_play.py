@@ -88,3 +88,33 @@ def test_mistakes_are_named() -> None:
         Player("heri_ethercat")
     with pytest.raises(ConfigError, match="give one of"):
         Player("robotiq_2f", tcp=0, can="x")
+
+
+def test_a_zeromq_server_has_three_ports_side_by_side() -> None:
+    zmq = pytest.importorskip("zmq")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        base = probe.getsockname()[1] - 10
+    with (
+        Player("xbot2", {"joints": ["claw"]}, tcp=base) as player,
+        zmq.Context() as context,
+        context.socket(zmq.REQ) as service,
+    ):
+        assert player.address == f"tcp://127.0.0.1:{base}"
+        service.linger, service.rcvtimeo = 0, 2000
+        service.connect(f"tcp://127.0.0.1:{base + 1}")
+        service.send(b"type: joint_names\n")
+        assert b"claw" in service.recv()
+
+
+@pytest.mark.parametrize(
+    ("name", "request_", "answer"),
+    [
+        ("qb_softhand", "3A 3A 01 02 00 00", "3A 3A 01 02 00 00"),
+        ("dynamixel", "FF FF FD 00 01 03 00 01 19 4E", "FF FF FD 00 01 07 00 55 00 B0 04"),
+    ],
+)
+def test_hands_answer_at_their_own_rate(name: str, request_: str, answer: str) -> None:
+    with Player(name) as player:
+        expected = bytes.fromhex(answer)
+        assert asked(player.address, bytes.fromhex(request_), len(expected)) == expected

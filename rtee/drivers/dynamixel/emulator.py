@@ -64,6 +64,8 @@ class DynamixelEmulator(Emulator):
 
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
 
+    baudrate = 57_600
+
     def __init__(self, properties: LineProperties | None = None) -> None:
         super().__init__()
         self.properties = properties or LineProperties()
@@ -83,7 +85,9 @@ class DynamixelEmulator(Emulator):
             defaults = {"ids": tuple(s["id"] for s in given)}
             if "servo" not in (options.get("emulator") or {}):
                 defaults["special"] = start
-        return cls(read_properties(LineProperties, options, **defaults))
+        made = cls(read_properties(LineProperties, options, **defaults))
+        made.baudrate = int(options.get("baudrate") or made.baudrate)
+        return made
 
     @property
     def servos(self) -> dict[int, Servo]:

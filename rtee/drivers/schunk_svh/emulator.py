@@ -76,6 +76,8 @@ class SchunkSvhEmulator(Emulator):
         "driver_fault", "over_temperature", "silent",
     }  # fmt: skip
 
+    baudrate = codec.BAUDRATE
+
     def __init__(self, options: SvhOptions | None = None) -> None:
         super().__init__()
         self.options = options or SvhOptions()

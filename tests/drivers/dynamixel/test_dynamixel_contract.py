@@ -33,7 +33,7 @@ class TestDynamixel(DriverContract):
         options={
             "servos": {name: {"id": i} for i, name in enumerate(NAMES)},
             "emulator": {"servo": {"reboot_time": 0.05}},
-            "health_every": 5,
+            "health_every": 15,
             "retries": 9,
             "deadline": 0.1,
         },

@@ -31,7 +31,7 @@ class TestSvh(DriverContract):
         actuators=tuple(actuator(f"hand_{c.name}", 0.0, c.range, effort=0.4) for c in USED),
         options={
             "home": "on_connect",
-            "status_every": 3,
+            "status_every": 15,
             "deadline": 0.1,
             "emulator": {"haste": 300.0, "start": 0.05},
         },
