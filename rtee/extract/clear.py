@@ -18,17 +18,14 @@ from rtee.extract.search import distinct
 from rtee.extract.space import Space, rounded
 from rtee.types import FloatArray
 
-_ROUNDS: Final = 8
-_LEAPS: Final = 6
 _LITTLE: Final = 0.03
-_CREEPS: Final = 14
 _RADIUS: Final = 0.08
 _TIGHTER: Final = 0.4
 _WIDER: Final = 1.6
 _SMALLEST: Final = 0.002
 _EVALUATIONS: Final = 40
 _QUICK: Final = 30
-_POLISH: Final = 20
+_POLISH: Final = 11
 _WEIGHT: Final = 5.0
 _SHRINK: Final = 0.2
 _STRENGTHEN: Final = 2.0
@@ -36,17 +33,42 @@ _STRONGEST: Final = 40.0
 _GAIN: Final = 0.01
 _SAME: Final = 0.05
 _AT_LEAST: Final = 2
+_POOL: Final = 5
 _COARSE: Final = 0.01
 _SAFE: Final = 2e-5
 _MARGIN: Final = 1e-4
 _CLOSE: Final = 5e-5
 _NEAR: Final = 5e-3
-_STATIONS: Final = 10
-_WAYS: Final = 4
+_SAMPLES: Final = 16
+_STATIONS: Final = 4
+_MOST_STATIONS: Final = 8
+_APART: Final = 0.02
 _SHORT: Final = 2e-3
 _FOLLOWED: Final = 2
-_EARLIEST: Final = 0.15
 _POSE: Final = (1.0,)
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How much a search for clear poses tries.
+
+    Attributes:
+        pool: How many good poses are kept in mind.
+        tries: How many poses are pushed out of their collisions.
+        rounds: How often one is pushed.
+        leaps: How often it is improved by its allowances.
+        creeps: How often it is improved within its walls.
+        ways: How often blocked ways are learned from.
+        retreat: Whether to go back on the way where pushing out fails.
+    """
+
+    pool: int = 8
+    tries: int = 3
+    rounds: int = 8
+    leaps: int = 4
+    creeps: int = 8
+    ways: int = 3
+    retreat: bool = True
 
 
 @dataclass(slots=True)
@@ -83,6 +105,7 @@ class ClearSearch:
         goal: Goal,
         space: Space,
         watch: Watch,
+        patience: Patience,
     ) -> None:
         """Prepare a search.
 
@@ -92,6 +115,7 @@ class ClearSearch:
             goal: What to press together.
             space: Where to search.
             watch: The links that may not collide.
+            patience: How much to try.
         """
         self._scene = scene
         self._motion = motion
@@ -101,14 +125,14 @@ class ClearSearch:
         self._varying = frozenset(self._index)
         self._low, self._high = np.zeros(space.size), np.ones(space.size)
         self._watch = watch
+        self._patience = patience
         self._constraints: list[Constraint] = []
 
-    def run(self, starts: Sequence[FloatArray], tries: int) -> list[FloatArray]:
+    def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
         """Return clear poses, the best one whose way is clear first, if there is any.
 
         Args:
             starts: Coordinates ``(k,)`` of good poses, the best first.
-            tries: How many poses are pushed out of their collisions at most.
 
         Returns:
             Coordinates ``(k,)`` of clear poses; if no clear way was found, of poses behind
@@ -116,8 +140,10 @@ class ClearSearch:
         """
         free: list[FloatArray] = []
         behind: list[FloatArray] = []
-        for _ in range(_WAYS):
-            found = self._explore(starts, tries if not behind else _FOLLOWED)
+        for _ in range(self._patience.ways):
+            found = self._explore(
+                starts, min(self._patience.tries, _FOLLOWED) if behind else self._patience.tries
+            )
             for y in found[:_FOLLOWED]:
                 blocked = self._blocked(y)
                 if blocked is None:
@@ -125,12 +151,23 @@ class ClearSearch:
                     continue
                 behind.append(y)
                 self._learn_way(blocked, y)
-                nearer = self._creep(self._before(y, blocked))
-                if self._touches(nearer) and self._blocked(nearer) is None:
+                nearer = self._go_back(y, blocked) if self._patience.retreat else None
+                if nearer is not None:
                     free.append(nearer)
             if not found or any(y is found[0] for y in free):
                 break
         return [*sorted(free, key=self._value), *behind]
+
+    def _go_back(self, y: FloatArray, blocked: Blocked) -> FloatArray | None:
+        """Return a pose with a clear way, from before a collision on the way to another one."""
+        for _ in range(self._patience.ways):
+            y = self._creep(self._before(y, blocked))
+            again = self._blocked(y)
+            if again is None:
+                return y if self._touches(y) else None
+            self._learn_way(again, y)
+            blocked = again
+        return None
 
     def _explore(self, starts: Sequence[FloatArray], tries: int) -> list[FloatArray]:
         """Return clear poses, the best first.
@@ -139,13 +176,13 @@ class ClearSearch:
         them is pushed out of its collisions, which teaches new constraints; and so on, until none
         promises more than what was reached.
         """
-        pool = list(starts)
+        pool = list(starts[: self._patience.pool])
         tried: list[FloatArray] = []
         found: list[FloatArray] = []
         best = np.inf
         for _ in range(tries):
             minima = [self._descend(y, _QUICK) for y in pool]
-            pool = [minimum.y for minimum in minima]
+            pool = [minimum.y for minimum in sorted(minima, key=lambda m: m.value)[:_POOL]]
             new = [
                 minimum
                 for minimum in distinct(minima)
@@ -168,7 +205,7 @@ class ClearSearch:
         its first collision, and on from there.
         """
         y = start
-        for _ in range(_ROUNDS):
+        for _ in range(self._patience.rounds):
             hits = self._watch.near(self._posture(y)) or self._watch.at(self._posture(y))
             if not hits:
                 better = self._creep(self._leap(y))
@@ -181,7 +218,7 @@ class ClearSearch:
             y = self._descend(y, _EVALUATIONS).y
             if not self._reached(y):
                 break
-        blocked = self._blocked(start)
+        blocked = self._blocked(start) if self._patience.retreat else None
         return None if blocked is None else self._creep(self._leap(self._before(start, blocked)))
 
     def _before(self, y: FloatArray, blocked: Blocked) -> FloatArray:
@@ -196,7 +233,7 @@ class ClearSearch:
         the goal is improved, and the pose moves on as far as it stays clear.
         """
         best = self._value(y)
-        for _ in range(_LEAPS):
+        for _ in range(self._patience.leaps):
             self._calibrate(y)
             step = self._descend(y, _EVALUATIONS).y - y
             for share in (1.0, 0.5, 0.25, 0.125):
@@ -220,7 +257,7 @@ class ClearSearch:
         best, radius = self._value(y), _RADIUS
         concerned = {c.pair.links: c.pair for c in self._constraints if c.times == _POSE}
         walls = self._walls(y, concerned)
-        for _ in range(_CREEPS):
+        for _ in range(self._patience.creeps):
             bounds = (np.maximum(self._low, y - radius), np.minimum(self._high, y + radius))
             function = self._walled(y, walls)
             trial = polish(function, y, evaluations=_POLISH, bounds=bounds).y
@@ -287,7 +324,7 @@ class ClearSearch:
         """Learn from a collision at a pose."""
         if self._bound(pair, y):
             return
-        known = self._known(pair, _POSE)
+        known = self._known(pair)
         if known is not None:
             self._tighten(known, self._overlap(pair, self._way(y), 1.0))
             return
@@ -301,17 +338,21 @@ class ClearSearch:
         if self._bound(blocked.pair, y):
             return
         way = self._way(y)
-        times = tuple(np.linspace(_EARLIEST, 1.0, _STATIONS, endpoint=False).tolist())
-        overlap = self._overlap(blocked.pair, way, blocked.at)
-        known = self._known(blocked.pair, times)
-        if known is not None:
-            deepest = max(self._overlap(blocked.pair, way, t) for t in (*times, blocked.at))
-            self._tighten(known, deepest)
+        times = np.linspace(blocked.at, 1.0, _SAMPLES, endpoint=False).tolist()
+        overlaps = [self._overlap(blocked.pair, way, t) for t in times]
+        deepest = times[int(np.argmax(overlaps))]
+        known = self._known(blocked.pair, on_way=True)
+        if known is None:
+            few = (*times[:: _SAMPLES // _STATIONS], deepest)
+            self._constraints.append(Constraint(blocked.pair, few, overlaps[0]))
+        elif all(abs(t - deepest) > _APART for t in known.times):
+            known.times = (*known.times[-_MOST_STATIONS:], deepest)
         else:
-            self._constraints.append(Constraint(blocked.pair, times, overlap))
+            self._tighten(known, max(overlaps))
 
-    def _known(self, pair: LinkPair, times: tuple[float, ...]) -> Constraint | None:
-        return next((c for c in self._constraints if c.pair is pair and c.times == times), None)
+    def _known(self, pair: LinkPair, *, on_way: bool = False) -> Constraint | None:
+        of_pair = (c for c in self._constraints if c.pair is pair)
+        return next((c for c in of_pair if (c.times != _POSE) is on_way), None)
 
     def _tighten(self, constraint: Constraint, overlap: float) -> None:
         """Allow less than an overlap at which the links do collide."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from rtee.extract.motion import Motion, Way
 from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.spheres import Spheres
 from rtee.types import FloatArray
 
 STEP: Final = 0.002
@@ -103,18 +104,21 @@ class Watch:
         self._motion = motion
         self.pairs = tuple(pairs)
         self._nested = nested
+        self._spheres = Spheres(scene, self.pairs)
         self._ways: dict[bytes, Blocked | None] = {}
 
     def at(self, u: FloatArray) -> list[LinkPair]:
         """Return which links collide at a posture ``(n,)``."""
-        self._scene.place(u)
-        return [pair for pair in self.pairs if self._scene.touching(pair)]
+        return self._touching(u, len(self.pairs))
 
     def near(self, u: FloatArray) -> list[LinkPair]:
         """Return which links collide at a posture, those left out that are nested at rest."""
+        return self._touching(u, len(self.pairs) - self._nested)
+
+    def _touching(self, u: FloatArray, count: int) -> list[LinkPair]:
         self._scene.place(u)
-        count = len(self.pairs) - self._nested
-        return [pair for pair in self.pairs[:count] if self._scene.touching(pair)]
+        close = np.flatnonzero(self._spheres.gaps()[:count] <= 0.0).tolist()
+        return [self.pairs[c] for c in close if self._scene.touching(self.pairs[c])]
 
     def along(self, u: FloatArray) -> Blocked | None:
         """Return where the straight way from rest to a posture is first blocked, if it is.
@@ -147,21 +151,34 @@ class Watch:
     ) -> list[tuple[LinkPair, list[list[float]]]]:
         """Return, per pair, the ends of the parts of the way in which it may touch, run by run."""
         scene = self._scene
+        spheres = self._spheres if pairs is self.pairs else Spheres(scene, pairs)
+        speeds = np.array([self._motion.speed(pair, way) for pair in pairs])
+        bounds: dict[float, FloatArray] = {}
         gaps: list[dict[float, float]] = [{} for _ in pairs]
-        speeds = [self._motion.speed(pair, way) for pair in pairs]
         left: list[list[tuple[float, float]]] = [[] for _ in pairs]
-        parts = {(0.0, 1.0): list(range(len(pairs)))}
+        parts = {(0.0, 1.0): np.arange(len(pairs))}
         while parts:
-            for t in sorted({t for ends in parts for t in ends}):
-                concerned = {c for ends, columns in parts.items() if t in ends for c in columns}
+            suspects: dict[tuple[float, float], list[int]] = {}
+            asked: dict[float, set[int]] = {}
+            for ends, columns in parts.items():
+                for t in ends:
+                    if t not in bounds:
+                        scene.place(way.at(t))
+                        bounds[t] = spheres.gaps()
+                reach = speeds[columns] * (ends[1] - ends[0])
+                near = bounds[ends[0]][columns] + bounds[ends[1]][columns] <= reach
+                suspects[ends] = columns[near].tolist()
+                for t in ends:
+                    asked.setdefault(t, set()).update(suspects[ends])
+            for t, concerned in asked.items():
                 scene.place(way.at(t))
                 for c in concerned:
                     if t not in gaps[c]:
                         gaps[c][t] = scene.distance(pairs[c])
             halves: dict[tuple[float, float], list[int]] = {}
-            for (start, end), columns in parts.items():
+            for (start, end), suspected in suspects.items():
                 middle = (start + end) / 2.0
-                for c in columns:
+                for c in suspected:
                     here, there = gaps[c][start], gaps[c][end]
                     if here + there > speeds[c] * (end - start):
                         continue
@@ -171,7 +188,7 @@ class Watch:
                     else:
                         halves.setdefault((start, middle), []).append(c)
                         halves.setdefault((middle, end), []).append(c)
-            parts = halves
+            parts = {ends: np.array(columns) for ends, columns in halves.items()}
         return [(pair, _runs(ends)) for pair, ends in zip(pairs, left, strict=True) if ends]
 
     def _first_in(self, pair: LinkPair, way: Way, ends: Sequence[float]) -> float | None:

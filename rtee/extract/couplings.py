@@ -20,8 +20,8 @@ class Couplings:
 
     Linear couplings are evaluated as they are. Non-linear ones are tabulated at 1025 knots over the
     widened limits and interpolated by cubic Hermite polynomials. That agrees with smooth couplings
-    of real hands to 1e-8 rad, and to 3e-5 rad where they have kinks; where an expression has no finite value, the
-    nearest finite one holds.
+    of real hands to 1e-8 rad, and to 3e-5 rad where they have kinks. Where an expression has no
+    finite value, the nearest finite one holds.
     """
 
     def __init__(self, hand: Hand) -> None:

@@ -83,22 +83,18 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
             pinches.append(found)
             progress(len(pinches), len(pairs))
         result = [found for found in pinches if found is not None]
-        tight: dict[frozenset[str], Found] = {
+        tight = {
             frozenset(found.fingers): found
             for found in result
             if found.kind is PrimitiveKind.PINCH_TIGHT
         }
-        done, total = len(pairs), len(pairs) + 2 ** len(tipped) - len(pairs) - len(tipped) - 1
-        for size in range(3, len(tipped) + 1):
-            groups = [(group, tight, rank) for group in combinations(tipped, size)]
-            several = []
-            for found in mapped(_find_group, groups):
-                several.append(found)
-                done += 1
-                progress(done, total)
-            tight = tight | {frozenset(f.fingers): f for f in several if f is not None}
-            result += [found for found in several if found is not None]
-    return result
+        sizes = range(len(tipped), 2, -1)  # those that take longest first
+        groups = [(g, tight, rank) for size in sizes for g in combinations(tipped, size)]
+        several = []
+        for found in mapped(_find_group, groups):
+            several.append(found)
+            progress(len(pairs) + len(several), len(pairs) + len(groups))
+    return result + [found for found in several if found is not None]
 
 
 def _find_pair(inspector: Inspector, task: _PairTask) -> Found | None:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import PrimitiveKind
+from rtee.extract.clear import Patience
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Link, MultiPinch, Placed, linked, trees
 from rtee.extract.postures import clear_postures, stored
@@ -20,10 +21,11 @@ from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
 
-_MOST_TREES: Final = 8
+_MOST_TREES: Final = 4
+_PATIENCE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=1, retreat=False)
 
 Pinches = Mapping[frozenset[str], Found]
-"""The tight pinches and the smaller multi-pinches found so far, by their fingers."""
+"""The tight pinches of two fingers, by these."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class MultiSearch:
     Attributes:
         inspector: Measures postures.
         fingers: The fingers.
-        pinches: What was found before.
+        pinches: The pinches of two fingers that were found.
         rank: What makes one posture better than another.
     """
 
@@ -67,7 +69,7 @@ class MultiSearch:
 
         candidates = [candidate(touching[0])]
         if not candidates[0].usable and self._promising():
-            clear = clear_postures(self.inspector, goal, space, watch, found, tries=2)
+            clear = clear_postures(self.inspector, goal, space, watch, found, _PATIENCE)
             candidates += [candidate(u) for u in clear[:1]]
         lower, upper = real_limits(self._hand)
         extent = upper - lower
@@ -95,12 +97,16 @@ class MultiSearch:
     def _promising(self) -> bool:
         """Return whether a clear posture is worth a search.
 
-        Of more than three fingers it is when all but one of them have one.
+        Of more than three fingers it is when clear pinches of two link them.
         """
         names = [finger.name for finger in self.fingers]
-        smaller = (self.pinches.get(frozenset(g)) for g in combinations(names, len(names) - 1))
-        clear = any(pinch is not None and pinch.best.evidence.clear for pinch in smaller)
-        return clear or len(names) == 3
+        clear = [
+            (i, j)
+            for i, j in combinations(range(len(names)), 2)
+            if (pinch := self.pinches.get(frozenset((names[i], names[j])))) is not None
+            and pinch.best.usable
+        ]
+        return len(names) == 3 or linked(len(names), clear)
 
     def _warm(self, space: Space, links: Sequence[Link]) -> list[FloatArray]:
         """Return starts combined from the pinches of pairs that link the fingers."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rtee.actions.types import PrimitiveKind
+from rtee.extract.clear import Patience
 from rtee.extract.collisions import Watch
 from rtee.extract.descent import descend
 from rtee.extract.evidence import Inspector
@@ -99,7 +100,7 @@ class PinchSearch:
         candidates = [self._candidate(touching[0], watch)]
         if not candidates[0].usable:
             goal = Pinch(self._scene, self.tips)
-            clear = clear_postures(self.inspector, goal, space, watch, deep)
+            clear = clear_postures(self.inspector, goal, space, watch, deep, Patience())
             candidates += [self._candidate(u, watch) for u in clear[: most - 1]]
         candidates += [self._candidate(u, watch) for u in touching[1 : most + 1 - len(candidates)]]
         return self._found(PrimitiveKind.PINCH_TIGHT, candidates)

@@ -55,10 +55,11 @@ def polish(
     if scale == 0.0:
         return Minimum(y, value, 1)
     reach = _FIRST_STEP / scale
+    weights = np.ones(1)
     for count in range(2, evaluations + 1):
         errors = np.array([cut.error(y, value) for cut in cuts])
         slopes = np.array([cut.slope for cut in cuts])
-        step, weights = _model_step(slopes, errors, y, reach, low, high)
+        step, weights = _model_step(slopes, errors, weights, y, reach, (low, high))
         predicted = -float((slopes @ step - errors).max())
         if predicted < _ENOUGH * abs(value) + 1e-9:
             return Minimum(y, value, count)
@@ -72,25 +73,32 @@ def polish(
         elif cut.error(y, value) > predicted * 2.0:
             reach *= 0.5
         if len(cuts) >= _KEPT:
-            del cuts[int(np.argmin(weights))]
+            least = int(np.argmin(weights))
+            del cuts[least]
+            weights = np.delete(weights, least)
         cuts.append(cut)
+        weights = np.append(weights, 0.0)
     return Minimum(y, value, evaluations)
 
 
 def _model_step(
     slopes: FloatArray,
     errors: FloatArray,
+    weights: FloatArray,
     y: FloatArray,
     reach: float,
-    low: FloatArray,
-    high: FloatArray,
+    box: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the step to the model's minimum in the box, and the weights of the pieces."""
+    """Return the step to the model's minimum in the box, and the weights of the pieces.
+
+    The search for the weights begins with those that are given.
+    """
+    low, high = box
     held = np.zeros(len(y), dtype=bool)
     fixed = np.zeros(len(y))
     for _ in range(_SWEEPS * len(y)):
         free = np.where(held, 0.0, slopes)
-        weights = _simplex_minimum(reach * (free @ free.T), errors - slopes @ fixed)
+        weights = _simplex_minimum(reach * (free @ free.T), errors - slopes @ fixed, weights)
         step = fixed - reach * (weights @ free)
         there = y + step
         leaving = ~held & ((there < low) | (there > high))
@@ -107,41 +115,61 @@ def _model_step(
     return np.clip(y + step, low, high) - y, weights
 
 
-def _simplex_minimum(matrix: FloatArray, linear: FloatArray) -> FloatArray:
-    """Return the minimum of ``x·Mx / 2 + c·x`` over the simplex, by an active set."""
+def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) -> FloatArray:
+    """Return the minimum of ``x·Mx / 2 + c·x`` over the simplex, by an active set.
+
+    Args:
+        matrix: M, positive semidefinite ``(k, k)``.
+        linear: c ``(k,)``.
+        start: A point of the simplex to begin with, up to its sum ``(k,)``.
+    """
     count = len(linear)
-    start = int(np.argmin(0.5 * matrix.diagonal() + linear))
-    support = [start]
-    x = np.zeros(count)
-    x[start] = 1.0
-    ridge = 1e-12 * (1.0 + matrix.diagonal().max())
+    total = float(start.sum())
+    x = start / total if total > 0.0 else np.eye(count)[int(np.argmin(linear))]
+    support = np.flatnonzero(x).tolist()
+    regular = matrix + np.eye(count) * (_ROUNDING * (1.0 + matrix.diagonal().max()))
     for _ in range(4 * count):
+        x, support = _on_support(regular, linear, x, support)
         gradient = matrix @ x + linear
         level = float(gradient[support].max())
         entering = int(np.argmin(gradient))
         if entering in support or gradient[entering] > level - _ROUNDING * (1.0 + abs(level)):
             break
         support.append(entering)
-        while True:
-            size = len(support)
-            system = np.ones((size + 1, size + 1))
-            system[:size, :size] = matrix[np.ix_(support, support)]
-            system[range(size), range(size)] += ridge
-            system[size, size] = 0.0
-            right = np.append(-linear[support], 1.0)
-            target = np.linalg.solve(system, right)[:size]
-            here = x[support]
-            if (target > 0.0).all():
-                x[support] = target
-                break
-            gone = target <= 0.0
-            ratio = np.full(size, np.inf)
-            ratio[gone] = here[gone] / np.maximum(here[gone] - target[gone], 1e-300)
-            drop = int(np.argmin(ratio))
-            moved = here + min(1.0, float(ratio[drop])) * (target - here)
-            moved[drop] = 0.0
-            x[support] = np.maximum(moved, 0.0)
-            del support[drop]
-            if not support:
-                return x
     return x
+
+
+def _on_support(
+    matrix: FloatArray, linear: FloatArray, x: FloatArray, support: list[int]
+) -> tuple[FloatArray, list[int]]:
+    """Return the minimum over a face of the simplex, or over a face of it that the way there meets.
+
+    Args:
+        matrix: M, positive definite ``(k, k)``.
+        linear: c ``(k,)``.
+        x: A point of the face.
+        support: The coordinates that are free.
+    """
+    while True:
+        size = len(support)
+        if size == 1:
+            return np.eye(len(x))[support[0]], support
+        right = np.ones((2, size))
+        right[0] = -linear[support]
+        rows = matrix[support]
+        plain, even = np.linalg.solve(rows[:, support], right.T).T
+        target = plain + even * ((1.0 - plain.sum()) / even.sum())
+        if (target > 0.0).all():
+            x = np.zeros(len(x))
+            x[support] = target
+            return x, support
+        here = x[support]
+        gone = target <= 0.0
+        ratio = np.full(size, np.inf)
+        ratio[gone] = here[gone] / np.maximum(here[gone] - target[gone], 1e-300)
+        drop = int(np.argmin(ratio))
+        moved = np.maximum(here + min(1.0, float(ratio[drop])) * (target - here), 0.0)
+        moved[drop] = 0.0
+        x = np.zeros(len(x))
+        x[support] = moved
+        support = support[:drop] + support[drop + 1 :]

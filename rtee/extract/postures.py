@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
-from rtee.extract.clear import ClearSearch
+from rtee.extract.clear import ClearSearch, Patience
 from rtee.extract.collisions import Watch
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Goal, Placed
 from rtee.extract.search import on_a_line
 from rtee.extract.space import Space, rounded
 from rtee.types import FloatArray
-
-_STARTS: Final = 10
 
 
 def stored(
@@ -42,7 +39,7 @@ def clear_postures(
     space: Space,
     watch: Watch,
     starts: Sequence[FloatArray],
-    tries: int = 4,
+    patience: Patience,
 ) -> list[FloatArray]:
     """Return postures as stored that touch as wanted and in which nothing else collides.
 
@@ -52,7 +49,7 @@ def clear_postures(
         space: Where to search.
         watch: The links that may not collide.
         starts: Coordinates ``(k,)`` of good postures, the best first.
-        tries: How many postures are pushed out of their collisions at most.
+        patience: How much to try.
     """
     if space.size == 1:
         low, high = _free(inspector, space, watch)
@@ -60,8 +57,8 @@ def clear_postures(
             return []
         found = [m.y for m in on_a_line(Placed(inspector.scene, goal, space), low, high)]
     else:
-        search = ClearSearch(inspector.scene, inspector.motion, goal, space, watch)
-        found = search.run(starts[:_STARTS], tries)
+        search = ClearSearch(inspector.scene, inspector.motion, goal, space, watch, patience)
+        found = search.run(starts)
     return stored(inspector, goal, space, found)
 
 

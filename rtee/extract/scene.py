@@ -308,6 +308,11 @@ class Scene:
         result: FloatArray = jacobian @ self._slope
         return result
 
+    def bodies(self) -> tuple[FloatArray, FloatArray]:
+        """Return the rotations ``(b, 3, 3)`` and positions ``(b, 3)`` [m] of all bodies."""
+        poses = self._data.oMi.tolist()
+        return np.array([p.rotation for p in poses]), np.array([p.translation for p in poses])
+
     def origin(self, link: str) -> FloatArray:
         """Return the origin of a link's frame in the base frame [m]."""
         body, placement = self.kinematics.bodies[link]

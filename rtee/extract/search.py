@@ -30,12 +30,12 @@ class Effort:
     screened: int = 192
     starts: int = 12
     quick: int = 45
-    kept: int = 4
-    polish: int = 25
+    kept: int = 3
+    polish: int = 20
 
 
 PAIR: Final = Effort()
-SEVERAL: Final = Effort(screened=128, starts=6, quick=45, kept=3, polish=25)
+SEVERAL: Final = Effort(screened=96, starts=5, quick=35, kept=2, polish=18)
 
 _SAME: Final = 0.02
 _LINE: Final = 257
