@@ -87,7 +87,8 @@ async def settle(made: DynamixelDriver, goal: list[float], **limits: Any) -> np.
 
 @pytest.mark.parametrize("fast", ["auto", "never"])
 async def test_moves_and_senses_in_one_read_and_one_write(fast: str) -> None:
-    spec = device(fast=fast, servos={"j0": {"id": 0}, "j1": {"id": 1, "direction": -1}})
+    servos = {"j0": {"id": 0}, "j1": {"id": 1, "direction": -1}}
+    spec = device(fast=fast, servos=servos, health_every=100_000)
     async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
         assert written(pool) == 0
         assert made.capabilities.identity["model"] == "2 x XL330-M288"
