@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gc
 import importlib.util
 import statistics
 import sys
@@ -212,6 +213,8 @@ async def main() -> None:
     parser.add_argument("--no-matrix", action="store_true")
     arguments = parser.parse_args()
     devices = cases(arguments.only)
+    gc.collect()
+    gc.freeze()  # as the loop does
     print(f"{'throughput':44} {'limit':>8} {'reached':>8} {'share':>6}  failed")
     for name, case in devices.items():
         try:
