@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from extract.models import figure_3
+from rtee.actions.library import ActionLibrary
+from rtee.cli.main import main
+
+Run = tuple[int, str, str]
+
+
+def rtee(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: object
+) -> Run:
+    """Return exit status, output and errors of a command."""
+    monkeypatch.setattr(sys, "argv", ["rtee", *map(str, arguments)])
+    with pytest.raises(SystemExit) as left:
+        main()
+    output = capsys.readouterr()
+    return int(left.value.code or 0), output.out, output.err
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> list[object]:
+    """Options that name the hand of figure 3, variant 4."""
+    figure_3(4).load(tmp_path)
+    return ["--urdf", tmp_path / "figure_3_4.urdf", "--srdf", tmp_path / "figure_3_4.srdf"]
+
+
+def test_json_prints_one_object(
+    model: list[object], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    status, out, err = rtee(capsys, monkeypatch, "extract", *model, "--json")
+    found = json.loads(out)
+    assert status == 0
+    assert err == ""
+    assert found["hand"] == "figure_3_4"
+    assert found["fingers"]["thumb"] == {
+        "tip": "thumb",
+        "actuators": ["thumb_swivel", "thumb_flexion"],
+    }
+    assert found["actuators"]["thumb_swivel"] == {"lower": -0.7, "upper": 0.7, "rest": 0.0}
+    assert found["seconds"] > 0
+    pinch = next(p for p in found["primitives"] if p["kind"] == "PinchTight")
+    assert pinch["elements"] == ["first", "thumb"]
+    assert set(pinch["posture"]) == set(found["actuators"])
+    assert set(pinch["involved"]) == {"first_flexion", "thumb_swivel", "thumb_flexion"}
+    assert pinch["evidence"]["depth"] > 0
+    assert pinch["evidence"]["clear"] is True
+    assert set(pinch["evidence"]["opposition"]) == {"angles", "force_closure", "friction"}
+
+
+def test_two_runs_write_identical_files_that_the_library_reads(
+    model: list[object],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for out, jobs in (("one", 1), ("two", 2)):
+        command = ["extract", *model, "--out", tmp_path / out, "--jobs", jobs]
+        assert rtee(capsys, monkeypatch, *command)[0] == 0
+    one, two = (
+        {p.name: p.read_bytes() for p in (tmp_path / out / "primitives").iterdir()}
+        for out in ("one", "two")
+    )
+    assert one == two
+    assert {"PinchTight.yaml", "Trig.yaml", "TipFlex.yaml", "FingFlex.yaml"} == set(one)
+    hand = figure_3(4).load(tmp_path)
+    library = ActionLibrary.load(hand, tmp_path / "one")
+    assert len(library.all(kind="primitive")) == 7
+
+
+def test_the_table_shows_every_primitive(
+    model: list[object], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    status, out, _ = rtee(capsys, monkeypatch, "extract", *model)
+    assert status == 0
+    assert out.count("PinchTight") == 2
+    assert out.count("Trig") == 3
+    assert "thumb_swivel" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give either a hand or --urdf"),
+        (["--urdf", "missing.urdf"], "missing.urdf"),
+        (["dagana", "--srdf", "a.srdf"], "go with --urdf"),
+        (["dagana", "--urdf", "a.urdf"], "give either a hand or --urdf"),
+        (["no_such_hand"], "unknown hand 'no_such_hand'"),
+    ],
+)
+def test_mistakes_are_one_sentence_and_status_2(
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    status, out, err = rtee(capsys, monkeypatch, "extract", *arguments)
+    assert status == 2
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_save_needs_a_hand_of_the_configuration(
+    model: list[object], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    status, _, err = rtee(capsys, monkeypatch, "extract", *model, "--save")
+    assert status == 2
+    assert "--save needs a hand" in err
+
+
+def test_a_missing_mesh_leaves_nothing_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_text(
+        """<robot name="hand"><link name="base"/><link name="tip">
+        <collision><geometry><mesh filename="gone.stl"/></geometry></collision></link>
+        <joint name="bend" type="revolute"><parent link="base"/><child link="tip"/>
+        <axis xyz="0 1 0"/><limit lower="0" upper="1" velocity="1" effort="1"/></joint></robot>"""
+    )
+    out = tmp_path / "out"
+    status, _, err = rtee(capsys, monkeypatch, "extract", "--urdf", urdf, "--out", out)
+    assert status == 2
+    assert f"{urdf}:2: mesh 'gone.stl' does not exist" in err
+    assert not out.exists()
