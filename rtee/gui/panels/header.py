@@ -62,7 +62,7 @@ class Header:
             "Recover",
             color=(230, 159, 0),
             icon=viser.Icon.FIRST_AID_KIT,
-            hint="Bring the devices out of their fault; nothing moves by it",
+            hint="Bring the devices out of their fault; moves only one that must be homed first",
             visible=False,
         )
         self._stop.on_click(lambda _: bridge.call(self._do_stop))
