@@ -95,6 +95,23 @@ class Gap(Pinch):
         return self._scene.exact_slope(self._tips, space)
 
 
+class Parting(Pinch):
+    """Two tips to be moved apart: minus the signed distance of their convex parts."""
+
+    def value(self) -> float:
+        """Return minus the signed distance [m]."""
+        return -super().value()
+
+    def slope(self, space: Space) -> tuple[float, FloatArray]:
+        """Return minus the signed distance [m] and its derivative ``(k,)``."""
+        value, slope = super().slope(space)
+        return -value, -slope
+
+    def reached(self) -> bool:
+        """Return whether the convex parts are apart."""
+        return self.value() < 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class Link:
     """Two tips of several that can touch each other.

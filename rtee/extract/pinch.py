@@ -11,7 +11,7 @@ from rtee.extract.clear import Patience
 from rtee.extract.collisions import Watch
 from rtee.extract.descent import descend
 from rtee.extract.evidence import Inspector
-from rtee.extract.goals import Gap, Pinch, Placed
+from rtee.extract.goals import Gap, Parting, Pinch, Placed
 from rtee.extract.postures import clear_postures, stored
 from rtee.extract.ranking import Candidate, Found, Rank, ranked
 from rtee.extract.scene import LinkPair, Scene
@@ -45,6 +45,8 @@ class PinchSearch:
     def run(self) -> Found | None:
         """Return the pinch, tight or loose, if there is one."""
         space = self._space(real_limits(self._hand))
+        if self._touch(space, space.rest) and not self._can_part(space):
+            return None
         found = minima(Placed(self._scene, Pinch(self._scene, self.tips), space))
         deep = [m.y for m in found if m.value <= 0.0]
         goal = Pinch(self._scene, self.tips)
@@ -85,6 +87,11 @@ class PinchSearch:
         """Return where a descent of the exact distance ends."""
         gap = Placed(self._scene, Gap(self._scene, self.tips), space)
         return descend(gap, start, evaluations=_SEEKING, enough=0.0).y
+
+    def _can_part(self, space: Space) -> bool:
+        """Return whether the tips are apart anywhere; contact everywhere shows no pinch."""
+        parting = Placed(self._scene, Parting(self._scene, self.tips), space)
+        return any(not self._touch(space, m.y) for m in minima(parting)[:_TRIED])
 
     def _could_meet(self) -> bool:
         """Return whether the tips would touch if the limits were wider."""

@@ -142,6 +142,35 @@ def test_only_an_unclear_pose_is_kept_and_says_so(tmp_path: Path) -> None:
     assert found.evidence[0].colliding == (("arm", "post"),)
 
 
+def test_contact_at_every_configuration_is_no_pinch(tmp_path: Path) -> None:
+    for limit, names in ((0.1, set()), (1.5, {"PinchTight"})):
+        model = Model().link("palm").joint("turn", "base", "palm", axis=(0, 0, 1))
+        for name, side in (("a", -1), ("b", 1)):
+            model.link(name, sphere(0.02, (0, 0, 0.03))).finger(name, name)
+            model.joint(
+                name, "palm", name, xyz=(0.005 * side, 0, 0), axis=(0, side, 0), limits=(0, limit)
+            )
+        found = pinches(model.load(tmp_path))
+        assert {pinch.name for pinch in found.values()} == names
+
+
+def test_a_continuous_actuator_takes_part(tmp_path: Path) -> None:
+    model = Model()
+    for name, side in (("a", -1), ("b", 1)):
+        model.link(name, box((0.02, 0.02, 0.1), (0, 0, 0.05))).finger(name, name)
+        model.joint(name, "base", name, kind="continuous", xyz=(0.05 * side, 0, 0))
+    found = pinches(model.load(tmp_path))["a", "b"]
+    assert found.name == "PinchTight"
+    assert found.evidence[0].depth == pytest.approx(0.02, abs=1e-5)
+
+
+def test_a_hand_without_geometry_has_no_pinches(tmp_path: Path) -> None:
+    model = Model()
+    for name in ("a", "b"):
+        model.link(name).joint(name, "base", name).finger(name, name)
+    assert pinches(model.load(tmp_path)) == {}
+
+
 def test_stored_postures_hold_what_their_evidence_says(tmp_path: Path) -> None:
     hand = figure_3(4).load(tmp_path)
     inspector = Inspector.of(hand)
