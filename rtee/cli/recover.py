@@ -23,8 +23,7 @@ def recover(
     hand: RunningOption = None,
     connect: ConnectOption = None,
 ) -> None:
-    """Bring devices out of a fault, or connect and activate them; nothing moves by it, unless a
-    device has to be activated or homed first: its hint says so."""
+    """Bring devices out of a fault, or connect them; moves only one that must be homed."""
     from rtee.cli._online import with_hand
 
     async def execute(remote: RemoteHand) -> HandStatus:
