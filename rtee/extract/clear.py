@@ -24,7 +24,7 @@ _TIGHTER: Final = 0.4
 _WIDER: Final = 1.6
 _SMALLEST: Final = 0.002
 _EVALUATIONS: Final = 40
-_QUICK: Final = 30
+_QUICK: Final = 25
 _POLISH: Final = 11
 _WEIGHT: Final = 5.0
 _SHRINK: Final = 0.2
@@ -33,7 +33,7 @@ _STRONGEST: Final = 40.0
 _GAIN: Final = 0.01
 _SAME: Final = 0.05
 _AT_LEAST: Final = 2
-_POOL: Final = 5
+_POOL: Final = 4
 _COARSE: Final = 0.01
 _SAFE: Final = 2e-5
 _MARGIN: Final = 1e-4
@@ -62,7 +62,7 @@ class Patience:
         retreat: Whether to go back on the way where pushing out fails.
     """
 
-    pool: int = 8
+    pool: int = 6
     tries: int = 3
     rounds: int = 8
     leaps: int = 4
@@ -148,7 +148,7 @@ class ClearSearch:
                 blocked = self._blocked(y)
                 if blocked is None:
                     free.append(y)
-                    continue
+                    break
                 behind.append(y)
                 self._learn_way(blocked, y)
                 nearer = self._go_back(y, blocked) if self._patience.retreat else None

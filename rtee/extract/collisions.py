@@ -25,7 +25,7 @@ _MOST: Final = 4096
 _COARSE_PARTS: Final = 16
 """Into how many parts a way is halved for links whose convex parts overlap."""
 
-_PARTS: Final = 64
+_PARTS: Final = 32
 """Into how many parts a way is halved for other links."""
 
 
@@ -135,50 +135,37 @@ class Watch:
     def first(self, way: Way, pairs: Sequence[LinkPair]) -> Blocked | None:
         """Return where some links first collide on a way, ``None`` if they do not."""
         found: Blocked | None = None
-        for pair, runs in self._near(way, pairs):
-            for ends in runs:
-                if found is not None and ends[0] >= found.at:
+        for pair, ends in sorted(self._near(way, pairs), key=lambda run: run[1][0]):
+            if found is not None:
+                if ends[0] >= found.at:
                     break
-                at = self._first_in(pair, way, ends)
-                if at is not None:
-                    if found is None or at < found.at:
-                        found = Blocked(pair, at)
-                    break
+                ends = [*(t for t in ends if t < found.at), found.at]
+            at = self._first_in(pair, way, ends)
+            if at is not None and (found is None or at < found.at):
+                found = Blocked(pair, at)
         return found
 
-    def _near(
-        self, way: Way, pairs: Sequence[LinkPair]
-    ) -> list[tuple[LinkPair, list[list[float]]]]:
-        """Return, per pair, the ends of the parts of the way in which it may touch, run by run."""
-        scene = self._scene
-        spheres = self._spheres if pairs is self.pairs else Spheres(scene, pairs)
-        speeds = np.array([self._motion.speed(pair, way) for pair in pairs])
-        bounds: dict[float, FloatArray] = {}
+    def _near(self, way: Way, pairs: Sequence[LinkPair]) -> list[tuple[LinkPair, list[float]]]:
+        """Return the runs of the way on which a pair may touch, by the ends of their parts."""
+        speeds = [self._motion.speed(pair, way) for pair in pairs]
         gaps: list[dict[float, float]] = [{} for _ in pairs]
         left: list[list[tuple[float, float]]] = [[] for _ in pairs]
-        parts = {(0.0, 1.0): np.arange(len(pairs))}
+        parts = {(0.0, 1.0): self._within_reach(way, pairs, speeds)}
         while parts:
-            suspects: dict[tuple[float, float], list[int]] = {}
             asked: dict[float, set[int]] = {}
             for ends, columns in parts.items():
                 for t in ends:
-                    if t not in bounds:
-                        scene.place(way.at(t))
-                        bounds[t] = spheres.gaps()
-                reach = speeds[columns] * (ends[1] - ends[0])
-                near = bounds[ends[0]][columns] + bounds[ends[1]][columns] <= reach
-                suspects[ends] = columns[near].tolist()
-                for t in ends:
-                    asked.setdefault(t, set()).update(suspects[ends])
+                    asked.setdefault(t, set()).update(columns)
             for t, concerned in asked.items():
-                scene.place(way.at(t))
-                for c in concerned:
-                    if t not in gaps[c]:
-                        gaps[c][t] = scene.distance(pairs[c])
+                new = [c for c in concerned if t not in gaps[c]]
+                if new:
+                    self._scene.place(way.at(t))
+                for c in new:
+                    gaps[c][t] = self._scene.distance(pairs[c])
             halves: dict[tuple[float, float], list[int]] = {}
-            for (start, end), suspected in suspects.items():
+            for (start, end), columns in parts.items():
                 middle = (start + end) / 2.0
-                for c in suspected:
+                for c in columns:
                     here, there = gaps[c][start], gaps[c][end]
                     if here + there > speeds[c] * (end - start):
                         continue
@@ -188,8 +175,21 @@ class Watch:
                     else:
                         halves.setdefault((start, middle), []).append(c)
                         halves.setdefault((middle, end), []).append(c)
-            parts = {ends: np.array(columns) for ends, columns in halves.items()}
-        return [(pair, _runs(ends)) for pair, ends in zip(pairs, left, strict=True) if ends]
+            parts = halves
+        return [(pair, run) for pair, ends in zip(pairs, left, strict=True) for run in _runs(ends)]
+
+    def _within_reach(
+        self, way: Way, pairs: Sequence[LinkPair], speeds: Sequence[float]
+    ) -> list[int]:
+        """Return the numbers of the pairs whose spheres come near each other on some half."""
+        spheres = self._spheres if pairs is self.pairs else Spheres(self._scene, pairs)
+        bounds = []
+        for t in (0.0, 0.5, 1.0):
+            self._scene.place(way.at(t))
+            bounds.append(spheres.gaps())
+        reach = np.array(speeds) / 2.0
+        near = (bounds[0] + bounds[1] <= reach) | (bounds[1] + bounds[2] <= reach)
+        return [int(c) for c in np.flatnonzero(near)]
 
     def _first_in(self, pair: LinkPair, way: Way, ends: Sequence[float]) -> float | None:
         """Return where a pair first touches on a run of the way."""

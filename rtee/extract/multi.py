@@ -22,7 +22,8 @@ from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
 
 _MOST_TREES: Final = 4
-_PATIENCE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=1, retreat=False)
+_THREE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=1, retreat=False)
+_MORE: Final = Patience(pool=2, tries=1, rounds=3, leaps=1, creeps=3, ways=1, retreat=False)
 
 Pinches = Mapping[frozenset[str], Found]
 """The tight pinches of two fingers, by these."""
@@ -69,7 +70,8 @@ class MultiSearch:
 
         candidates = [candidate(touching[0])]
         if not candidates[0].usable and self._promising():
-            clear = clear_postures(self.inspector, goal, space, watch, found, _PATIENCE)
+            patience = _THREE if len(self.fingers) == 3 else _MORE
+            clear = clear_postures(self.inspector, goal, space, watch, found, patience)
             candidates += [candidate(u) for u in clear[:1]]
         lower, upper = real_limits(self._hand)
         extent = upper - lower

@@ -22,7 +22,7 @@ from rtee.types import FloatArray
 
 _TRIED: Final = 4
 _SEEKING: Final = 40
-_MOST: Final[dict[Rank, int]] = {"depth": 3, "opposition": 6}
+_MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
 """How many postures are measured, and kept where they are distinct."""
 
 

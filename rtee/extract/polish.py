@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -18,18 +17,31 @@ _ROUNDING: Final = 1e-10
 _SWEEPS: Final = 3
 
 
-@dataclass(slots=True)
-class _Cut:
-    """A linear piece: value and slope at a point."""
+class _Pieces:
+    """Linear pieces of a function: points, and the values and slopes there."""
 
-    y: FloatArray
-    value: float
-    slope: FloatArray
+    def __init__(self, y: FloatArray, value: float, slope: FloatArray) -> None:
+        self.points = y[None, :]
+        self.values = np.array([value])
+        self.slopes = slope[None, :]
 
-    def error(self, y: FloatArray, value: float) -> float:
-        """Return by how much the piece lies below the function at another point."""
-        step = y - self.y
-        return max(0.0, value - self.value - float(self.slope @ step))
+    def errors(self, y: FloatArray, value: float) -> FloatArray:
+        """Return by how much the pieces lie below the function at a point, at least 0."""
+        there = self.values + np.einsum("ij,ij->i", self.slopes, y - self.points)
+        errors: FloatArray = np.maximum(0.0, value - there)
+        return errors
+
+    def drop(self, i: int) -> None:
+        """Forget a piece."""
+        self.points = np.delete(self.points, i, axis=0)
+        self.values = np.delete(self.values, i)
+        self.slopes = np.delete(self.slopes, i, axis=0)
+
+    def add(self, y: FloatArray, value: float, slope: FloatArray) -> None:
+        """Add a piece."""
+        self.points = np.concatenate([self.points, y[None, :]])
+        self.values = np.append(self.values, value)
+        self.slopes = np.concatenate([self.slopes, slope[None, :]])
 
 
 def polish(
@@ -50,52 +62,51 @@ def polish(
     low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
     y = np.clip(start, low, high)
     value, slope = function(y)
-    cuts = [_Cut(y, value, slope)]
+    pieces = _Pieces(y, value, slope)
     scale = float(np.abs(slope).max())
     if scale == 0.0:
         return Minimum(y, value, 1)
     reach = _FIRST_STEP / scale
-    weights = np.ones(1)
+    weights, held = np.ones(1), np.zeros(len(y))
     for count in range(2, evaluations + 1):
-        errors = np.array([cut.error(y, value) for cut in cuts])
-        slopes = np.array([cut.slope for cut in cuts])
-        step, weights = _model_step(slopes, errors, weights, y, reach, (low, high))
+        errors, slopes = pieces.errors(y, value), pieces.slopes
+        step, weights, held = _model_step(slopes, errors, (weights, held), y, reach, (low, high))
         predicted = -float((slopes @ step - errors).max())
         if predicted < _ENOUGH * abs(value) + 1e-9:
             return Minimum(y, value, count)
         there = np.clip(y + step, low, high)
         new, new_slope = function(there)
-        serious = new <= value - _SERIOUS * predicted
-        cut = _Cut(there, new, new_slope)
-        if serious:
+        if len(weights) >= _KEPT:
+            least = int(np.argmin(weights))
+            pieces.drop(least)
+            weights = np.delete(weights, least)
+        pieces.add(there, new, new_slope)
+        weights = np.append(weights, 0.0)
+        if new <= value - _SERIOUS * predicted:
             reach *= 2.0 if new <= value - 0.5 * predicted else 1.0
             y, value = there, new
-        elif cut.error(y, value) > predicted * 2.0:
+        elif value - new - float(new_slope @ (y - there)) > 2.0 * predicted:
             reach *= 0.5
-        if len(cuts) >= _KEPT:
-            least = int(np.argmin(weights))
-            del cuts[least]
-            weights = np.delete(weights, least)
-        cuts.append(cut)
-        weights = np.append(weights, 0.0)
     return Minimum(y, value, evaluations)
 
 
 def _model_step(
     slopes: FloatArray,
     errors: FloatArray,
-    weights: FloatArray,
+    guess: tuple[FloatArray, FloatArray],
     y: FloatArray,
     reach: float,
     box: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray]:
-    """Return the step to the model's minimum in the box, and the weights of the pieces.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the step to the model's minimum in the box, the pieces' weights, and what is held.
 
-    The search for the weights begins with those that are given.
+    Coordinates are held at the lower face (-1), the upper one (1) or not (0). The search begins
+    with the weights and the held coordinates that are given.
     """
     low, high = box
-    held = np.zeros(len(y), dtype=bool)
-    fixed = np.zeros(len(y))
+    weights, side = guess
+    held = side != 0.0
+    fixed = np.where(held, np.where(side < 0.0, low, high) - y, 0.0)
     for _ in range(_SWEEPS * len(y)):
         free = np.where(held, 0.0, slopes)
         weights = _simplex_minimum(reach * (free @ free.T), errors - slopes @ fixed, weights)
@@ -106,13 +117,14 @@ def _model_step(
             held |= leaving
         else:
             pull = weights @ slopes + fixed / reach
-            freed = held & np.where(there <= low, pull < 0.0, pull > 0.0)
+            freed = held & np.where(side < 0.0, pull < 0.0, pull > 0.0)
             if not freed.any():
                 break
             held &= ~freed
+        side = np.where(held, np.where(leaving, np.where(there < low, -1.0, 1.0), side), 0.0)
         # What would leave the box goes to its face; the rest is solved again.
-        fixed = np.where(held, np.clip(there, low, high) - y, 0.0)
-    return np.clip(y + step, low, high) - y, weights
+        fixed = np.where(held, np.where(side < 0.0, low, high) - y, 0.0)
+    return np.clip(y + step, low, high) - y, weights, side
 
 
 def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) -> FloatArray:

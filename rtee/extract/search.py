@@ -35,7 +35,7 @@ class Effort:
 
 
 PAIR: Final = Effort()
-SEVERAL: Final = Effort(screened=96, starts=5, quick=35, kept=2, polish=18)
+SEVERAL: Final = Effort(screened=96, starts=5, quick=20, kept=2, polish=28)
 
 _SAME: Final = 0.02
 _LINE: Final = 257
