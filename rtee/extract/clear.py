@@ -67,7 +67,7 @@ class Patience:
     rounds: int = 8
     leaps: int = 4
     creeps: int = 8
-    ways: int = 3
+    ways: int = 2
     retreat: bool = True
 
 

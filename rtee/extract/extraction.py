@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -13,9 +13,9 @@ from rtee.extract.evidence import Inspector, posture_of
 from rtee.extract.jobs import processors, workers
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.extract.multi import Pinches, find_multi
-from rtee.extract.pinch import find_pinch
+from rtee.extract.pinch import Sight, pinch_search
 from rtee.extract.ranking import Found, Rank
-from rtee.hand.model import Finger, Hand
+from rtee.hand.model import Hand
 
 Progress = Callable[[int, int], None]
 
@@ -68,45 +68,59 @@ def extract(
     return Extraction(tuple(primitives), time.perf_counter() - begun, _notes(inspector))
 
 
-_PairTask = tuple[int, int, Rank]
-_MultiTask = tuple[tuple[int, ...], Pinches, Rank]
+_Look = tuple[int, int, Rank]
+_Finish = tuple[int, int, Rank, Sight]
+_Group = tuple[tuple[int, ...], Pinches, Rank]
 
 
 def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[Found]:
+    """Return all pinches: first who pinches at all, then how, and who else joins."""
     fingers = inspector.scene.hand.fingers
     tipped = [i for i, finger in enumerate(fingers) if finger.tip]
-    pairs = [(i, j, rank) for i, j in combinations(tipped, 2)]
+    pairs = list(combinations(tipped, 2))
     alone = len(pairs) < _WORTH_FORKING or len(inspector.scene.hand.actuators) == 1
     with workers(inspector, 1 if alone else jobs) as mapped:
-        pinches = []
-        for found in mapped(_find_pair, pairs):
-            pinches.append(found)
-            progress(len(pinches), len(pairs))
-        result = [found for found in pinches if found is not None]
+        done, total = 0, len(pairs)
+        sights: list[tuple[int, int, Sight]] = []
+        for (i, j), sight in zip(
+            pairs, mapped(_look, [(i, j, rank) for i, j in pairs]), strict=True
+        ):
+            done += 1
+            progress(done, total)
+            if sight is not None:
+                sights.append((i, j, sight))
         tight = {
-            frozenset(found.fingers): found
-            for found in result
-            if found.kind is PrimitiveKind.PINCH_TIGHT
+            frozenset((fingers[i].name, fingers[j].name)): sight.postures[0]
+            for i, j, sight in sights
+            if sight.kind is PrimitiveKind.PINCH_TIGHT
         }
-        sizes = range(len(tipped), 2, -1)  # those that take longest first
-        groups = [(g, tight, rank) for size in sizes for g in combinations(tipped, size)]
-        several = []
-        for found in mapped(_find_group, groups):
-            several.append(found)
-            progress(len(pairs) + len(several), len(pairs) + len(groups))
-    return result + [found for found in several if found is not None]
+        tasks: list[_Finish | _Group] = [(i, j, rank, sight) for i, j, sight in sights]
+        for size in range(len(tipped), 2, -1):  # those that take longest first
+            tasks += [(group, tight, rank) for group in combinations(tipped, size)]
+        found, total = [], total + len(tasks)
+        for one in mapped(_finish, tasks):
+            done += 1
+            progress(done, total)
+            if one is not None:
+                found.append(one)
+    return found
 
 
-def _find_pair(inspector: Inspector, task: _PairTask) -> Found | None:
+def _look(inspector: Inspector, task: _Look) -> Sight | None:
     i, j, rank = task
     fingers = inspector.scene.hand.fingers
-    return find_pinch(inspector, fingers[i], fingers[j], rank)
+    search = pinch_search(inspector, fingers[i], fingers[j], rank)
+    return None if search is None else search.look()
 
 
-def _find_group(inspector: Inspector, task: _MultiTask) -> Found | None:
+def _finish(inspector: Inspector, task: _Finish | _Group) -> Found | None:
+    fingers = inspector.scene.hand.fingers
+    if len(task) == 4:
+        i, j, rank, sight = task
+        search = pinch_search(inspector, fingers[i], fingers[j], rank)
+        return None if search is None else search.finish(sight)
     group, pinches, rank = task
-    fingers: Iterator[Finger] = (inspector.scene.hand.fingers[i] for i in group)
-    return find_multi(inspector, tuple(fingers), pinches, rank)
+    return find_multi(inspector, tuple(fingers[i] for i in group), pinches, rank)
 
 
 def _primitive(hand: Hand, found: Found) -> Primitive:

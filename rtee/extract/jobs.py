@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import sys
@@ -44,7 +45,7 @@ def workers(state: object, jobs: int) -> Iterator[Mapper]:
         return
     _state.append(state)
     try:
-        with multiprocessing.get_context("fork").Pool(jobs) as pool:
+        with multiprocessing.get_context("fork").Pool(jobs, gc.disable) as pool:
             yield lambda function, tasks: pool.imap(_Call(function), tasks)
     finally:
         _state.pop()

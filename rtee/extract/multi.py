@@ -22,11 +22,15 @@ from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
 
 _MOST_TREES: Final = 4
+
+_HOPELESS: Final = 6
+"""When more pairs of links collide at the deepest posture, no clear one is looked for."""
+
 _THREE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=1, retreat=False)
 _MORE: Final = Patience(pool=2, tries=1, rounds=3, leaps=1, creeps=3, ways=1, retreat=False)
 
-Pinches = Mapping[frozenset[str], Found]
-"""The tight pinches of two fingers, by these."""
+Pinches = Mapping[frozenset[str], FloatArray]
+"""Of the fingers that pinch tightly, two by two, the deepest posture ``(n,)``."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,9 @@ class MultiSearch:
             return Candidate(u, self.inspector.multi_pinch(u, names, links, watch))
 
         candidates = [candidate(touching[0])]
-        if not candidates[0].usable and self._promising():
+        if not candidates[0].usable and (
+            space.size == 1 or len(candidates[0].evidence.colliding) <= _HOPELESS
+        ):
             patience = _THREE if len(self.fingers) == 3 else _MORE
             clear = clear_postures(self.inspector, goal, space, watch, found, patience)
             candidates += [candidate(u) for u in clear[:1]]
@@ -96,20 +102,6 @@ class MultiSearch:
             if not set(pair.links) <= mine and pair.actuators & moving
         ]
 
-    def _promising(self) -> bool:
-        """Return whether a clear posture is worth a search.
-
-        Of more than three fingers it is when clear pinches of two link them.
-        """
-        names = [finger.name for finger in self.fingers]
-        clear = [
-            (i, j)
-            for i, j in combinations(range(len(names)), 2)
-            if (pinch := self.pinches.get(frozenset((names[i], names[j])))) is not None
-            and pinch.best.usable
-        ]
-        return len(names) == 3 or linked(len(names), clear)
-
     def _warm(self, space: Space, links: Sequence[Link]) -> list[FloatArray]:
         """Return starts combined from the pinches of pairs that link the fingers."""
         starts = []
@@ -119,7 +111,7 @@ class MultiSearch:
             for i in tree:
                 names = frozenset(self.fingers[k].name for k in ends[i])
                 for actuator in links[i].tips.actuators:
-                    values[actuator].append(float(self.pinches[names].best.u[actuator]))
+                    values[actuator].append(float(self.pinches[names][actuator]))
             u = self._hand.rest.copy()
             for actuator, chosen in enumerate(values):
                 if chosen:

@@ -26,6 +26,22 @@ _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
 """How many postures are measured, and kept where they are distinct."""
 
 
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a first look at two fingers showed.
+
+    Attributes:
+        kind: Tight or loose.
+        minima: Coordinates of the deepest poses, of their convex parts, the deepest first.
+        postures: Postures as stored in which the tips touch, the deepest first; of a loose pinch
+            the one in which they are closest.
+    """
+
+    kind: PrimitiveKind
+    minima: tuple[FloatArray, ...]
+    postures: tuple[FloatArray, ...]
+
+
 @dataclass(frozen=True)
 class PinchSearch:
     """Looks for the pinch of two fingers.
@@ -42,8 +58,8 @@ class PinchSearch:
     tips: LinkPair
     rank: Rank = "depth"
 
-    def run(self) -> Found | None:
-        """Return the pinch, tight or loose, if there is one."""
+    def look(self) -> Sight | None:
+        """Return whether the fingers pinch and how, before anything else is looked at."""
         space = self._space(real_limits(self._hand))
         if self._touch(space, space.rest) and not self._can_part(space):
             return None
@@ -52,10 +68,28 @@ class PinchSearch:
         goal = Pinch(self._scene, self.tips)
         touching = stored(self.inspector, goal, space, self._contacts(space, deep))
         if touching:
-            return self._tight(space, touching, deep)
+            return Sight(PrimitiveKind.PINCH_TIGHT, tuple(deep), tuple(touching))
         if self._could_meet():
-            return self._loose(space, [m.y for m in found])
+            closest = self._closest(space, [m.y for m in found])
+            return Sight(PrimitiveKind.PINCH_LOOSE, (), (closest,))
         return None
+
+    def finish(self, sight: Sight) -> Found:
+        """Return the pinch with its postures, ranked, and their evidence."""
+        watch = self._watch()
+        most = _MOST[self.rank]
+        best = self._candidate(sight.postures[0], watch)
+        candidates = [best]
+        if sight.kind is PrimitiveKind.PINCH_TIGHT and not best.usable:
+            space = self._space(real_limits(self._hand))
+            goal = Pinch(self._scene, self.tips)
+            clear = clear_postures(self.inspector, goal, space, watch, sight.minima, Patience())
+            candidates += [self._candidate(u, watch) for u in clear[: most - 1]]
+        others = sight.postures[1 : most + 1 - len(candidates)]
+        candidates += [self._candidate(u, watch) for u in others]
+        names = tuple(finger.name for finger in self.fingers)
+        lower, upper = real_limits(self._hand)
+        return Found(sight.kind, names, ranked(candidates, self.rank, upper - lower))
 
     @property
     def _scene(self) -> Scene:
@@ -99,25 +133,11 @@ class PinchSearch:
         found = minima(Placed(self._scene, Pinch(self._scene, self.tips), wide))
         return bool(self._contacts(wide, [m.y for m in found if m.value <= 0.0]))
 
-    def _tight(
-        self, space: Space, touching: Sequence[FloatArray], deep: Sequence[FloatArray]
-    ) -> Found:
-        watch = self._watch()
-        most = _MOST[self.rank]
-        candidates = [self._candidate(touching[0], watch)]
-        if not candidates[0].usable:
-            goal = Pinch(self._scene, self.tips)
-            clear = clear_postures(self.inspector, goal, space, watch, deep, Patience())
-            candidates += [self._candidate(u, watch) for u in clear[: most - 1]]
-        candidates += [self._candidate(u, watch) for u in touching[1 : most + 1 - len(candidates)]]
-        return self._found(PrimitiveKind.PINCH_TIGHT, candidates)
-
-    def _loose(self, space: Space, found: Sequence[FloatArray]) -> Found:
+    def _closest(self, space: Space, found: Sequence[FloatArray]) -> FloatArray:
+        """Return the posture as stored at which the tips' geometry is closest."""
         ends = [self._seek(space, y) for y in found[:_TRIED]]
         gap = Placed(self._scene, Gap(self._scene, self.tips), space)
-        closest = min(ends, key=gap.value)
-        u = rounded(self._hand, space.posture(closest))
-        return self._found(PrimitiveKind.PINCH_LOOSE, [self._candidate(u, self._watch())])
+        return rounded(self._hand, space.posture(min(ends, key=gap.value)))
 
     def _watch(self) -> Watch:
         moving = {self._hand.actuator_index(n) for f in self.fingers for n in f.actuators}
@@ -126,18 +146,10 @@ class PinchSearch:
     def _candidate(self, u: FloatArray, watch: Watch) -> Candidate:
         return Candidate(u, self.inspector.pinch(u, self.tips, watch))
 
-    def _found(self, kind: PrimitiveKind, candidates: Sequence[Candidate]) -> Found:
-        names = tuple(finger.name for finger in self.fingers)
-        lower, upper = real_limits(self._hand)
-        extent = upper - lower
-        return Found(kind, names, ranked(candidates, self.rank, extent))
 
-
-def find_pinch(
-    inspector: Inspector, first: Finger, second: Finger, rank: Rank = "depth"
-) -> Found | None:
-    """Return the pinch of two fingers, tight or loose, if there is one."""
+def pinch_search(
+    inspector: Inspector, first: Finger, second: Finger, rank: Rank
+) -> PinchSearch | None:
+    """Return the search for the pinch of two fingers, ``None`` if their tips cannot move apart."""
     tips = inspector.scene.tips.get((str(first.tip), str(second.tip)))
-    if tips is None:
-        return None
-    return PinchSearch(inspector, (first, second), tips, rank).run()
+    return None if tips is None else PinchSearch(inspector, (first, second), tips, rank)

@@ -29,9 +29,9 @@ class Effort:
 
     screened: int = 192
     starts: int = 12
-    quick: int = 45
+    quick: int = 28
     kept: int = 3
-    polish: int = 20
+    polish: int = 22
 
 
 PAIR: Final = Effort()
