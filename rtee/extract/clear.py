@@ -44,7 +44,7 @@ _STATIONS: Final = 4
 _MOST_STATIONS: Final = 8
 _APART: Final = 0.02
 _SHORT: Final = 2e-3
-_FOLLOWED: Final = 2
+_FOLLOWED: Final = 1
 _POSE: Final = (1.0,)
 
 
@@ -63,11 +63,11 @@ class Patience:
     """
 
     pool: int = 6
-    tries: int = 3
+    tries: int = 2
     rounds: int = 8
     leaps: int = 4
-    creeps: int = 8
-    ways: int = 2
+    creeps: int = 6
+    ways: int = 3
     retreat: bool = True
 
 

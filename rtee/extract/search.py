@@ -35,7 +35,7 @@ class Effort:
 
 
 PAIR: Final = Effort()
-SEVERAL: Final = Effort(screened=96, starts=5, quick=20, kept=2, polish=28)
+SEVERAL: Final = Effort(screened=64, starts=5, quick=20, kept=2, polish=22)
 
 _SAME: Final = 0.02
 _LINE: Final = 257
