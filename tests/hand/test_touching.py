@@ -52,5 +52,6 @@ def test_known_contacts_at_rest(shared: Path) -> None:
     assert others == {
         frozenset(("left_hand_a", "left_hand_e1")),
         frozenset(("left_hand_e1", "left_hand_l")),
-        frozenset(("left_hand_e1", "left_hand_virtual_j")),
+        frozenset(("left_hand_e2", "left_hand_i")),
+        frozenset(("left_hand_e2", "left_hand_j")),
     }
