@@ -148,7 +148,7 @@ async def test_a_hand_is_commanded_over_the_network(folder: Path) -> None:
                     async with rtee.connect("jaw") as hand:
                         result = await hand.do("open")
                     break
-                except (NoHand, RequestRejected):
+                except (rtee.errors.NoHand, rtee.errors.RequestRejected):
                     await anyio.sleep(0.1)
         assert result.reached
         over.set()
