@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rtee.actions.yamltext import emit, read_canonical
+from rtee.hand.yamlfile import yaml_reader
 
 _IDENTITY = ("elements", "alias", "action")
 """Keys by which the entries of a list are recognised, the first that they have."""
@@ -22,10 +23,9 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
     Returns:
         The new text; ``None`` if the old one cannot be kept.
     """
-    from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    yaml = YAML()
+    yaml = yaml_reader(keep_comments=True)
     yaml.preserve_quotes = True
     yaml.width = 4096
     fresh = read_canonical(emit(data))
@@ -36,7 +36,7 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
         stream = io.StringIO()
         yaml.dump(_merged(document, fresh), stream)
         # A merge that reads back as something else would be worse than a lost comment.
-        same = YAML(typ="safe", pure=True).load(stream.getvalue()) == fresh
+        same = yaml_reader().load(stream.getvalue()) == fresh
     except (YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
         return None
     return stream.getvalue() if same else None

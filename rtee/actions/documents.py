@@ -11,6 +11,7 @@ from typing import Any
 from rtee.actions.yamltext import read_canonical
 from rtee.errors import ActionError, suggestion
 from rtee.hand.files import read_bytes
+from rtee.hand.yamlfile import yaml_reader
 
 Key = str | int | tuple[str, ...]
 Keys = tuple[Key, ...]
@@ -26,12 +27,11 @@ class Document:
 
     def line(self, keys: Keys) -> int | None:
         """Return the line, counted from 1, where an entry stands; ``None`` if it has none."""
-        from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
         from ruamel.yaml.nodes import MappingNode, SequenceNode
 
         try:
-            node: Any = YAML(typ="safe", pure=True).compose(self.text)
+            node: Any = yaml_reader().compose(self.text)
         except (YAMLError, ValueError, RecursionError):
             return None
         if node is None:
@@ -212,11 +212,10 @@ def parse(text: str, path: Path) -> Any:
     Raises:
         ActionError: if it is empty or no YAML; with the line.
     """
-    from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     try:
-        data = YAML(typ="safe", pure=True).load(text)
+        data = yaml_reader().load(text)
     except MarkedYAMLError as error:
         raise _syntax_error(error, text, path) from None
     except YAMLError as error:

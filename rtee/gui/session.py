@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import AsyncIterator
 from dataclasses import replace
 
 import anyio
@@ -127,10 +128,11 @@ class Session:
         Raises:
             NoHand: when the hand goes.
         """
+        events = self._remote.events()  # before the actions are asked for: no change is missed
         await self._refresh()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._follow_states)
-            tasks.start_soon(self._follow_events)
+            tasks.start_soon(self._follow_events, events)
             tasks.start_soon(self._follow_status)
             tasks.start_soon(self._draw)
 
@@ -141,8 +143,8 @@ class Session:
             self._state = state
             self._plots.history.add(state)
 
-    async def _follow_events(self) -> None:
-        async for event in self._remote.events():
+    async def _follow_events(self, events: AsyncIterator[Event]) -> None:
+        async for event in events:
             await self._on_event(event)
 
     async def _on_event(self, event: Event) -> None:

@@ -74,16 +74,27 @@ def read_yaml(path: Path | str, what: str) -> YamlDocument:
     return parse_yaml(text, file, what)
 
 
+def yaml_reader(*, keep_comments: bool = False) -> Any:
+    """Return a ruamel.yaml reader without tags that make objects.
+
+    It is silent about an anchor that is given twice, which YAML 1.2 (section 7.1) allows.
+    """
+    from ruamel.yaml import YAML
+
+    yaml = YAML() if keep_comments else YAML(typ="safe", pure=True)
+    yaml.composer.warn_double_anchors = False
+    return yaml
+
+
 def parse_yaml(text: str, path: Path, what: str) -> YamlDocument:
     """Parse the text of a YAML file; see `read_yaml`."""
-    from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     for number, row in enumerate(text.splitlines(), 1):
         if "\t" in row[: len(row) - len(row.lstrip())]:
             raise ConfigError("a tab in the indentation; use blanks", path=path, line=number)
     try:
-        node = YAML(typ="safe", pure=True).compose(text)
+        node = yaml_reader().compose(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise ConfigError(

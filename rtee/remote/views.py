@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import weakref
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -57,7 +58,7 @@ class View:
         self.name = link.hand
         self.client = link.client
         self._link = link
-        self._watchers: set[asyncio.Queue[Event | None]] = set()
+        self._watchers: weakref.WeakSet[asyncio.Queue[Event | None]] = weakref.WeakSet()
         self._streams: set[asyncio.Queue[State | None]] = set()
         self._gone = False
         link.subscribe(topics.EVENTS, self._on_event)
@@ -65,12 +66,12 @@ class View:
 
     def _on_event(self, data: bytes) -> None:
         event = decode_event(data)
-        for watcher in self._watchers:
+        for watcher in tuple(self._watchers):
             _put(watcher, event)
 
     def _on_gone(self) -> None:
         self._gone = True
-        for watcher in self._watchers:
+        for watcher in tuple(self._watchers):
             _put(watcher, None)
         for stream in self._streams:
             _put(stream, None)
@@ -103,19 +104,19 @@ class View:
             self._streams.discard(queue)
         raise NoHand(f"the hand '{self.name}' has gone")
 
-    async def events(self) -> AsyncIterator[Event]:
-        """Iterate over what happens from now on.
+    def events(self) -> AsyncIterator[Event]:
+        """Iterate over what happens from this call on.
 
         Raises:
             NoHand: if the hand goes.
         """
         queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_WAITING)
         self._watchers.add(queue)
-        try:
-            while not self._gone and (event := await queue.get()) is not None:
-                yield event
-        finally:
-            self._watchers.discard(queue)
+        return self._drained(queue)
+
+    async def _drained(self, queue: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:
+        while not self._gone and (event := await queue.get()) is not None:
+            yield event
         raise NoHand(f"the hand '{self.name}' has gone")
 
     async def status(self) -> HandStatus:

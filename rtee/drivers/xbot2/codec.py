@@ -18,6 +18,7 @@ from rtee.drivers.xbot2.messages import (
     XBot2FrameError,
     read,
 )
+from rtee.hand.yamlfile import yaml_reader
 
 STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558
 _LONGEST = 1_000_000
@@ -158,8 +159,8 @@ def read_yaml(raw: bytes) -> Mapping[str, Any]:
     if len(raw) > _LONGEST:
         raise XBot2FrameError(f"{len(raw)} bytes are too many")
     try:
-        found = YAML(typ="safe", pure=True).load(raw.decode("utf-8"))
-    except (YAMLError, UnicodeDecodeError, ValueError) as error:
+        found = yaml_reader().load(raw.decode("utf-8"))
+    except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise XBot2FrameError("this is no YAML") from error
     if not isinstance(found, dict):
         raise XBot2FrameError("this is no mapping")
