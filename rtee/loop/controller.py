@@ -10,7 +10,6 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.executor import Executor
@@ -113,18 +112,6 @@ class Controller:
     def moving(self) -> bool:
         """Whether the reference is on its way or a goal is running."""
         return self._profile.moving or self.running is not None
-
-    def check_active(self, indices: Iterable[int]) -> None:
-        """Refuse to move actuators whose device may not be moved.
-
-        Raises:
-            GoalRejected: with their names.
-        """
-        idle = [self.hand.actuators[i].name for i in sorted(indices) if not self.active[i]]
-        if idle:
-            raise GoalRejected(
-                f"the device of {', '.join(idle)} is not active; see `rtee status`, then recover"
-            )
 
     def take(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted."""

@@ -148,10 +148,15 @@ class HandTicks:
         Raises:
             UserError: if a device can't ever be connected by a mistake of the user.
         """
-        for device in self.devices.values():
-            await device.tried.wait()
-            if device.mistake is not None:
-                raise device.mistake
+        try:
+            for device in self.devices.values():
+                await device.tried.wait()
+                if device.mistake is not None:
+                    raise device.mistake
+        finally:
+            # A goal may come before the first tick would have noticed them.
+            self._gather.collect()
+            self._follow_devices()
 
     # --- a tick ------------------------------------------------------------------------------
 

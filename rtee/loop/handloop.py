@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping
 
 import anyio
 
@@ -61,16 +61,27 @@ class HandLoop(HandTicks):
                 for index in device.indices
             },
         )
-        if partly:
-            able = {
-                index
-                for name, device in self.devices.items()
-                if self._was_active[name]
-                for index in device.indices
-            }
-            plan = plan.only(able) if able & plan.involved else plan
-        self.controller.check_active(plan.involved)
+        able = self._able()
+        if partly and able & plan.involved:
+            plan = plan.only(able)
+        self._check_able(plan.involved, able)
         self._pending.append(plan)
+
+    def _able(self) -> set[int]:
+        """Return the actuators that may be moved."""
+        return {
+            index
+            for name, device in self.devices.items()
+            if self._was_active[name]
+            for index in device.indices
+        }
+
+    def _check_able(self, indices: Iterable[int], able: Collection[int]) -> None:
+        idle = [self.hand.actuators[i].name for i in sorted(indices) if i not in able]
+        if idle:
+            raise GoalRejected(
+                f"the device of {', '.join(idle)} is not active; see `rtee status`, then recover"
+            )
 
     async def execute(self, goal: Goal, *, partly: bool = False) -> Result:
         """Take a goal and wait for its result; being cancelled cancels the goal. See `submit`."""
@@ -112,7 +123,7 @@ class HandLoop(HandTicks):
                 raise GoalRejected(f"the position of '{name}' must be a number, not {value:g}")
         if max_velocity is not None and not (max_velocity > 0 and math.isfinite(max_velocity)):
             raise GoalRejected(f"the velocity must be above 0, not {max_velocity:g}")
-        self.controller.check_active(self.hand.actuator_index(name) for name in positions)
+        self._check_able((self.hand.actuator_index(name) for name in positions), self._able())
         text = "" if max_velocity is None else repr(float(max_velocity))
         self._pending.append(Command("jog", text, dict(positions)))
 

@@ -196,9 +196,13 @@ async def running(
     hand: Hand,
     settings: LoopSettings | None = None,
     devices: list[tuple[DeviceSettings, Driver]] | None = None,
+    ticks: int = 5,
     **options: object,
 ) -> AsyncIterator[Rig]:
-    """Run a hand on a kinematic device with these options, or on the given devices."""
+    """Run a hand on a kinematic device with these options, or on the given devices.
+
+    Some ticks have been done when the context is entered.
+    """
     settings = settings or LoopSettings()
     clock = ManualClock(settings.rate)
     if devices is None:
@@ -213,5 +217,5 @@ async def running(
     async with loop:
         await loop.ready()
         rig = Rig(loop, clock, watcher)
-        await rig.run(5 / settings.rate)
+        await rig.run(ticks / settings.rate)
         yield rig

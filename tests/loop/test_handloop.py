@@ -22,6 +22,11 @@ async def test_first_reference_is_the_measured_pose(hand: Hand) -> None:
         assert rig.loop.devices["dummy"].lifecycle is Lifecycle.ACTIVE
 
 
+async def test_a_goal_may_come_before_the_first_tick(hand: Hand) -> None:
+    async with running(hand, ticks=0) as rig:
+        assert (await rig.do("Trig", "index")).reached
+
+
 async def test_goal_is_reached(hand: Hand) -> None:
     async with running(hand) as rig:
         result = await rig.do("Trig", "index")
