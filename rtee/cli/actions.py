@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 import typer
@@ -11,8 +12,12 @@ from rtee.cli._common import Hand, JsonOption, actions_of
 
 if TYPE_CHECKING:
     from rtee.actions.types import Action, ActionReference, Evidence
+    from rtee.cli._table import Row
 
 app = typer.Typer()
+
+_SHOWN = 3
+"""How many pairs of colliding links a terminal shows; elsewhere all are named."""
 
 
 @app.command()
@@ -24,57 +29,66 @@ def actions(hand: Hand, as_json: JsonOption = False) -> None:
     if as_json:
         print(json.dumps(describe(library.hand, library), indent=2))
         return
-    _show(library.hand.name, list(library))
+    _show(library.hand.name, list(library), library.hand.actuator_names)
 
 
-def _show(hand: str, found: list[Action]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+def _show(hand: str, found: list[Action], actuators: Collection[str]) -> None:
+    from rtee.cli._table import Column, Table, common_prefix
 
     if not found:
-        print(f"{hand} has no actions yet; 'rtee extract {hand} --out …' finds its primitives")
+        print(f"{hand} has no actions yet; 'rtee extract {hand} --save' finds its primitives")
         return
-    table = Table(title=f"Grasping actions of {hand}", title_justify="left", box=box.SIMPLE)
-    for column in ("action", "elements", "involves", "remarks"):
-        table.add_column(column, overflow="fold", no_wrap=column in ("action", "device"))
-    for action in found:
-        table.add_row(*(Text(cell) for cell in _row(action)))
-    Console().print(table)
+    prefix = common_prefix(actuators)
+    title = f"Grasping actions of {hand}"
+    if prefix:
+        title += f"\n(names of actuators begin with {prefix})"
+    columns = (Column("elements"), Column("involves", whole=True), Column("remarks"))
+    rows = [_row(action, prefix) for action in found]
+    Table(columns, tuple(rows), title, "action").show()
 
 
-def _row(action: Action) -> tuple[str, str, str, str]:
-    from rtee.actions.types import Composed, Generic, Primitive
+def _row(action: Action, prefix: str) -> Row:
+    from rtee.actions.types import Composed, Generic, Primitive, Timed
+    from rtee.cli._table import Row
 
     match action:
         case Primitive():
-            remark = remarks(action.evidence[0]) if action.evidence else ""
-            involved = ", ".join(action.posture.involved)
-            return action.name, ", ".join(action.elements), involved, remark
+            elements = ", ".join(element.removeprefix(prefix) for element in action.elements)
+            involved: Iterable[str] = action.posture.involved
+            remark = remarks(action.evidence[0], prefix) if action.evidence else ""
         case Composed():
-            parts = " + ".join(_use(part) for part in action.parts)
-            return action.name, "composed", ", ".join(action.posture.involved), parts
+            elements, involved = "composed", action.posture.involved
+            remark = " + ".join(_use(part, prefix) for part in action.parts)
         case Generic():
-            involved = ", ".join(action.posture.involved)
-            return action.name, "generic", involved, action.description
-    steps = ", then ".join(
-        f"{_use(step.use)} ({step.before:g} s before, {step.after:g} s after)"
-        for step in action.steps
-    )
-    names = dict.fromkeys(name for step in action.steps for name in step.posture.involved)
-    return action.name, "timed", ", ".join(names), steps
+            elements, involved = "generic", action.posture.involved
+            remark = action.description
+        case Timed():
+            elements = "timed"
+            involved = dict.fromkeys(n for step in action.steps for n in step.posture.involved)
+            remark = ", then ".join(
+                f"{_use(step.use, prefix)} ({step.before:g} s before, {step.after:g} s after)"
+                for step in action.steps
+            )
+    names = "\n".join(name.removeprefix(prefix) for name in involved)
+    return Row((elements, names, remark), action.name)
 
 
-def _use(use: ActionReference) -> str:
+def _use(use: ActionReference, prefix: str) -> str:
     from rtee.actions.naming import label
 
     scale = "" if use.scale == 1.0 else f" × {use.scale:g}"
-    return label(use.action, use.elements) + scale
+    return label(use.action, tuple(e.removeprefix(prefix) for e in use.elements)) + scale
 
 
-def remarks(evidence: Evidence) -> str:
-    """Return the evidence of a posture in words."""
+def remarks(evidence: Evidence, prefix: str = "") -> str:
+    """Return the evidence of a posture in words, a line for each matter.
+
+    Args:
+        evidence: The evidence.
+        prefix: What to leave out where names of links begin with it.
+    """
+    from rtee.cli._table import on_terminal
+
     said = []
     if evidence.depth > 0.0:
         said.append(f"depth {evidence.depth * 1e3:.2f} mm")
@@ -83,7 +97,12 @@ def remarks(evidence: Evidence) -> str:
     if evidence.contact_at is not None:
         said.append(f"contact at {evidence.contact_at:.0%}")
     if not evidence.clear:
-        said.append("not clear: " + ", ".join(" and ".join(p) for p in evidence.colliding))
+        pairs = [
+            f"{a.removeprefix(prefix)} and {b.removeprefix(prefix)}" for a, b in evidence.colliding
+        ]
+        if on_terminal() and len(pairs) > _SHOWN + 1:
+            pairs[_SHOWN:] = [f"{len(pairs) - _SHOWN} more"]
+        said.append("not clear: " + ", ".join(pairs))
     elif not evidence.path_clear:
         said.append("the way there is not clear")
-    return ", ".join(said)
+    return "\n".join(said)

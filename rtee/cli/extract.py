@@ -161,31 +161,39 @@ def _progress(what: str = "searching pinches") -> Iterator[Callable[[int, int], 
 
 
 def _show(hand: HandModel, found: Extraction) -> None:
-    from rich.console import Console
-    from rich.table import Table
+    from rtee.cli._table import Column, Row, Table, common_prefix, on_terminal
 
-    table = Table(
-        title=f"Primitive grasping actions of {hand.name}, found in {found.seconds:.2f} s",
-        title_justify="left",
-    )
-    for column in ("primitive", "elements", "posture", "evidence"):
-        table.add_column(column, overflow="fold")
-    for primitive in found.primitives:
-        table.add_row(*_row(primitive), style="" if _usable(primitive) else "dim")
-    console = Console()
-    console.print(table)
+    prefix = common_prefix(hand.actuator_names)
+    title = f"Primitive grasping actions of {hand.name}, found in {found.seconds:.2f} s"
+    if prefix:
+        title += f"\n(names of actuators begin with {prefix})"
+    width = max(len(name.removeprefix(prefix)) for name in hand.actuator_names)
+    columns = (Column("elements"), Column("posture", whole=True), Column("evidence"))
+    rows = [
+        Row(_cells(primitive, prefix, width), primitive.name, faint=not _usable(primitive))
+        for primitive in found.primitives
+    ]
+    Table(columns, tuple(rows), title, "primitive").show()
     for note in (*hand.notes, *found.notes):
-        console.print(f"note: {note}", style="dim", highlight=False, markup=False)
+        print(f"note: {note}", file=sys.stdout if on_terminal() else sys.stderr)
 
 
 def _usable(primitive: Primitive) -> bool:
     return not primitive.evidence or primitive.evidence[0].clear
 
 
-def _row(primitive: Primitive) -> tuple[str, str, str, str]:
+def _cells(primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:
+    from rtee.cli._table import on_terminal
     from rtee.cli.actions import remarks
 
     posture = primitive.posture
-    targets = "\n".join(f"{name} {posture.position[name]:.4g}" for name in posture.involved)
-    said = remarks(primitive.evidence[0]) if primitive.evidence else ""
-    return primitive.name, ", ".join(primitive.elements), targets, said
+    elements = ", ".join(element.removeprefix(prefix) for element in primitive.elements)
+    if on_terminal():
+        lines = [
+            f"{name.removeprefix(prefix):{width}} {posture.position[name]:7.4f}"
+            for name in posture.involved
+        ]
+    else:
+        lines = [f"{name}={posture.position[name]:.6g}" for name in posture.involved]
+    said = remarks(primitive.evidence[0], prefix) if primitive.evidence else ""
+    return elements, "\n".join(lines), said

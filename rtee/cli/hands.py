@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -48,26 +49,25 @@ def _row(name: str, folder: str) -> dict[str, Any]:
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
+    from rtee.cli._table import Column, Row, Table
 
-    console = Console()
     if not rows:
-        console.print("There are no hands yet; 'rtee new NAME --urdf FILE' makes one.")
+        print("There are no hands yet; 'rtee new NAME --urdf FILE' makes one.")
         return
-    table = Table("hand", "", "fingers", "actuators", "joints", "devices", box=None)
-    for row in rows:
-        if "error" not in row:
-            table.add_row(
-                row["name"],
-                row["title"],
-                str(len(row["fingers"])),
-                str(len(row["actuators"])),
-                str(row["joints"]),
-                ", ".join(row["devices"].values()),
-            )
-    console.print(table)
+    columns = (
+        Column("hand", whole=True),
+        Column("title"),
+        Column("fingers", right=True),
+        Column("actuators", right=True),
+        Column("joints", right=True),
+        Column("devices"),
+    )
+    Table(columns, tuple(Row(_cells(row)) for row in rows if "error" not in row)).show()
     for row in rows:
         if "error" in row:
-            console.print(f"[red]{row['name']}[/]: ", end="")
-            console.print(row["error"], markup=False, highlight=False, soft_wrap=True)
+            print(f"{row['name']}: {row['error']}", file=sys.stderr)
+
+
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    counts = (len(row["fingers"]), len(row["actuators"]), row["joints"])
+    return (row["name"], row["title"], *map(str, counts), ", ".join(row["devices"].values()))

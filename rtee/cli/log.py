@@ -44,52 +44,57 @@ def info(file: File, series: Series = False, as_json: JsonOption = False) -> Non
 
 
 def _show(found: Info) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
+    from rtee.cli._table import Column, Row, Table
     from rtee.log.info import iso
 
-    console = Console(highlight=False, soft_wrap=True)
     recording = found.recording
     for path, size in found.files:
-        console.print(Text(f"{path}  {size / 1e6:.1f} MB"))
+        print(f"{path}  {size / 1e6:.1f} MB")
     rate = f", {recording.rate:g} Hz" if recording.rate else ""
-    console.print(Text(f"hand {recording.hand or 'unknown'}{rate}, written by {found.library}"))
-    console.print(
-        Text(
-            f"{iso(recording.start) or 'no messages'}, {recording.duration:.1f} s, "
-            f"{found.size_per_minute / 1e6:.1f} MB a minute"
-        )
+    print(f"hand {recording.hand or 'unknown'}{rate}, written by {found.library}")
+    print(
+        f"{iso(recording.start) or 'no messages'}, {recording.duration:.1f} s, "
+        f"{found.size_per_minute / 1e6:.1f} MB a minute"
     )
-    table = Table("topic", "type", "messages", "rate [Hz]", box=None, pad_edge=False)
-    for each in found.topics:
-        table.add_row(each.topic, each.kind, str(each.messages), f"{each.rate:.1f}")
-    console.print(table)
+    columns = (
+        Column("topic"),
+        Column("type"),
+        Column("messages", right=True, whole=True),
+        Column("rate [Hz]", right=True, whole=True),
+    )
+    topics = (
+        Row((each.topic, each.kind, str(each.messages), f"{each.rate:.1f}"))
+        for each in found.topics
+    )
+    Table(columns, tuple(topics)).show()
     if found.attachments:
         names = ", ".join(name for name, _ in found.attachments)
-        console.print(Text(f"attachments: {names}"))
+        print(f"attachments: {names}")
     if found.statistics is not None:
         last = found.statistics
-        console.print(
-            Text(
-                f"loop: {last.ticks} ticks, {last.missed} missed, lateness p99 "
-                f"{last.lateness_p99 * 1e6:.0f} µs, max {last.lateness_max * 1e6:.0f} µs, "
-                f"{last.dropped} records dropped"
-            )
+        print(
+            f"loop: {last.ticks} ticks, {last.missed} missed, lateness p99 "
+            f"{last.lateness_p99 * 1e6:.0f} µs, max {last.lateness_max * 1e6:.0f} µs, "
+            f"{last.dropped} records dropped"
         )
     if recording.spans:
-        table = Table("at [s]", "goal", "took [s]", "outcome", box=None, pad_edge=False)
-        for span in recording.spans:
-            took = f"{span.end - span.start:.2f}"
-            table.add_row(f"{span.start:.2f}", Text(span.name), took, span.outcome)
-        console.print(table)
+        columns = (
+            Column("at [s]", right=True, whole=True),
+            Column("goal"),
+            Column("took [s]", right=True, whole=True),
+            Column("outcome"),
+        )
+        spans = (
+            Row((f"{span.start:.2f}", span.name, f"{span.end - span.start:.2f}", span.outcome))
+            for span in recording.spans
+        )
+        Table(columns, tuple(spans)).show()
     for entry in recording.events:
         event = entry.value
         if event.kind != "trace":
-            console.print(Text(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}"))
+            print(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
     for note in recording.notes:
-        console.print(Text(f"note: {note}"))
+        print(f"note: {note}")
 
 
 @app.command()

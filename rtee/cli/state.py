@@ -10,14 +10,21 @@ import typer
 from rtee.cli._common import ConnectOption, RunningOption
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from rtee.cli._table import Table
     from rtee.messages.state import State
     from rtee.remote.client import RemoteHand
 
 app = typer.Typer()
 
-_COLUMNS = ("position", "velocity", "effort", "current", "temperature", "reference_position")
+_COLUMNS = {
+    "position": ("position", 4),
+    "velocity": ("velocity", 4),
+    "effort": ("effort", 3),
+    "current": ("current", 3),
+    "temperature": ("°C", 1),
+    "reference_position": ("reference", 4),
+}
+"""What is shown: headings and digits."""
 
 
 @app.command()
@@ -34,11 +41,12 @@ def state(
 ) -> None:
     """Show the hand's state: live until Ctrl-C, or once."""
     from rtee.cli._online import with_hand
+    from rtee.cli._table import on_terminal
 
     async def execute(remote: RemoteHand) -> None:
         if once:
             _print(remote.name, await remote.state(), as_json)
-        elif as_json:
+        elif as_json or not on_terminal():
             async for found in remote.states(rate):
                 _print(remote.name, found, as_json)
         else:
@@ -53,18 +61,16 @@ async def _live(remote: RemoteHand, rate: float) -> None:
 
     with Live(console=Console(), auto_refresh=False) as live:
         async for found in remote.states(rate):
-            live.update(_table(remote.name, found), refresh=True)
+            live.update(_table(remote.name, found).drawn(live.console.width), refresh=True)
 
 
 def _print(name: str, found: State, as_json: bool) -> None:
-    from rich.console import Console
-
     from rtee.cli._online import to_json
 
     if as_json:
         print(to_json(_plain(name, found)), flush=True)
     else:
-        Console().print(_table(name, found))
+        _table(name, found).show()
 
 
 def _plain(name: str, found: State) -> dict[str, Any]:
@@ -83,20 +89,22 @@ def _plain(name: str, found: State) -> dict[str, Any]:
 
 
 def _table(name: str, found: State) -> Table:
-    from rich import box
-    from rich.table import Table
+    from rtee.cli._table import Column, Row, Table, common_prefix
 
-    table = Table(title=f"{name}, tick {found.tick}", title_justify="left", box=box.SIMPLE)
-    table.add_column("actuator", no_wrap=True)
+    prefix = common_prefix(found.names)
+    title = f"{name}, tick {found.tick}"
+    if prefix:
+        title += f" (names of actuators begin with {prefix})"
     # What no actuator measures would only take room.
     measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
-    for column in measured:
-        table.add_column(column.replace("_position", ""), justify="right")
+    columns = [Column("actuator", whole=True)]
+    columns += [Column(_COLUMNS[c][0], right=True, whole=True) for c in measured]
+    rows = []
     for i, actuator in enumerate(found.names):
-        values = (float(getattr(found, column)[i]) for column in measured)
-        table.add_row(actuator, *(_number(value) for value in values))
-    return table
+        values = [_number(float(getattr(found, c)[i]), _COLUMNS[c][1]) for c in measured]
+        rows.append(Row((actuator.removeprefix(prefix), *values)))
+    return Table(tuple(columns), tuple(rows), title)
 
 
-def _number(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.4f}"
+def _number(value: float, digits: int) -> str:
+    return "–" if math.isnan(value) else f"{value:.{digits}f}"

@@ -35,10 +35,7 @@ def status(
 
 
 def _show(found: HandStatus) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+    from rtee.cli._table import Column, Row, Table, on_terminal
 
     clock = found.statistics
     print(f"{found.hand}: {clock.measured_rate:.1f} Hz of {clock.rate:g} Hz, ", end="")
@@ -48,24 +45,39 @@ def _show(found: HandStatus) -> None:
     print(f"goal:     {found.action or 'none'}")
     print(f"held by:  {found.holder or 'nobody'}")
     print(f"log:      {found.recording or 'off'}")
-    table = Table(box=box.SIMPLE)
-    for column in ("device", "driver", "state", "rate", "age", "errors", "overruns", "remarks"):
-        table.add_column(column, overflow="fold", no_wrap=column in ("action", "device"))
+    rows, said = [], []
     for one in found.devices:
         fault = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else ""
         remarks = "; ".join(text for text in (fault, one.message, one.hint) if text)
-        cells = (
-            one.name,
-            one.driver,
-            str(one.lifecycle),
-            f"{one.rate:.0f} Hz",
-            f"{one.age * 1e3:.1f} ms",
-            str(one.errors),
-            str(one.overruns),
-            remarks,
+        said.append((one.name, remarks))
+        rows.append(
+            (
+                one.name,
+                one.driver,
+                str(one.lifecycle),
+                f"{one.rate:.0f} Hz",
+                f"{one.age * 1e3:.1f} ms",
+                str(one.errors),
+                str(one.overruns),
+                remarks,
+            )
         )
-        table.add_row(*map(Text, cells))
-    Console().print(table)
+    columns = (
+        Column("device", whole=True),
+        Column("driver"),
+        Column("state", whole=True),
+        *(Column(name, right=True, whole=True) for name in ("rate", "age", "errors", "overruns")),
+        Column("remarks"),
+    )
+    print()
+    if not on_terminal():
+        Table(columns, tuple(Row(cells) for cells in rows)).show()
+        return
+    # Remarks are sentences; beside seven columns they would have the width of a word.
+    Table(columns[:-1], tuple(Row(cells[:-1]) for cells in rows)).show()
+    for name, remark in said:
+        if remark:
+            print(f"{name}: {remark}")
 
 
 def _times(median: float, high: float, worst: float) -> str:

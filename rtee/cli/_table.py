@@ -1,0 +1,176 @@
+"""Tables: fitted to the width of a terminal; elsewhere one line per row, nothing cut off."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from rich.console import Group, RenderableType
+    from rich.table import Table as Grid
+
+_GAP: Final = 2
+_INDENT: Final = 2
+_NOTHING: Final = "-"
+_NARROW: Final = 8
+_WORTH: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: Its heading.
+        right: Whether its cells end at the same place, as numbers do.
+        whole: Whether its lines are never broken.
+    """
+
+    name: str
+    right: bool = False
+    whole: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of a table.
+
+    Attributes:
+        cells: One text per column; the lines of a text are items of a list.
+        heading: On a terminal, rows in sequence with the same heading stand below it; elsewhere it
+            is the first cell.
+        faint: Whether it is shown with less weight.
+    """
+
+    cells: tuple[str, ...]
+    heading: str = ""
+    faint: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns and rows.
+
+    Attributes:
+        columns: The columns.
+        rows: The rows.
+        title: What it shows; for terminals only.
+        heading: Name of the first column where rows have headings; empty if they have none.
+    """
+
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    title: str = ""
+    heading: str = ""
+
+    def show(self) -> None:
+        """Print the table."""
+        if on_terminal():
+            from rich.console import Console
+
+            console = Console(highlight=False)
+            console.print(self.drawn(console.width))
+            return
+        for line in self.lines():
+            print(line, flush=True)
+
+    def drawn(self, width: int) -> Group:
+        """Return the table as a terminal of this width shows it."""
+        from rich.console import Group
+        from rich.padding import Padding
+        from rich.text import Text
+
+        parts: list[RenderableType] = [Text(self.title, style="bold")] if self.title else []
+        widths = self.widths(width)
+        if not self.heading:
+            return Group(*parts, self._grid(self.rows, widths))
+        for heading, rows in groupby(self.rows, key=lambda row: row.heading):
+            grid = self._grid(list(rows), widths)
+            parts += [Text(heading, style="bold"), Padding.indent(grid, _INDENT)]
+        return Group(*parts)
+
+    def lines(self) -> list[str]:
+        """Return one line per row, columns aligned and at least two blanks apart."""
+        head = tuple(column.name for column in self.columns)
+        cells = [head, *(row.cells for row in self.rows)]
+        if self.heading:
+            firsts = [self.heading, *(row.heading for row in self.rows)]
+            cells = [(first, *rest) for first, rest in zip(firsts, cells, strict=True)]
+        flat = [[", ".join(cell.split("\n")) or _NOTHING for cell in row] for row in cells]
+        widths = [max(map(len, column)) for column in zip(*flat, strict=True)]
+        right = [False] * (len(widths) - len(self.columns)) + [c.right for c in self.columns]
+        return [
+            (" " * _GAP)
+            .join(
+                cell.rjust(width) if ends else cell.ljust(width)
+                for cell, width, ends in zip(row, widths, right, strict=True)
+            )
+            .rstrip()
+            for row in flat
+        ]
+
+    def widths(self, width: int) -> list[int]:
+        """Return the widths of the columns on a terminal.
+
+        Columns that may be broken share what the others leave, the wide ones giving way first.
+
+        Args:
+            width: Width of the terminal in characters.
+        """
+        natural = [
+            max(len(line) for cell in column for line in cell.split("\n"))
+            for column in zip(
+                tuple(column.name for column in self.columns),
+                *(row.cells for row in self.rows),
+                strict=True,
+            )
+        ]
+        left = width - _GAP * (len(natural) - 1) - (_INDENT if self.heading else 0)
+        left -= sum(n for n, column in zip(natural, self.columns, strict=True) if column.whole)
+        flexible = [i for i, column in enumerate(self.columns) if not column.whole]
+        for count, i in zip(
+            range(len(flexible), 0, -1), sorted(flexible, key=lambda i: natural[i]), strict=True
+        ):
+            natural[i] = min(natural[i], max(_NARROW, left // count))
+            left -= natural[i]
+        return natural
+
+    def _grid(self, rows: Sequence[Row], widths: Sequence[int]) -> Grid:
+        from rich.table import Table as Grid
+        from rich.text import Text
+
+        grid = Grid.grid(padding=(0, _GAP, 0, 0))
+        grid.show_header = not self.heading
+        for column, width in zip(self.columns, widths, strict=True):
+            grid.add_column(
+                Text(column.name, style="dim"),
+                width=width,
+                justify="right" if column.right else "left",
+                overflow="fold",
+            )
+        for row in rows:
+            grid.add_row(*map(Text, row.cells), style="dim" if row.faint else "")
+        return grid
+
+
+def on_terminal() -> bool:
+    """Return whether people read what is printed."""
+    return sys.stdout.isatty()
+
+
+def common_prefix(names: Collection[str]) -> str:
+    """Return the words that all names begin with and that a terminal need not repeat.
+
+    Words end in ``_``, ``-`` or ``/``. Empty where little is gained, or output is no terminal.
+    """
+    if len(names) < 2 or not on_terminal():
+        return ""
+    first, last = min(names), max(names)
+    same = 0
+    while same < min(len(first), len(last)) and first[same] == last[same]:
+        same += 1
+    end = 1 + max(first[:same].rfind(mark) for mark in "_-/")
+    return first[:end] if end >= _WORTH and all(len(name) > end for name in names) else ""

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import pytest
+
+from rtee.cli import _table
+from rtee.cli._table import Column, Row, Table, common_prefix
+
+LONG = "a remark of many words that no narrow terminal shows on a line of its own"
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_table, "on_terminal", lambda: True)
+
+
+def table(heading: str = "") -> Table:
+    columns = (Column("name"), Column("count", right=True), Column("what", whole=True))
+    rows = (
+        Row(("first", "1", "one\ntwo"), heading and "A", faint=True),
+        Row(("the second", "22", ""), heading and "A"),
+        Row((LONG, "333", "three"), heading and "B"),
+    )
+    return Table(columns, rows, "Things", heading)
+
+
+def drawn(one: Table, width: int) -> list[str]:
+    from rich.console import Console
+
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(one.drawn(width))
+    return capture.get().splitlines()
+
+
+def test_elsewhere_than_on_a_terminal_a_row_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    table().show()
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert LONG in lines[3]
+    columns = [[cell.strip() for cell in line.split("  ") if cell.strip()] for line in lines]
+    assert columns == [
+        ["name", "count", "what"],
+        ["first", "1", "one, two"],
+        ["the second", "22", "-"],
+        [LONG, "333", "three"],
+    ]
+    assert len({line.index(what) for line, (*_, what) in zip(lines, columns, strict=True)}) == 1
+
+
+def test_elsewhere_the_heading_is_the_first_cell() -> None:
+    assert [line.split()[0] for line in table("group").lines()] == ["group", "A", "A", "B"]
+
+
+@pytest.mark.parametrize("width", [30, 50, 80, 200])
+@pytest.mark.parametrize("heading", ["", "group"])
+def test_a_table_fits_the_terminal_and_loses_nothing(width: int, heading: str) -> None:
+    lines = drawn(table(heading), width)
+    assert max(map(len, lines)) <= width
+    shown = "".join(line.replace(" ", "") for line in lines)
+    for word in ("Things", "first", "22", "two", *([] if heading else ["count"])):
+        assert word in shown
+    assert all(word in " ".join(lines) for word in LONG.split())
+
+
+def test_rows_of_a_group_stand_below_their_heading() -> None:
+    lines = [line.rstrip() for line in drawn(table("group"), 100)]
+    assert [lines.index("A"), lines.index("B")] == [1, 5]
+    assert lines[2].startswith("  first")
+
+
+def test_the_widest_column_gives_way() -> None:
+    wide, count, what = table().widths(40)
+    assert (count, what) == (len("count"), len("three"))
+    assert wide == 40 - count - what - 4
+    assert table().widths(200)[0] == len(LONG)
+
+
+@pytest.mark.usefixtures("terminal")
+@pytest.mark.parametrize(
+    ("names", "prefix"),
+    [
+        (["left_hand_thumb", "left_hand_index"], "left_hand_"),
+        (["left_hand_thumb", "left_hand_"], ""),
+        (["left_thumb_one", "left_thumb_once"], "left_thumb_"),
+        (["thumb", "index"], ""),
+        (["a_b", "a_c"], ""),
+        (["left_hand_thumb"], ""),
+        ([], ""),
+    ],
+)
+def test_what_all_names_begin_with(names: list[str], prefix: str) -> None:
+    assert common_prefix(names) == prefix
+
+
+def test_names_are_whole_elsewhere() -> None:
+    assert common_prefix(["left_hand_thumb", "left_hand_index"]) == ""
