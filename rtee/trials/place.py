@@ -24,6 +24,9 @@ _APART = 0.015
 _AWAY = 0.12
 _WAY = 9
 _MOVES = 1e-3
+_SEVERAL = 3
+_DECIDED = 4.0
+_TAKES_PART = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,17 +104,18 @@ class Places:
     def _candidates(self) -> Iterator[Place]:
         outward = approach(self._hand)
         across = self._curl(outward)
+        axis, weights = self._opposition(outward)
         ways = sorted(
             ((o, a) for o in _OUTWARD for a in _ACROSS), key=lambda way: abs(way[0]) + way[1]
         )
         for along, aside in ways:
             for intensity in np.linspace(1.0, 0.0, _STEPS):
                 centres = self._tips(float(intensity))
-                middle = centres.mean(axis=0) + self._shift
+                middle = weights @ centres + self._shift
                 middle = middle + along * outward + aside * across
                 fitting = [
                     pose
-                    for pose in self._poses(middle, centres, outward)
+                    for pose in self._poses(middle, centres, axis, outward)
                     if self._clear(pose, float(intensity)) and self._clear(pose, 0.0)
                 ]
                 if fitting:
@@ -127,10 +131,34 @@ class Places:
         unit: FloatArray = way / length if length > 1e-3 else np.zeros(3)
         return unit
 
+    def _opposition(self, outward: FloatArray) -> tuple[FloatArray | None, FloatArray]:
+        """Return the axis along which three or more fingertips close, and their weights.
+
+        Fingertips that come from the two sides of the axis weigh the same together, however many
+        there are on each, so that the object is between them. There is no axis when the fingertips
+        close from all around, or when they are fewer than three; then all weigh the same.
+        """
+        tips = self._tips(0.0)
+        even: FloatArray = np.full(len(tips), 1.0 / len(tips))
+        ways = self._tips(1.0) - tips
+        ways -= np.outer(ways @ outward, outward)
+        sizes, axes = np.linalg.eigh(ways.T @ ways)
+        if len(tips) < _SEVERAL or sizes[-1] < max(_DECIDED * sizes[-2], _MOVES**2):
+            return None, even
+        along = ways @ axes[:, -1]
+        least = _TAKES_PART * float(np.abs(along).max())
+        sides = (along > least, along < -least)
+        if not all(side.any() for side in sides):
+            return axes[:, -1], even
+        weights: FloatArray = sum((0.5 * side / side.sum() for side in sides), np.zeros(len(tips)))
+        return axes[:, -1], weights
+
     @staticmethod
-    def _poses(middle: FloatArray, centres: FloatArray, outward: FloatArray) -> list[FloatArray]:
+    def _poses(
+        middle: FloatArray, centres: FloatArray, axis: FloatArray | None, outward: FloatArray
+    ) -> list[FloatArray]:
         """Return poses whose x axis is the axis of closing, with three directions for z."""
-        closing = centres[-1] - centres[0]
+        closing = centres[-1] - centres[0] if axis is None else axis
         closing = closing - (closing @ outward) * outward
         if float(np.linalg.norm(closing)) < 1e-3:
             closing = np.eye(3)[int(np.argmin(np.abs(outward)))]

@@ -63,17 +63,21 @@ class Simulation:
         self.effort_limit: FloatArray = np.array([effort_limit(s, options) for s in specs])
         self._gain = model.actuator_gainprm[self._motor, 0].copy()
         self._bias = model.actuator_biasprm[self._motor].copy()
-        self._finger_bodies = [
-            -1 if finger.tip is None else int(model.body(LINK + finger.tip).id)
-            for finger in hand.fingers
-        ]
+        names = [finger.tip for finger in hand.fingers if finger.tip is not None]
+        tips = list(dict.fromkeys(names))
+        self._tips = len(tips)
+        self._finger_rows = np.array(
+            [-1 if f.tip is None else tips.index(f.tip) for f in hand.fingers], dtype=np.intp
+        )
+        self._row_of_geom = np.full(model.ngeom, -1, dtype=np.intp)
+        for row, tip in enumerate(tips):
+            self._row_of_geom[model.geom_bodyid == model.body(LINK + tip).id] = row
         self._curved = [
             (model.eq(coupling_name(joint.name)).id, self._address(hand, coupling), coupling)
             for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True)
             if coupling.actuator is not None and not coupling.linear
         ]
         self._powered = True
-        self._force = np.zeros(6)
         self.surroundings = Surroundings(model, self.data, options)
         self.reset()
 
@@ -142,20 +146,23 @@ class Simulation:
     @property
     def contact_forces(self) -> FloatArray:
         """Norm of the contact force on each fingertip ``(fingers,)`` [N]."""
-        forces = np.zeros((len(self._finger_bodies), 3))
-        for index, contact in enumerate(self.data.contact):
-            bodies = (
-                self.model.geom_bodyid[contact.geom1],
-                self.model.geom_bodyid[contact.geom2],
-            )
-            if bodies[0] not in self._finger_bodies and bodies[1] not in self._finger_bodies:
-                continue
-            mujoco.mj_contactForce(self.model, self.data, index, self._force)
-            world = contact.frame.reshape(3, 3).T @ self._force[:3]
-            for body, sign in zip(bodies, (-1.0, 1.0), strict=True):
-                if body in self._finger_bodies:
-                    forces[self._finger_bodies.index(body)] += sign * world
-        return np.asarray(np.linalg.norm(forces, axis=1), dtype=np.float64)
+        data = self.data
+        forces = np.zeros((len(self._finger_rows), 3))
+        if data.ncon:
+            contact = data.contact
+            rows = self._row_of_geom[contact.geom]
+            first = contact.efc_address
+            seen = np.flatnonzero((first >= 0) & (rows >= 0).any(axis=1))
+            if len(seen):
+                # The first three rows of an elliptic contact are its force in its own frame.
+                own = data.efc_force[first[seen, None] + np.arange(3)]
+                world = np.einsum("kij,ki->kj", contact.frame[seen].reshape(-1, 3, 3), own)
+                tips = np.zeros((self._tips + 1, 3))  # the last one takes what is no fingertip
+                np.subtract.at(tips, rows[seen, 0], world)
+                np.add.at(tips, rows[seen, 1], world)
+                tips[-1] = 0.0
+                forces = tips[self._finger_rows]
+        return np.asarray(np.sqrt((forces * forces).sum(axis=1)), dtype=np.float64)
 
     @property
     def object_pose(self) -> FloatArray | None:
