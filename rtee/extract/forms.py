@@ -1,10 +1,11 @@
-"""Distances and contacts of shapes, the same whatever was asked before."""
+"""Distances and contacts of the shapes of two links, the same whatever was asked before."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, Final
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -13,59 +14,93 @@ from rtee.hand.geometry import Shape
 TOUCH: Final = 1e-8
 """Surfaces closer than this touch [m]."""
 
+_PRIMITIVES: Final = (coal.Box, coal.Sphere, coal.Cylinder)
 _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
 _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
 
 
 class Forms:
-    """Shapes in one of their two forms, convex or exact, at a posture.
+    """The shapes of two links in one of their two forms, convex or exact.
 
+    All couples of them, one of the first link and one of the second, are answered by one call.
     Pinocchio keeps where Coal's last search of a couple ended as a guess for the next one, which
     moves results in their last digits. Here every search begins from the same guess, so that
-    results depend on the posture alone.
+    results depend on the posture alone. Coal's own default does that for primitives; for meshes it
+    must be given anew each time.
+
+    Attributes:
+        couples: Indices of the couples' shapes in the scene.
+        stamp: Number of the placement that was taken over last.
+        results: Coal's last distance result of every couple.
     """
 
     def __init__(
-        self, shapes: Sequence[Shape], couples: Sequence[tuple[int, int]], *, convex: bool
+        self,
+        shapes: Sequence[Shape],
+        first: Sequence[int],
+        second: Sequence[int],
+        *,
+        convex: bool,
     ) -> None:
-        """Prepare couples of shapes.
+        """Prepare the couples of two links.
 
         Args:
-            shapes: The shapes.
-            couples: Pairs of their indices.
+            shapes: All shapes.
+            first: Indices of those of the first link.
+            second: Indices of those of the second link.
             convex: Take the convex parts instead of the geometry as given.
         """
+        self.couples = tuple((i, j) for i in first for j in second)
+        self.stamp = -1
         self._model = pin.GeometryModel()
-        for i, shape in enumerate(shapes):
+        number = {}
+        self._guided = False
+        for i in (*first, *second):
+            shape = shapes[i]
             form = shape.convex if convex else shape.exact
+            self._guided |= not isinstance(form, _PRIMITIVES)
             placed = pin.GeometryObject(str(i), shape.body, shape.placement, form)
-            self._model.addGeometryObject(placed)
-        for i, j in couples:
-            self._model.addCollisionPair(pin.CollisionPair(i, j))
+            number[i] = self._model.addGeometryObject(placed)
+        for i, j in self.couples:
+            self._model.addCollisionPair(pin.CollisionPair(number[i], number[j]))
         self._data = self._model.createData()
+        distance = coal.DistanceRequest()
+        collision = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
+        collision.security_margin = TOUCH
+        if self._guided:
+            distance.gjk_initial_guess = collision.gjk_initial_guess = coal.CachedGuess
+        for k in range(len(self.couples)):
+            self._data.distanceRequests[k] = distance
+            self._data.collisionRequests[k] = collision
         self._distances = list(self._data.distanceRequests)
         self._collisions = list(self._data.collisionRequests)
-        for request in self._collisions:
-            request.security_margin = TOUCH
         self.results: Any = self._data.distanceResults
-        """Coal's last distance result of every couple."""
+        self._least: tuple[float, int] | None = None
 
-    def place(self, model: pin.Model, data: pin.Data) -> None:
-        """Take over the placements of the joints."""
+    def place(self, model: pin.Model, data: pin.Data, stamp: int) -> None:
+        """Take over the placements of the joints.
+
+        Args:
+            model: The hand.
+            data: Where its joints are.
+            stamp: Number of the placement.
+        """
         pin.updateGeometryPlacements(model, data, self._model, self._data)
+        self.stamp = stamp
+        self._least = None
 
-    def pose(self, shape: int) -> pin.SE3:
-        """Return the pose of a shape in the base frame, valid until the next placement."""
-        return self._data.oMg[shape]
+    def least(self) -> tuple[float, int]:
+        """Return the least distance of a couple and its number.
 
-    def distance(self, couple: int) -> float:
-        """Return the distance of a couple [m], negative where convex shapes overlap."""
-        request = self._distances[couple]
-        request.cached_gjk_guess = _FIRST_DIRECTION
-        request.cached_support_func_guess = _FIRST_VERTICES
-        found = pin.computeDistance(self._model, self._data, couple)
-        distance: float = found.min_distance
-        return distance
+        The distance is negative where convex shapes overlap [m].
+        """
+        if self._least is None:
+            if self._guided:
+                for request in self._distances:
+                    _forget(request)
+            k = pin.computeDistances(self._model, self._data)
+            self._least = self.results[k].min_distance, k
+        return self._least
 
     def collide(self, couple: int) -> bool:
         """Return whether the surfaces of a couple meet; primitives are solid.
@@ -73,7 +108,11 @@ class Forms:
         They meet where they are closer than 10 nm: where a triangle lies symmetrically in a
         primitive, Coal finds a distance of the order of rounding errors instead of a collision.
         """
-        request = self._collisions[couple]
-        request.cached_gjk_guess = _FIRST_DIRECTION
-        request.cached_support_func_guess = _FIRST_VERTICES
+        if self._guided:
+            _forget(self._collisions[couple])
         return bool(pin.computeCollision(self._model, self._data, couple))
+
+
+def _forget(request: coal.QueryRequest) -> None:
+    request.cached_gjk_guess = _FIRST_DIRECTION
+    request.cached_support_func_guess = _FIRST_VERTICES

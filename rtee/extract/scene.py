@@ -27,16 +27,16 @@ class LinkPair:
         links: The links' names.
         bodies: The joints that carry them, 0 for the base.
         shapes: Indices of the shapes of the first and of the second link in the scene.
-        pairs: Indices of the shapes' pairs in the scene.
+        number: Number of the pair in the scene, the same in both orders.
         moved_by: 1 for joints that move the second link, -1 the first; 0 for none or both ``(m,)``.
         actuators: The actuators that move the links against each other.
-        turned: Whether the shapes' pairs are in the other order than the links.
+        turned: Whether the links are in the other order than the scene has them.
     """
 
     links: tuple[str, str]
     bodies: tuple[int, int]
     shapes: tuple[tuple[int, ...], tuple[int, ...]]
-    pairs: tuple[int, ...]
+    number: int
     moved_by: FloatArray
     actuators: frozenset[int]
     turned: bool = False
@@ -47,7 +47,7 @@ class LinkPair:
             self.links[::-1],
             self.bodies[::-1],
             self.shapes[::-1],
-            self.pairs,
+            self.number,
             -self.moved_by,
             self.actuators,
             not self.turned,
@@ -63,14 +63,12 @@ class Witness:
         first: Point on the first link [m].
         second: Point on the second link [m].
         normal: Unit vector from the first link to the second one.
-        pair: The pair of shapes.
     """
 
     distance: float
     first: FloatArray
     second: FloatArray
     normal: FloatArray
-    pair: int
 
 
 class Scene:
@@ -105,7 +103,7 @@ class Scene:
         self.couplings = Couplings(hand)
         self.shapes: list[Shape] = list(self.geometry.shapes)
         self.pairs: dict[tuple[str, str], LinkPair] = {}
-        self._couples: list[tuple[int, int]] = []
+        self._couples = 0
         links = list(dict.fromkeys(shape.link for shape in self.shapes))
         for first, second in combinations(links, 2):
             shapes = (self.geometry.of_link(first), self.geometry.of_link(second))
@@ -114,7 +112,11 @@ class Scene:
                 self.pairs[first, second] = pair
         self._model = self.kinematics.model
         self._data = self.kinematics.data
-        self._build()
+        self._slope = self.couplings.slope(hand.rest)
+        self._convex: dict[int, Forms] = {}
+        self._exact: dict[int, Forms] = {}
+        self._stamp = 0
+        self.place(hand.rest)
         self.tips = self._tip_pairs()
 
     def _couple(
@@ -123,36 +125,23 @@ class Scene:
         bodies = (self.kinematics.body(links[0]), self.kinematics.body(links[1]))
         if bodies[0] == bodies[1]:
             return None
-        begin = len(self._couples)
-        self._couples += [(i, j) for i in shapes[0] for j in shapes[1]]
         support = self.kinematics.support
         moved_by = support(bodies[1]) - support(bodies[0])
         moves = [self.hand.transmission.moves(j) for j in np.flatnonzero(moved_by).tolist()]
         actuators = frozenset(i for i in moves if i is not None)
-        couples = tuple(range(begin, len(self._couples)))
-        return LinkPair(links, bodies, shapes, couples, moved_by, actuators)
-
-    def _build(self) -> None:
-        """Make Pinocchio's models of all shapes and of all couples of them."""
-        self._convex = Forms(self.shapes, self._couples, convex=True)
-        self._exact = Forms(self.shapes, self._couples, convex=False)
-        self._slope = self.couplings.slope(self.hand.rest)
-        self.place(self.hand.rest)
+        self._couples += 1
+        return LinkPair(links, bodies, shapes, self._couples, moved_by, actuators)
 
     def _tip_pairs(self) -> dict[tuple[str, str], LinkPair]:
         """Return the pairs of fingertips; of joined ones, only what can show a pinch."""
         tips = [finger.tip for finger in self.hand.fingers if finger.tip]
         found: dict[tuple[str, str], LinkPair] = {}
-        clipped = False
         for first, second in combinations(dict.fromkeys(tips), 2):
             pair = self.pair(first, second)
             if pair is not None and self._joined(pair) and self.touching(pair):
                 pair = self._clipped(pair)
-                clipped = True
             if pair is not None and pair.actuators:
                 found[first, second] = pair
-        if clipped:
-            self._build()
         return found
 
     def _joined(self, pair: LinkPair) -> bool:
@@ -194,31 +183,26 @@ class Scene:
             u: Actuator positions ``(n,)`` [rad | m].
         """
         pin.computeJointJacobians(self._model, self._data, self.couplings.joints(u))
-        self._convex.place(self._model, self._data)
+        self._stamp += 1
         if not self.couplings.linear:
             self._slope = self.couplings.slope(u)
-        self._exact_placed = False
 
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
-        pairs = pair.pairs
-        if len(pairs) == 1:
-            return self._convex.distance(pairs[0])
-        return min(self._convex.distance(k) for k in pairs)
+        return self._convex_of(pair).least()[0]
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
-        """Return the derivative of the distance that was last asked for.
+        """Return the derivative of the distance of two links.
 
         Args:
-            pair: The links; `distance` must have been called since the scene was placed.
+            pair: The links.
             space: The space.
 
         Returns:
             The derivative by the coordinates of the space ``(k,)`` [m].
         """
-        results, pairs = self._convex.results, pair.pairs
-        k = pairs[0] if len(pairs) == 1 else min(pairs, key=lambda k: results[k].min_distance)
-        result = results[k]
+        forms = self._convex_of(pair)
+        result = forms.results[forms.least()[1]]
         normal = -result.normal if pair.turned else result.normal
         return self._derivative(normal, result.getNearestPoint1(), pair, space)
 
@@ -252,7 +236,7 @@ class Scene:
 
     def _levers(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return how the coordinates move the joints between two links ``(m, k)``."""
-        key = (pair.pairs, pair.turned)
+        key = (pair.number, pair.turned)
         known = space.levers.get(key)
         if known is None or not self.couplings.linear:
             moved = self._slope[:, space.index] * space.extent
@@ -261,42 +245,46 @@ class Scene:
 
     def witness(self, pair: LinkPair) -> Witness:
         """Return where two links' convex parts are closest or deepest in each other."""
-        return _witness(pair, self._convex)
+        return _witness(pair, self._convex_of(pair))
 
     def touching(self, pair: LinkPair) -> bool:
         """Return whether two links touch: their geometry as given, meshes not convexified.
 
         Meshes touch where their surfaces meet or one lies within the other; primitives are solid.
         """
-        return any(self._touching(k) for k in pair.pairs)
-
-    def _touching(self, k: int) -> bool:
-        overlap = -self._convex.distance(k)
-        if overlap < -TOUCH:
+        convex = self._convex_of(pair)
+        if convex.least()[0] > TOUCH:
             return False
-        i, j = self._couples[k]
+        results = convex.results
+        return any(
+            self._touching(pair, k, couple)
+            for k, couple in enumerate(convex.couples)
+            if results[k].min_distance <= TOUCH
+        )
+
+    def _touching(self, pair: LinkPair, k: int, couple: tuple[int, int]) -> bool:
+        """Return whether a couple of shapes touches whose convex parts do."""
+        i, j = couple
         a, b = self.shapes[i], self.shapes[j]
         if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
             return True
-        self._place_exact()
-        if self._exact.collide(k):
+        if self._exact_of(pair).collide(k):
             return True
+        overlap = -self._convex_of(pair).results[k].min_distance
         if overlap < min(a.least_width, b.least_width):
             return False
-        to_a = self._convex.pose(i).actInv(self._convex.pose(j))
+        to_a = self.shape_pose(i).actInv(self.shape_pose(j))
         return encloses(a, b, to_a) or encloses(b, a, to_a.inverse())
 
     def exact_distance(self, pair: LinkPair) -> float:
         """Return the distance of two links' geometry as given, 0 where they touch [m]."""
         if self.touching(pair):
             return 0.0
-        self._place_exact()
-        return max(0.0, min(self._exact.distance(k) for k in pair.pairs))
+        return max(0.0, self._exact_of(pair).least()[0])
 
     def exact_witness(self, pair: LinkPair) -> Witness:
         """Return where two links that do not touch are closest, in their geometry as given."""
-        self._place_exact()
-        found = _witness(pair, self._exact)
+        found = _witness(pair, self._exact_of(pair))
         gap = found.second - found.first
         length = float(np.linalg.norm(gap))
         return found if length == 0.0 else replace(found, normal=gap / length)
@@ -320,20 +308,35 @@ class Scene:
 
     def shape_pose(self, shape: int) -> pin.SE3:
         """Return the pose of a shape in the base frame."""
-        return self._convex.pose(shape)
+        placed = self.shapes[shape]
+        return self._data.oMi[placed.body] * placed.placement
 
-    def _place_exact(self) -> None:
-        if not self._exact_placed:
-            self._exact.place(self._model, self._data)
-            self._exact_placed = True
+    def _convex_of(self, pair: LinkPair) -> Forms:
+        forms = self._convex.get(pair.number)
+        if forms is None:
+            forms = self._convex[pair.number] = self._forms(pair, convex=True)
+        if forms.stamp != self._stamp:
+            forms.place(self._model, self._data, self._stamp)
+        return forms
+
+    def _exact_of(self, pair: LinkPair) -> Forms:
+        forms = self._exact.get(pair.number)
+        if forms is None:
+            forms = self._exact[pair.number] = self._forms(pair, convex=False)
+        if forms.stamp != self._stamp:
+            forms.place(self._model, self._data, self._stamp)
+        return forms
+
+    def _forms(self, pair: LinkPair, *, convex: bool) -> Forms:
+        first, second = pair.shapes[::-1] if pair.turned else pair.shapes
+        return Forms(self.shapes, first, second, convex=convex)
 
 
 def _witness(pair: LinkPair, forms: Forms) -> Witness:
-    distances = {k: forms.distance(k) for k in pair.pairs}
-    chosen = min(pair.pairs, key=lambda k: distances[k])
-    least, result = distances[chosen], forms.results[chosen]
+    least, k = forms.least()
+    result = forms.results[k]
     points = [np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())]
     normal = np.array(result.normal)
     if pair.turned:
         points, normal = points[::-1], -normal
-    return Witness(float(least), points[0], points[1], normal, chosen)
+    return Witness(float(least), points[0], points[1], normal)
