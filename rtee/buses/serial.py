@@ -15,6 +15,14 @@ from rtee.errors import BusBroken, BusTimeout, FrameError
 
 F = TypeVar("F")
 
+_NOTHING: Any = object()
+"""What an answer is that did not come in time."""
+
+
+def _give_up(answer: asyncio.Future[Any]) -> None:
+    if not answer.done():
+        answer.set_result(_NOTHING)
+
 
 class SerialBus(Bus):
     """A serial line, or a socket that leads to one; one transaction at a time.
@@ -69,12 +77,7 @@ class SerialBus(Bus):
         end = time.monotonic() + deadline
         errors = parser.errors
         received = 0
-        try:
-            async with asyncio.timeout(deadline):
-                await self._lock.acquire()
-        except TimeoutError:
-            self.counters.timeouts += 1
-            raise BusTimeout(self.name, f"the line was not free within {deadline:.3f} s") from None
+        await self._take_line(deadline)
         try:
             self.check()
             self.counters.transactions += 1
@@ -101,20 +104,20 @@ class SerialBus(Bus):
         self, request: bytes, parser: Parser[F], share: float, accept: Callable[[F], bool] | None
     ) -> tuple[Any, bool]:
         parser.reset()
-        answer = asyncio.get_running_loop().create_future()
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[Any] = loop.create_future()
+        if self.gap:
+            await self._pause.until(self._last + self.gap)
+        self._answer, self._parser, self._accept = answer, parser, accept
+        # One timer instead of asyncio.timeout: this is done in every cycle.
+        timer = loop.call_later(share, _give_up, answer)
         try:
-            async with asyncio.timeout(share):
-                if self.gap:
-                    await self._pause.until(self._last + self.gap)
-                self._answer, self._parser, self._accept = answer, parser, accept
-                self._write(request)
-                return await answer, True
-        except TimeoutError:
-            return None, False
+            self._write(request)
+            frame = await answer
+            return frame, frame is not _NOTHING
         finally:
+            timer.cancel()
             self._answer = self._parser = self._accept = None
-            if answer.done() and not answer.cancelled():
-                answer.exception()  # a break in the very moment of the timeout is known already
 
     async def send(self, data: bytes, deadline: float = 0.1) -> None:
         """Send bytes that nothing answers.
@@ -124,14 +127,23 @@ class SerialBus(Bus):
             BusBroken: if the link is broken.
             BusClosed: if the bus is closed.
         """
+        await self._take_line(deadline)
+        try:
+            self.check()
+            self.counters.transactions += 1
+            if self.gap:
+                await self._pause.until(self._last + self.gap)
+            self._write(data)
+        finally:
+            self._lock.release()
+
+    async def _take_line(self, deadline: float) -> None:
+        if not self._lock.locked():
+            await self._lock.acquire()
+            return
         try:
             async with asyncio.timeout(deadline):
-                async with self._lock:
-                    self.check()
-                    self.counters.transactions += 1
-                    if self.gap:
-                        await self._pause.until(self._last + self.gap)
-                    self._write(data)
+                await self._lock.acquire()
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"the line was not free within {deadline:.3f} s") from None

@@ -25,6 +25,8 @@ class Wire:
         faults: What goes wrong.
         bytes_in: Bytes that came from the host.
         bytes_out: Bytes that went to the host.
+        busy: Time that messages and the devices' turn-around have taken so far [s]; with the
+            silence that the host keeps, it is what no program can do without.
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class Wire:
         self.faults = faults or Faults()
         self.bytes_in = 0
         self.bytes_out = 0
+        self.busy = 0.0
         self._free = 0.0
         self._number = itertools.count()
         self._events: list[tuple[float, int, bool, bytes]] = []
@@ -51,7 +54,9 @@ class Wire:
     def receive(self, data: bytes, now: float) -> None:
         """Take bytes from the host; the devices hear them when the last one has passed."""
         self.bytes_in += len(data)
-        self._free = max(now, self._free) + wire_time(len(data), self.baudrate, self.bits)
+        taken = wire_time(len(data), self.baudrate, self.bits)
+        self.busy += taken
+        self._free = max(now, self._free) + taken
         pieces = self.faults.apply(data) if self.faults.requests else [(0.0, data)]
         for late, piece in pieces:
             self._put(self._free + late, True, piece)
@@ -95,8 +100,10 @@ class Wire:
     def _answer(self, emulator: Emulator, answers: Sequence[bytes], when: float) -> None:
         for answer in answers:
             turnaround = emulator.turnaround if self.timed else 0.0
+            since = max(when, self._free)
             start = max(when + turnaround, self._free)
             self._free = start + wire_time(len(answer), self.baudrate, self.bits)
+            self.busy += self._free - since
             for late, piece in self.faults.apply(answer):
                 self._put(self._free + late, False, piece)
 
@@ -110,6 +117,7 @@ class CanWire:
     Attributes:
         emulators: The nodes; each hears every frame of the host.
         bitrate: Bits per second; ``None`` takes no time.
+        busy: Time that frames and the nodes' turn-around have taken so far [s].
         faults: What goes wrong; a corrupted frame is a lost one, as the controllers drop it.
     """
 
@@ -122,6 +130,7 @@ class CanWire:
     ) -> None:
         self.emulators = list(emulators)
         self.bitrate = bitrate
+        self.busy = 0.0
         self.faults = faults or Faults()
         self._free = 0.0
         self._number = itertools.count()
@@ -130,7 +139,9 @@ class CanWire:
 
     def receive(self, frame: CanFrame, now: float) -> None:
         """Take a frame from the host."""
-        self._free = max(now, self._free) + frame_time(frame, self.bitrate)
+        taken = frame_time(frame, self.bitrate)
+        self.busy += taken
+        self._free = max(now, self._free) + taken
         for late in self.faults.copies() if self.faults.requests else [0.0]:
             self._put(self._free + late, True, frame)
 
@@ -167,8 +178,10 @@ class CanWire:
 
     def _answer(self, emulator: Emulator, frames: Sequence[CanFrame], when: float) -> None:
         for frame in frames:
+            since = max(when, self._free)
             start = max(when + emulator.turnaround, self._free)
             self._free = start + frame_time(frame, self.bitrate)
+            self.busy += self._free - since
             for late in self.faults.copies():
                 self._put(self._free + late, False, frame)
 

@@ -49,7 +49,7 @@ class LineProperties:
     ids: tuple[int, ...] = (1,)
     servo: ServoProperties = field(default_factory=ServoProperties)
     special: dict[int, ServoProperties] = field(default_factory=dict)
-    latency: float = 0.0
+    latency: float = table.LATENCY
     fast: bool = True
 
 
@@ -85,6 +85,8 @@ class DynamixelEmulator(Emulator):
             defaults = {"ids": tuple(s["id"] for s in given)}
             if "servo" not in (options.get("emulator") or {}):
                 defaults["special"] = start
+        if "turnaround" in options:
+            defaults["latency"] = options["turnaround"]
         made = cls(read_properties(LineProperties, options, **defaults))
         made.baudrate = int(options.get("baudrate") or made.baudrate)
         return made

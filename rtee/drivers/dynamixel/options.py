@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from rtee.drivers.dynamixel.table import BAUD_RATES, CENTER, PULSES
+from rtee.drivers.dynamixel.table import BAUD_RATES, CENTER, LATENCY, PULSES
 from rtee.drivers.options import DeviceOptions
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -89,7 +89,7 @@ class DynamixelOptions(DeviceOptions):
     reboot_time: Positive = 3.0
     deadline: Positive = 0.03
     retries: Annotated[int, Field(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Field(ge=0.0)] = 0.001
+    turnaround: Annotated[float, Field(ge=0.0)] = LATENCY
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

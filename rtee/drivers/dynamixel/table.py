@@ -14,6 +14,8 @@ VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
 """Speed per count [rad/s]."""
 WATCHDOG_UNIT = 0.02
 """Time per count of the bus watchdog [s]."""
+LATENCY = 1e-3
+"""Latency of a USB adapter, per read [s]."""
 END = 228
 """First address behind the table."""
 

@@ -16,6 +16,8 @@ LONGEST = 128
 """Largest length byte that a device takes."""
 OVERHEAD = 4
 """Bytes of a frame that its length byte does not count."""
+TURNAROUND = 1e-3
+"""Latency of a USB adapter: time from a request to its answer beyond the wire's [s]."""
 
 
 class QbFrameError(ValueError):

@@ -39,6 +39,7 @@ class QbOptions:
         speed: Of a motor [ticks/s].
         current_limit_ma: Of a motor [mA].
         friction_ma: Current of a motor that moves freely [mA].
+        turnaround: Time between a request and its answer [s]; a USB adapter's latency, mostly.
         text: Its information text.
     """
 
@@ -54,6 +55,7 @@ class QbOptions:
     speed: float = 25_000.0
     current_limit_ma: float = 1500.0
     friction_ma: float = 120.0
+    turnaround: float = codec.TURNAROUND
     text: str = "Firmware: SoftHand (emulated)\r\nMotor control: position\r\n"
 
     @property
@@ -84,6 +86,7 @@ class QbSoftHandEmulator(Emulator):
         super().__init__()
         self.options = options or QbOptions()
         made = self.options
+        self.turnaround = made.turnaround
         self.axes = [
             Axis(
                 lower=made.lower,
@@ -101,11 +104,9 @@ class QbSoftHandEmulator(Emulator):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the hand that the option ``emulator`` of a device describes."""
-        return cls(
-            read_properties(
-                QbOptions, options, device=options.get("device", 1), motors=options.get("motors", 1)
-            )
-        )
+        names = ("device", "motors", "turnaround")
+        fitting = {name: options[name] for name in names if name in options}
+        return cls(read_properties(QbOptions, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
         """Begin anew; the fingers stay where they are."""

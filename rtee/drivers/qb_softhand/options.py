@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rtee.drivers.options import DeviceOptions
+from rtee.drivers.qb_softhand.codec import TURNAROUND
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -41,4 +42,4 @@ class QbSoftHandOptions(DeviceOptions):
     status_every: Annotated[int, Field(ge=1)] = 50
     deadline: Positive = 0.03
     retries: Annotated[int, Field(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Field(ge=0.0)] = 0.001
+    turnaround: Annotated[float, Field(ge=0.0)] = TURNAROUND

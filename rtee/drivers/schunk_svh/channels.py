@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 from rtee.drivers.schunk_svh.codec import CurrentSettings, PositionSettings
+from rtee.errors import ConfigError
+from rtee.types import DeviceSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,3 +158,23 @@ def channel_of(actuator: str) -> int:
         if actuator == channel.name or actuator.endswith(f"_{channel.name}"):
             return channel.index
     raise KeyError(actuator)
+
+
+def channels_of(spec: DeviceSpec) -> tuple[int, ...]:
+    """Return the channel of each actuator of a device; raises `ConfigError`."""
+    found: list[int] = []
+    for actuator in spec.actuators:
+        try:
+            channel = channel_of(actuator.name)
+        except KeyError:
+            names = ", ".join(c.name for c in CHANNELS)
+            raise ConfigError(
+                f"device '{spec.name}': actuator '{actuator.name}' is none of the SVH's; their "
+                f"names end with {names}"
+            ) from None
+        if channel in found:
+            raise ConfigError(
+                f"device '{spec.name}': two actuators are channel '{CHANNELS[channel].name}'"
+            )
+        found.append(channel)
+    return tuple(found)

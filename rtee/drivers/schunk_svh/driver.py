@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
-
-import numpy as np
 
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
@@ -19,26 +16,24 @@ from rtee.drivers.schunk_svh.channels import (
     CHANNELS,
     HOMING_ORDER,
     Channel,
-    channel_of,
     channels_for,
-    current_settings,
-    position_settings,
+    channels_of,
 )
 from rtee.drivers.schunk_svh.emulator import SchunkSvhEmulator
 from rtee.drivers.schunk_svh.limits import Limits
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.drivers.schunk_svh.options import SchunkSvhOptions
+from rtee.drivers.schunk_svh.scales import Scales
 from rtee.drivers.schunk_svh.stops import read_stops, write_stops
 from rtee.errors import (
     BusTimeout,
-    ConfigError,
     DeviceFault,
     FrameError,
     HandshakeError,
     NotConnected,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
 
 if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
@@ -48,8 +43,6 @@ _HOMING = (
     "`rtee recover` homes it: every finger moves to its open stop, so nothing may be in the way; "
     "or set `home: on_connect`"
 )
-_LEEWAY = 1000
-"""Change of a position that may be noise, at any speed [ticks]."""
 
 
 class SchunkSvhDriver(Driver):
@@ -72,17 +65,18 @@ class SchunkSvhDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.options = read_options(SchunkSvhOptions, spec)
-        self._index = _channels(spec)
+        self._index = channels_of(spec)
         self._table: tuple[Channel, ...] = CHANNELS
         self._link: SvhLink | None = None
         self.stops: dict[int, int] = {}
+        self._scales: Scales | None = None
         self._limits = Limits()
         self._targets = [0] * codec.CHANNELS
         self._enabled = 0
         self._home_asked = False
         self._baseline = codec.ControllerState()
         self._answer: tuple[codec.FeedbackAll, float] | None = None
-        self._last: tuple[codec.FeedbackAll, float] | None = None
+        self._last: tuple[FloatArray, float] | None = None
         self._count = 0
         self._warnings: tuple[str, ...] = ()
         exchange = 2 * codec.PACKET * 10.0 / codec.BAUDRATE + self.options.turnaround
@@ -123,17 +117,30 @@ class SchunkSvhDriver(Driver):
                 self.spec.name, "an SVH", f"'{firmware.name}'", hint="check the port"
             )
         self._adopt(firmware)
-        await self._settings(firmware)
+        own = options.settings == "device" or (options.settings == "auto" and firmware.major >= 2)
+        await self._limits.read(link, self.spec.name, self._used(), options.channels, device=own)
         state = await link.state()
         self._enabled = state.enabled
         self._baseline = state
         if not self.stops:
-            self.stops = read_stops(options.stops_file)
+            self._adopt_stops(read_stops(options.stops_file))
         if self.stops and not self._plausible(await link.feedback_all()):
-            self.stops = {}
+            self._adopt_stops({})
         if not set(self._index) <= {c for c in range(codec.CHANNELS) if state.enabled >> c & 1}:
             # Switched off since: the supply may have been, too, and with it the encoders' zero.
-            self.stops = {}
+            self._adopt_stops({})
+        self._scales = None
+
+    def _adopt_stops(self, stops: dict[int, int]) -> None:
+        self.stops = stops
+        self._scales = None
+
+    @property
+    def _units(self) -> Scales:
+        if self._scales is None:
+            rates = [self._limits.position[index].max_rate for index in self._index]
+            self._scales = Scales(self._used(), self.stops, rates)
+        return self._scales
 
     def _plausible(self, feedback: codec.FeedbackAll) -> bool:
         """Return whether every finger stands where its stop allows."""
@@ -165,27 +172,8 @@ class SchunkSvhDriver(Driver):
             },
         )
 
-    async def _settings(self, firmware: codec.FirmwareInfo) -> None:
-        wanted = self.options.settings
-        own = wanted == "device" or (wanted == "auto" and firmware.major >= 2)
-        for channel in self._index:
-            position, current = position_settings(channel), current_settings(channel)
-            if own:
-                position = await self._hand.position_settings(channel)
-                current = await self._hand.current_settings(channel)
-                if not (position.max_rate > 0.0 and current.maximum > 0.0):
-                    raise HandshakeError(
-                        self.spec.name,
-                        "a hand with controller settings of its own",
-                        f"none in channel {self._table[channel].name}",
-                        hint="the table for firmware 1.x is used with 'settings: library'",
-                    )
-            given = self.options.channels.get(self._table[channel].name)
-            if given is not None and given.current_limit is not None:
-                limit = given.current_limit * 1000.0
-                current = replace(current, minimum=-limit, maximum=limit)
-            self._limits.position[channel] = position
-            self._limits.current[channel] = current
+    def _used(self) -> list[Channel]:
+        return [self._table[index] for index in self._index]
 
     async def activate(self) -> None:
         """Enable the channels where they stand; homes first if that is needed and allowed."""
@@ -213,12 +201,13 @@ class SchunkSvhDriver(Driver):
         """
         self._answer = None
         self._enabled = 0
-        self.stops = {}
+        self._adopt_stops({})
         await power.disable(self._hand)
         await self._limits.write(self._hand, self._index)
+        stops: dict[int, int] = {}
         for channel in HOMING_ORDER:
             if channel in self._index:
-                self.stops[channel] = await power.home(
+                stops[channel] = await power.home(
                     self._hand,
                     self.spec.name,
                     self._table[channel],
@@ -226,7 +215,8 @@ class SchunkSvhDriver(Driver):
                     self._limits.current[channel],
                     timeout=self.options.home_timeout,
                 )
-        write_stops(self.options.stops_file, self.stops)
+        self._adopt_stops(stops)
+        write_stops(self.options.stops_file, stops)
 
     async def _enable(self) -> None:
         await self._limits.write(self._hand, self._index)
@@ -251,32 +241,15 @@ class SchunkSvhDriver(Driver):
         if answer is None:
             feedback = await self._hand.feedback_all()
             answer = feedback, time.monotonic()
-        if self._jumped(*answer):
+        feedback, stamp = answer
+        units = self._units
+        ticks = units.ticks(feedback)
+        before, self._last = self._last, (ticks, stamp)
+        if before is not None and units.jumped(before[0], ticks, stamp - before[1]):
             # No finger is that fast: the encoders have begun anew, as after a cut of the supply.
             self._check(await self._hand.state())
-        return self._state(*answer)
-
-    def _jumped(self, feedback: codec.FeedbackAll, stamp: float) -> bool:
-        before, self._last = self._last, (feedback, stamp)
-        if before is None:
-            return False
-        dt = stamp - before[1]
-        return any(
-            abs(feedback.positions[i] - before[0].positions[i])
-            > _LEEWAY + 2.0 * dt * self._limits.position[i].max_rate
-            for i in self._index
-        )
-
-    def _state(self, feedback: codec.FeedbackAll, stamp: float) -> ActuatorState:
-        n = len(self._index)
-        position, effort, current = np.full(n, math.nan), np.full(n, math.nan), np.zeros(n)
-        for i, index in enumerate(self._index):
-            channel, ma = self._table[index], feedback.currents_ma[index]
-            if index in self.stops:
-                zero = channel.zero(self.stops[index])
-                position[i] = channel.to_rad(feedback.positions[index], zero)
-            effort[i] = channel.to_effort(ma)
-            current[i] = ma / 1000.0
+            units = self._units
+        position, effort, current = units.measured(feedback, ticks)
         return ActuatorState.measured(
             position, stamp, effort=effort, current=current, warnings=self._warnings
         )
@@ -296,7 +269,7 @@ class SchunkSvhDriver(Driver):
             )
         if lost:
             # Without its supply the hand forgets where its fingers are.
-            self.stops = {}
+            self._adopt_stops({})
             names = ", ".join(c.name for c in self._table if lost >> c.index & 1)
             raise DeviceFault(
                 self.spec.name,
@@ -307,15 +280,12 @@ class SchunkSvhDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send changed limits, then the targets of all channels, which brings the state back."""
-        channels = [self._table[index] for index in self._index]
-        waiting = await self._limits.update(self._hand, channels, reference)
+        waiting = await self._limits.update(self._hand, self._used(), reference)
+        units = self._units
+        targets, homed = units.targets(reference.position), units.homed
         for i, index in enumerate(self._index):
-            if not reference.mask[i] or index not in self.stops or index in waiting:
-                continue
-            channel, stop = self._table[index], self.stops[index]
-            low, high = channel.soft_limits(stop)
-            ticks = channel.to_ticks(float(reference.position[i]), channel.zero(stop))
-            self._targets[index] = min(max(ticks, low), high)
+            if reference.mask[i] and homed[i] and index not in waiting:
+                self._targets[index] = targets[i]
         feedback = await self._hand.set_targets(self._targets)
         self._answer = feedback, time.monotonic()
 
@@ -365,23 +335,3 @@ class SchunkSvhDriver(Driver):
         self._answer = None
         if link is not None:
             await link.bus.release(owner_of(self.spec))
-
-
-def _channels(spec: DeviceSpec) -> tuple[int, ...]:
-    """Return the channel of each actuator; raises `ConfigError`."""
-    found: list[int] = []
-    for actuator in spec.actuators:
-        try:
-            channel = channel_of(actuator.name)
-        except KeyError:
-            names = ", ".join(c.name for c in CHANNELS)
-            raise ConfigError(
-                f"device '{spec.name}': actuator '{actuator.name}' is none of the SVH's; their "
-                f"names end with {names}"
-            ) from None
-        if channel in found:
-            raise ConfigError(
-                f"device '{spec.name}': two actuators are channel '{CHANNELS[channel].name}'"
-            )
-        found.append(channel)
-    return tuple(found)

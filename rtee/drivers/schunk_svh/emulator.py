@@ -33,6 +33,7 @@ class SvhOptions:
         start: Closure at power-up, 0 (open) to 1; encoders read 0 there.
         padded: Replies carry 64 bytes of data like requests; else their natural length.
         echo_index: Replies carry the index of their request; else 0.
+        turnaround: Time between a request and its reply [s]; not known of the real hand.
         strict_gap: A packet sooner than `codec.GAP` after the previous one is lost.
         supply_mask: Channels that move only while the 12 V supply is on.
         friction_ma: Current of a channel that moves freely [mA].
@@ -47,6 +48,7 @@ class SvhOptions:
     start: float = 0.3
     padded: bool = True
     echo_index: bool = True
+    turnaround: float = codec.TURNAROUND
     strict_gap: bool = False
     supply_mask: int = 0x1FF
     friction_ma: float = 40.0
@@ -81,6 +83,7 @@ class SchunkSvhEmulator(Emulator):
     def __init__(self, options: SvhOptions | None = None) -> None:
         super().__init__()
         self.options = options or SvhOptions()
+        self.turnaround = self.options.turnaround
         self.table = channels_for(self.options.firmware)
         self.packets: dict[Command, int] = {}
         self.early = 0
@@ -91,7 +94,8 @@ class SchunkSvhEmulator(Emulator):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the hand that the option ``emulator`` of a device describes."""
-        return cls(read_properties(SvhOptions, options))
+        fitting = {name: options[name] for name in ("turnaround",) if name in options}
+        return cls(read_properties(SvhOptions, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
         """Begin anew: everything off, encoders at 0 where the fingers stand."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from rtee.drivers.schunk_svh.channels import Channel
+from rtee.drivers.schunk_svh.channels import Channel, current_settings, position_settings
 from rtee.drivers.schunk_svh.codec import CurrentSettings, PositionSettings
 from rtee.drivers.schunk_svh.link import SvhLink
+from rtee.drivers.schunk_svh.options import ChannelOptions
+from rtee.errors import HandshakeError
 from rtee.types import Reference
 
 _PER_CYCLE = 2
@@ -27,10 +29,55 @@ class Limits:
         self.position: dict[int, PositionSettings] = {}
         self.current: dict[int, CurrentSettings] = {}
         self._sent: dict[tuple[int, str], float] = {}
+        self._settled: tuple[list[float], list[float], list[bool]] | None = None
+
+    async def read(
+        self,
+        link: SvhLink,
+        name: str,
+        channels: Sequence[Channel],
+        options: Mapping[str, ChannelOptions],
+        *,
+        device: bool,
+    ) -> None:
+        """Take the controllers' settings, from the table or as the device has them.
+
+        Args:
+            link: The hand.
+            name: The device's name.
+            channels: The channels in use.
+            options: What differs, by the channel's name.
+            device: Whether to ask the device.
+
+        Raises:
+            HandshakeError: if it has none.
+            BusError: if an exchange fails.
+        """
+        self._settled = None
+        for channel in channels:
+            index = channel.index
+            position, current = position_settings(index), current_settings(index)
+            if device:
+                position = await link.position_settings(index)
+                current = await link.current_settings(index)
+                if not (position.max_rate > 0.0 and current.maximum > 0.0):
+                    raise HandshakeError(
+                        name,
+                        "a hand with controller settings of its own",
+                        f"none in channel {channel.name}",
+                        hint="the table for firmware 1.x is used with 'settings: library'",
+                    )
+            given = options.get(channel.name)
+            if given is not None and given.current_limit is not None:
+                limit = given.current_limit * 1000.0
+                current = replace(current, minimum=-limit, maximum=limit)
+            self.position[index] = position
+            self.current[index] = current
 
     async def write(self, link: SvhLink, channels: Sequence[int]) -> None:
         """Write the settings of all channels; raises `BusError`."""
         self._sent.clear()
+        self._settled = None
         for channel in channels:
             await link.set_position_settings(channel, self.position[channel])
             await link.set_current_settings(channel, self.current[channel])
@@ -46,6 +93,20 @@ class Limits:
         Raises:
             BusError: if an exchange fails.
         """
+        asked = (
+            reference.max_effort.tolist(), reference.max_velocity.tolist(), reference.mask.tolist(),
+        )  # fmt: skip
+        if asked == self._settled:
+            return set()
+        self._settled = None
+        waiting = await self._update(link, channels, reference)
+        if not waiting:
+            self._settled = asked
+        return waiting
+
+    async def _update(
+        self, link: SvhLink, channels: Sequence[Channel], reference: Reference
+    ) -> set[int]:
         waiting: set[int] = set()
         budget = _PER_CYCLE
         for i, channel in enumerate(channels):

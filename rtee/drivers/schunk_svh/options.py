@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from rtee.drivers.options import DeviceOptions
 from rtee.drivers.schunk_svh.channels import CHANNELS
+from rtee.drivers.schunk_svh.packets import TURNAROUND
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -63,7 +64,7 @@ class SchunkSvhOptions(DeviceOptions):
     status_every: Annotated[int, Field(ge=1)] = 50
     deadline: Positive = 0.05
     retries: Annotated[int, Field(ge=0, le=10)] = 2
-    turnaround: Annotated[float, Field(ge=0.0)] = 0.0005
+    turnaround: Annotated[float, Field(ge=0.0)] = TURNAROUND
 
     @field_validator("channels")
     @classmethod
