@@ -29,7 +29,7 @@ from rtee.actions.schema import (
 from rtee.actions.types import Action, ActionKind, Generic, Primitive, PrimitiveKind, kind_of
 from rtee.actions.yamltext import emit, read_canonical
 from rtee.errors import ActionError, ConfigError, UserError
-from rtee.hand.files import make_folder, reason, write_atomically
+from rtee.hand.files import new_folder, reason, write_atomically, write_together
 from rtee.hand.model import Hand
 
 PRIMITIVES = "primitives"
@@ -224,20 +224,23 @@ def write_primitives(folder: Path, hand: Hand, primitives: Iterable[Primitive]) 
     """
     from rtee.actions.index import Index
 
-    room = make_folder(folder / PRIMITIVES)
     named: dict[str, list[Primitive]] = {}
     for primitive in Index(hand, tuple(primitives)).primitives:
         named.setdefault(primitive.name, []).append(primitive)
-    written = []
+    changed: dict[Path, str | bytes] = {}
+    kept = []
     for name, members in named.items():
         path = _primitive_path(folder, name)
-        comment = f"{name}: {_COMMENTS[members[0].kind]}."
-        _write(path, primitive_document(members), (comment,))
-        written.append(path)
-    for path in _files(room):
-        if path not in written:
-            _unlink(path)
-    return written
+        text = _text(path, primitive_document(members), (f"{name}: {_COMMENTS[members[0].kind]}.",))
+        if text is not None:
+            changed[path] = text
+        kept.append(path)
+    with new_folder(folder / PRIMITIVES) as room:
+        write_together(changed)
+        for path in _files(room):
+            if path not in kept:
+                _unlink(path)
+    return kept
 
 
 def write_custom(folder: Path, action: Action) -> Path:
@@ -250,8 +253,8 @@ def write_custom(folder: Path, action: Action) -> Path:
         ConfigError: if it cannot be written.
     """
     path = _custom_path(folder, action)
-    make_folder(path.parent)
-    _write(path, custom_document(action))
+    with new_folder(path.parent):
+        _write(path, custom_document(action))
     return path
 
 
@@ -277,15 +280,22 @@ def _unlink(path: Path) -> None:
         raise ConfigError(f"cannot be deleted: {reason(error)}", path=path) from None
 
 
-def _write(path: Path, data: dict[str, Any], comments: Sequence[str] = ()) -> None:
+def _write(path: Path, data: dict[str, Any]) -> None:
+    text = _text(path, data)
+    if text is not None:
+        write_atomically(path, text)
+
+
+def _text(path: Path, data: dict[str, Any], comments: Sequence[str] = ()) -> str | None:
+    """Return the new text of a file, comments kept; ``None`` if it is the same."""
     text = emit(data, comments)
     if path.exists():
         old = read_text(path)
         if old == text:
-            return
+            return None
         if read_canonical(old) is None or _header(old) != _header(text):
             text = rewritten(old, data) or text
-    write_atomically(path, text)
+    return text
 
 
 def _header(text: str) -> list[str]:

@@ -70,6 +70,7 @@ def extract(
 ) -> None:
     """Find the primitive grasping actions of a hand."""
     from rtee.errors import ConfigError
+    from rtee.hand.files import check_writable
 
     if (hand is None) == (urdf is None):
         raise ConfigError("give either a hand or --urdf")
@@ -78,27 +79,33 @@ def extract(
     folder = hand_folder(hand) if hand is not None else None
     if save and folder is None:
         raise ConfigError("--save needs a hand of the configuration; with --urdf give --out")
+    targets = [*([out] if out else []), *([folder / "actions"] if save and folder else [])]
+    for target in targets:
+        check_writable(target, folder=True)
+    if report is not None:
+        check_writable(report)
     with _uncollected():
         model = _load(folder, urdf, srdf, package_dir or [])
         from rtee.extract.extraction import extract as run
 
         with _progress() as progress:
             found = run(model, jobs=jobs, rank=rank.value, progress=progress)
-    targets = [*([out] if out else []), *([folder / "actions"] if save and folder else [])]
+    if report is not None:
+        _report(report, model, found, folder, jobs)
     for target in targets:
         from rtee.actions.store import write_primitives
 
         write_primitives(target, model, found.primitives)
-    if report is not None:
-        _report(report, model, found, folder, jobs)
     if as_json:
         from rtee.actions.describe import describe
 
         print(json.dumps(describe(model, found.primitives, found.seconds), indent=2))
         return
     _show(model, found)
-    for target in [*targets, *([report] if report else [])]:
-        print(f"written to {target}")
+    notes = [f"note: {note}" for note in (*model.notes, *found.notes)]
+    notes += [f"written to {target}" for target in [*targets, *([report] if report else [])]]
+    for note in notes:
+        print(note, file=sys.stdout if sys.stdout.isatty() else sys.stderr)
 
 
 def _report(path: Path, hand: HandModel, found: Extraction, folder: Path | None, jobs: int) -> None:
@@ -161,7 +168,7 @@ def _progress(what: str = "searching pinches") -> Iterator[Callable[[int, int], 
 
 
 def _show(hand: HandModel, found: Extraction) -> None:
-    from rtee.cli._table import Column, Row, Table, common_prefix, on_terminal
+    from rtee.cli._table import Column, Row, Table, common_prefix
 
     prefix = common_prefix(hand.actuator_names)
     title = f"Primitive grasping actions of {hand.name}, found in {found.seconds:.2f} s"
@@ -174,8 +181,6 @@ def _show(hand: HandModel, found: Extraction) -> None:
         for primitive in found.primitives
     ]
     Table(columns, tuple(rows), title, "primitive").show()
-    for note in (*hand.notes, *found.notes):
-        print(f"note: {note}", file=sys.stdout if on_terminal() else sys.stderr)
 
 
 def _usable(primitive: Primitive) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from typing import Any
+from typing import Any, Final
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -97,16 +97,34 @@ def root(
     """Command any robotic hand or gripper by grasping actions."""
 
 
+_Usage: Final[Any] = typer.BadParameter.__mro__[2]
+"""The base of typer's errors, which it does not hand on by name."""
+
+
 def main() -> None:
     """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
     try:
-        cli()
+        status = cli(prog_name="rtee", standalone_mode=False)
+        sys.exit(status if isinstance(status, int) else 0)
     except RteeError as error:
         print(f"rtee: {error}", file=sys.stderr)
         sys.exit(error.exit_status)
+    except _Usage as error:
+        _explain(error)
+        sys.exit(error.exit_code)
     except BrokenPipeError:
         # The reader of our output left (`rtee … | head`); nothing is wrong.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
+
+
+def _explain(error: Any) -> None:
+    """Say in a sentence what is wrong with the words of a command."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # the help is shown already
+        return
+    said = " ".join(error.format_message().split()).rstrip(".")
+    context = getattr(error, "ctx", None)
+    remedy = f"; see '{context.command_path} --help'" if context is not None else ""
+    print(f"rtee: {said[:1].lower()}{said[1:]}{remedy}", file=sys.stderr)

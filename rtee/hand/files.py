@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import tempfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -21,24 +23,64 @@ def write_atomically(path: Path | str, data: str | bytes) -> None:
     Raises:
         ConfigError: The folder or disk does not allow it; nothing has changed.
     """
-    target = Path(path)
-    content = data.encode() if isinstance(data, str) else data
-    temporary: str | None = None
+    write_together({Path(path): data})
+
+
+def write_together(files: Mapping[Path, str | bytes]) -> None:
+    """Write several files, each as `write_atomically` does; none unless there is room for all.
+
+    Raises:
+        ConfigError: The folder or disk does not allow one of them; nothing has changed.
+    """
+    staged: dict[Path, str] = {}
+    target = Path()
     try:
-        descriptor, temporary = tempfile.mkstemp(
-            dir=target.parent, prefix=f".{target.name[:40]}.", suffix=".tmp"
-        )
-        with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(file.fileno(), _mode_of(target))
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
-        _sync_folder(target.parent)
+        for target, data in files.items():
+            content = data.encode() if isinstance(data, str) else data
+            descriptor, staged[target] = tempfile.mkstemp(
+                dir=target.parent, prefix=f".{target.name[:40]}.", suffix=".tmp"
+            )
+            with os.fdopen(descriptor, "wb") as file:
+                os.fchmod(file.fileno(), _mode_of(target))
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+        for target in list(staged):
+            if target.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        for target in list(staged):
+            os.replace(staged[target], target)
+            del staged[target]
+        for folder in {target.parent for target in files}:
+            _sync_folder(folder)
     except (OSError, ValueError) as error:
-        if temporary is not None:
+        raise ConfigError(f"cannot be written: {reason(error)}", path=target) from error
+    finally:
+        for temporary in staged.values():
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
+
+
+def check_writable(path: Path | str, *, folder: bool = False) -> None:
+    """Find out whether a file could be written, before the work that makes its content.
+
+    Args:
+        path: The file, or with ``folder`` a folder that would be made to hold some.
+        folder: Whether missing folders would be made.
+
+    Raises:
+        ConfigError: It could not.
+    """
+    target = Path(path)
+    there = target if folder else target.parent
+    while folder and not there.exists() and there != there.parent:
+        there = there.parent
+    try:
+        if not folder and target.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except (OSError, ValueError) as error:
         raise ConfigError(f"cannot be written: {reason(error)}", path=target) from error
 
 
@@ -54,6 +96,24 @@ def make_folder(path: Path | str) -> Path:
     except (OSError, ValueError) as error:
         raise ConfigError(f"folder cannot be made: {reason(error)}", path=folder) from error
     return folder
+
+
+@contextlib.contextmanager
+def new_folder(path: Path | str) -> Iterator[Path]:
+    """Make a folder for what is written inside the block; if that fails, it does not stay.
+
+    Raises:
+        ConfigError: It cannot be made, or is a file.
+    """
+    folder = Path(path)
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        yield make_folder(folder)
+    except BaseException:
+        for each in made:
+            with contextlib.suppress(OSError):
+                each.rmdir()
+        raise
 
 
 def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None) -> bytes:

@@ -15,7 +15,7 @@ from rtee.hand.limits import Limits, Overrides, actuator_spec, clamped, images_o
 from rtee.hand.model import Hand, Joint, JointRole
 from rtee.hand.names import check_name, safe_name
 from rtee.hand.srdf import Srdf, read_srdf
-from rtee.hand.transmission import make_transmission
+from rtee.hand.transmission import check_mimics, make_transmission
 from rtee.hand.urdf import Urdf, UrdfJoint
 from rtee.hand.urdfread import read_urdf
 from rtee.types import JointKind, readonly
@@ -160,6 +160,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     joints = tuple(_joint(joint, passive) for joint in urdf.joints.values() if joint.moving)
     driven = [joint.name for joint in joints if joint.role is JointRole.ACTUATOR]
     if not driven:
+        check_mimics(urdf)  # the likelier mistake
         raise ModelError(
             "no joint is an actuator: every moving joint is mimic or passive, or there is none",
             path=urdf.path,

@@ -185,6 +185,18 @@ def make_transmission(
     return Transmission(couplings, len(actuators))
 
 
+def check_mimics(urdf: Urdf) -> None:
+    """Refuse joints that mimic missing or fixed joints, and mimics that form a loop.
+
+    Raises:
+        ModelError: There are some.
+    """
+    free = {j.name: Coupling(None) for j in urdf.joints.values() if j.moving and not j.mimic}
+    for joint in urdf.joints.values():
+        if joint.moving:
+            _resolve(urdf, joint, dict(free))
+
+
 def _resolve(urdf: Urdf, joint: UrdfJoint, known: dict[str, Coupling]) -> None:
     """Add the coupling of a joint, after those of the joints it follows."""
     chain: list[tuple[UrdfJoint, UrdfMimic]] = []
