@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.actions.types import Action, PrimitiveKind, Timed
 from rtee.actions.types import Primitive as PrimitiveAction
-from rtee.drivers.mujoco.model import LINK
+from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.scene import approach
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand

@@ -11,6 +11,7 @@ import numpy as np
 
 from rtee.drivers.mujoco.couplings import Polynomial, couplings
 from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out
 from rtee.errors import ModelError
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.urdf import UrdfGeometry, UrdfJoint
@@ -19,14 +20,9 @@ from rtee.types import ActuatorSpec, FloatArray, JointKind
 CARRIER = "carrier"
 """The body that carries the hand."""
 
-LINK = "link/"
-"""What the name of a link's body begins with; a link may well be called ``world``."""
-
 _TINY_MASS = 1e-3
 _TINY_INERTIA = 1e-7
 _PRISMATIC = 1000.0
-_TOUCHING = 5e-4
-_INTERPENETRATING = 5e-3
 
 Triangles = Callable[[str], tuple[FloatArray, "np.ndarray[tuple[int, int], np.dtype[np.int64]]"]]
 """Vertices and faces of a link's collision meshes, in the link's frame."""
@@ -253,87 +249,6 @@ def _add_couplings(spec: mujoco.MjSpec, hand: Hand) -> tuple[tuple[Polynomial, .
     return polynomials, notes
 
 
-def _finger_of(hand: Hand) -> dict[str, str]:
-    """Return the finger of each link that belongs to exactly one."""
-    found: dict[str, set[str]] = {}
-    for finger in hand.fingers:
-        for link in finger.links:
-            found.setdefault(link, set()).add(finger.name)
-    return {link: next(iter(names)) for link, names in found.items() if len(names) == 1}
-
-
-def _adjacent(hand: Hand) -> list[tuple[str, str]]:
-    """Return the pairs of links with shapes that one moving joint joins.
-
-    MuJoCo leaves such pairs out by itself, but not where one of them stands still in the world.
-    """
-    group: dict[str, str] = {hand.urdf.root: hand.urdf.root}
-    for joint in hand.urdf.joints.values():
-        group[joint.child] = joint.child if joint.moving else group[joint.parent]
-    members: dict[str, list[str]] = {}
-    for link, head in group.items():
-        if hand.urdf.links[link].collisions:
-            members.setdefault(head, []).append(link)
-    return [
-        (first, second)
-        for joint in hand.urdf.joints.values()
-        if joint.moving
-        for first in members.get(group[joint.parent], [])
-        for second in members.get(joint.child, [])
-    ]
-
-
-def _exclude_touching_at_rest(
-    spec: mujoco.MjSpec, hand: Hand, touch: Callable[[str, str], bool]
-) -> list[str]:
-    """Exclude pairs that touch at rest, as the extraction does.
-
-    MuJoCo takes the convex hulls of meshes. Where only the hulls touch at rest and not the links,
-    the pair is excluded too, and noted.
-
-    Raises:
-        ModelError: if links of two fingers are deep inside each other at rest.
-    """
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = rest_position(model, hand)
-    mujoco.mj_forward(model, data)
-    finger = _finger_of(hand)
-    touching: dict[tuple[str, str], float] = {}
-    for contact in data.contact:
-        bodies = (model.geom_bodyid[contact.geom1], model.geom_bodyid[contact.geom2])
-        names = sorted(model.body(int(b)).name.removeprefix(LINK) for b in bodies)
-        pair = (names[0], names[1])
-        touching[pair] = min(float(contact.dist), touching.get(pair, 0.0))
-    notes = []
-    for (first, second), distance in sorted(touching.items()):
-        fingers = (finger.get(first), finger.get(second))
-        spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
-        if not touch(first, second):
-            notes.append(
-                f"the convex hulls of links '{first}' and '{second}' overlap at rest, so their "
-                "contact is not simulated"
-            )
-            continue
-        if None not in fingers and fingers[0] != fingers[1] and distance < -_INTERPENETRATING:
-            raise ModelError(
-                f"links '{first}' and '{second}' of two fingers are {-distance * 1e3:.1f} mm "
-                "inside each other at rest, so the hand cannot be simulated; mend the collision "
-                "shapes or the rest posture, or disable the pair in the SRDF",
-                path=hand.urdf.path,
-            )
-        notes.append(f"links '{first}' and '{second}' touch at rest and are not checked")
-    return notes
-
-
-def rest_position(model: mujoco.MjModel, hand: Hand) -> FloatArray:
-    """Return generalised positions ``(nq,)`` with the hand at rest and all else as modelled."""
-    position = model.qpos0.copy()
-    for name, value in zip(hand.joint_names, hand.transmission.joints(hand.rest), strict=True):
-        position[model.joint(name).qposadr[0]] = value
-    return np.asarray(position, dtype=np.float64)
-
-
 def build(
     hand: Hand,
     options: SimOptions,
@@ -365,6 +280,8 @@ def build(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
+    # The pairs left out are named below; MuJoCo's own rule depends on whether the base can move.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     mount = spec.worldbody.add_body(name=CARRIER)
     notes = list(hand.notes)
     made_up = _add_links(spec, mount, hand, triangles, options)
@@ -373,8 +290,5 @@ def build(
     notes += _add_actuators(spec, hand, options)
     polynomials, coupling_notes = _add_couplings(spec, hand)
     notes += coupling_notes
-    never = [(first, second) for first, second, _ in hand.disabled_collisions]
-    for first, second in dict.fromkeys([*never, *_adjacent(hand)]):
-        spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
-    notes += _exclude_touching_at_rest(spec, hand, touch)
+    notes += leave_pairs_out(spec, hand, touch)
     return Built(spec, polynomials, tuple(notes))

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.model import LINK, coupling_name, effort_limit, rest_position
+from rtee.drivers.mujoco.model import coupling_name, effort_limit
 from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK, rest_position
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.hand.model import Hand
 from rtee.hand.transmission import Coupling

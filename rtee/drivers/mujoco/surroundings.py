@@ -5,9 +5,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.model import CARRIER, LINK
+from rtee.drivers.mujoco.model import CARRIER
 from rtee.drivers.mujoco.objects import OBJECT, TRIGGER
 from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK
 from rtee.types import FloatArray
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")

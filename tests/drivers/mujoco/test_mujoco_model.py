@@ -15,8 +15,8 @@ from rtee.hand.load import load_hand, load_model
 
 pytest.importorskip("mujoco")
 
-from rtee.drivers.mujoco.model import LINK
 from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.scene import approach, build_hand, downward, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand, JointRole
@@ -151,3 +151,17 @@ def test_real_models_with_meshes_compile_without_deep_contacts(shared: Path) -> 
     simulation = simulate(load_model(urdf, srdf, package_dirs=[folder, folder.parent]))
     assert simulation.model.nmesh
     assert not [c for c in simulation.data.contact if c.dist < -1e-3]
+
+
+@pytest.mark.parametrize("carrier", ["fixed", "arm"])
+def test_a_claw_closes_against_the_jaw_it_turns_on(carrier: str) -> None:
+    hand = load_hand("dagana")
+    simulation = simulate(hand, carrier=carrier)
+    goal = hand.upper.copy()
+    for _ in range(400):
+        simulation.command(goal, np.full(1, np.inf), np.ones(1, dtype=bool))
+        simulation.advance()
+    assert 0.75 < simulation.position[0] < 0.9
+    assert simulation.contact_forces.min() > 10.0
+    notes = build_hand(hand, SimOptions()).notes
+    assert any("only their outer shapes" in note for note in notes)

@@ -1,0 +1,162 @@
+"""Which links of a hand can meet in the simulation: the pairs that the extraction allows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from rtee.errors import ModelError
+from rtee.hand.model import Hand
+from rtee.types import FloatArray
+
+LINK = "link/"
+"""What the name of a link's body begins with; a link may well be called ``world``."""
+
+_INTERPENETRATING = 5e-3
+_OUTER = 0.6
+
+
+def leave_pairs_out(
+    spec: mujoco.MjSpec, hand: Hand, touch: Callable[[str, str], bool]
+) -> list[str]:
+    """Exclude the contact of links that the SRDF disables, that are joined, or touch at rest.
+
+    Args:
+        spec: The hand's model.
+        hand: The hand.
+        touch: Says whether two links touch at rest on their exact geometry.
+
+    Returns:
+        What was left out for contact at rest, one sentence each.
+
+    Raises:
+        ModelError: if links of two fingers are deep inside each other at rest.
+    """
+    never = [(first, second) for first, second, _ in hand.disabled_collisions]
+    for first, second in dict.fromkeys([*never, *_adjacent(hand)]):
+        spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
+    return _exclude_touching_at_rest(spec, hand, touch)
+
+
+def _finger_of(hand: Hand) -> dict[str, str]:
+    """Return the finger of each link that belongs to exactly one."""
+    found: dict[str, set[str]] = {}
+    for finger in hand.fingers:
+        for link in finger.links:
+            found.setdefault(link, set()).add(finger.name)
+    return {link: next(iter(names)) for link, names in found.items() if len(names) == 1}
+
+
+def _joined(hand: Hand) -> list[tuple[str, str]]:
+    """Return the pairs of links with shapes that one moving joint joins."""
+    group: dict[str, str] = {hand.urdf.root: hand.urdf.root}
+    for joint in hand.urdf.joints.values():
+        group[joint.child] = joint.child if joint.moving else group[joint.parent]
+    members: dict[str, list[str]] = {}
+    for link, head in group.items():
+        if hand.urdf.links[link].collisions:
+            members.setdefault(head, []).append(link)
+    return [
+        (first, second)
+        for joint in hand.urdf.joints.values()
+        if joint.moving
+        for first in members.get(group[joint.parent], [])
+        for second in members.get(joint.child, [])
+    ]
+
+
+def _adjacent(hand: Hand) -> list[tuple[str, str]]:
+    """Return the pairs of links that are joined and never checked.
+
+    Two fingertips are checked: a claw that turns on its fixed jaw closes against it.
+    """
+    tips = {finger.tip for finger in hand.fingers}
+    return [pair for pair in _joined(hand) if not set(pair) <= tips]
+
+
+def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str) -> None:
+    """Let the outer shapes of two joined fingertips meet, though the links are excluded.
+
+    Near their joint the links touch at every position, which means nothing. What counts are the
+    shapes whose middles are beyond most of the shorter link's reach from the joint's axis, and
+    that are apart at rest.
+    """
+    model = data.model
+    joint = max(int(model.body(LINK + name).jntadr[0]) for name in (first, second))
+    anchor, axis = data.xanchor[joint], data.xaxis[joint]
+    arms: list[dict[str, float]] = []
+    for link in (first, second):
+        geoms = np.flatnonzero(model.geom_bodyid == model.body(LINK + link).id)
+        away = np.linalg.norm(np.cross(data.geom_xpos[geoms] - anchor, axis), axis=1)
+        names = [model.geom(int(geom)).name for geom in geoms]
+        arms.append(dict(zip(names, away.tolist(), strict=True)))
+    least = _OUTER * min(max(arm.values()) for arm in arms)
+    outer = [[name for name, away in arm.items() if away > least] for arm in arms]
+    inside = {
+        frozenset((model.geom(int(a)).name, model.geom(int(b)).name)) for a, b in data.contact.geom
+    }
+    for one in outer[0]:
+        for other in outer[1]:
+            if frozenset((one, other)) not in inside:
+                spec.add_pair(geomname1=one, geomname2=other, condim=4)
+
+
+def _exclude_touching_at_rest(
+    spec: mujoco.MjSpec, hand: Hand, touch: Callable[[str, str], bool]
+) -> list[str]:
+    """Exclude pairs that touch at rest, as the extraction does.
+
+    MuJoCo takes the convex hulls of meshes. Where only the hulls touch at rest and not the links,
+    the pair is excluded too, and noted.
+
+    Raises:
+        ModelError: if links of two fingers are deep inside each other at rest.
+    """
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = rest_position(model, hand)
+    mujoco.mj_forward(model, data)
+    finger = _finger_of(hand)
+    touching: dict[tuple[str, str], float] = {}
+    for contact in data.contact:
+        bodies = (model.geom_bodyid[contact.geom1], model.geom_bodyid[contact.geom2])
+        names = sorted(model.body(int(b)).name.removeprefix(LINK) for b in bodies)
+        pair = (names[0], names[1])
+        touching[pair] = min(float(contact.dist), touching.get(pair, 0.0))
+    notes = []
+    hinged = {frozenset(pair) for pair in _joined(hand)}
+    for (first, second), distance in sorted(touching.items()):
+        fingers = (finger.get(first), finger.get(second))
+        spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
+        if frozenset((first, second)) in hinged:
+            _add_jaws(spec, data, first, second)
+            notes.append(
+                f"links '{first}' and '{second}' touch at their joint, so only their outer shapes "
+                "are checked"
+            )
+            continue
+        if not touch(first, second):
+            notes.append(
+                f"the convex hulls of links '{first}' and '{second}' overlap at rest, so their "
+                "contact is not simulated"
+            )
+            continue
+        if None not in fingers and fingers[0] != fingers[1] and distance < -_INTERPENETRATING:
+            raise ModelError(
+                f"links '{first}' and '{second}' of two fingers are {-distance * 1e3:.1f} mm "
+                "inside each other at rest, so the hand cannot be simulated; mend the collision "
+                "shapes or the rest posture, or disable the pair in the SRDF",
+                path=hand.urdf.path,
+            )
+        notes.append(f"links '{first}' and '{second}' touch at rest and are not checked")
+    return notes
+
+
+def rest_position(model: mujoco.MjModel, hand: Hand) -> FloatArray:
+    """Return generalised positions ``(nq,)`` with the hand at rest and all else as modelled."""
+    position = model.qpos0.copy()
+    for name, value in zip(hand.joint_names, hand.transmission.joints(hand.rest), strict=True):
+        position[model.joint(name).qposadr[0]] = value
+    return np.asarray(position, dtype=np.float64)
