@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rtee.errors import UserError
 from rtee.hand.files import make_folder
 from rtee.log import Recorder, read
 from rtee.log.figure import By, figure
@@ -49,13 +50,17 @@ def recording(ready: Bench, folder: Path, outcome: Outcome) -> Iterator[Recorder
     with recorder_for(ready, folder) as recorder:
         yield recorder
     for path in sorted(set(folder.glob("*.mcap")) - before):
-        found = read(path)
-        if not len(found.actuator_states):
+        if not len(read(path).actuator_states):
             outcome.files.append(path)
             continue
-        plot = path.with_suffix(".png")
-        write_png(figure(found, by=By.ACTUATOR, fingers=fingers(found)), plot)
-        outcome.files += [path, plot]
+        outcome.files += [path, plot_of(path)]
+
+
+def plot_of(path: Path) -> Path:
+    """Plot a recording, with the spans of the actions, beside it; returns the picture's path."""
+    found, plot = read(path), path.with_suffix(".png")
+    write_png(figure(found, by=By.ACTUATOR, fingers=fingers(found)), plot)
+    return plot
 
 
 def hold(
@@ -86,20 +91,29 @@ def hold(
     return result
 
 
-def strip(path: Path, stills: list[tuple[str, bytes]], outcome: Outcome) -> None:
-    """Write pictures side by side."""
+def strip(
+    path: Path, stills: list[tuple[str, bytes]], outcome: Outcome, columns: int | None = None
+) -> None:
+    """Write pictures side by side, or in rows of so many columns."""
     from rtee.trials.pictures import write_strip
 
     make_folder(path.parent)
-    write_strip(path, stills)
+    write_strip(path, stills, columns)
     outcome.files.append(path)
 
 
 def main(run: Callable[[Path], Outcome], name: str) -> None:
-    """Run an experiment from the command line; exit status 1 when it does not pass."""
+    """Run an experiment from the command line.
+
+    Exit status 1 when it does not pass, 2 when something that it needs is missing.
+    """
     parser = argparse.ArgumentParser(description=sys.modules[run.__module__].__doc__)
     parser.add_argument("--out", type=Path, default=Path("logs") / "experiments" / name)
-    outcome = run(parser.parse_args().out)
+    try:
+        outcome = run(parser.parse_args().out)
+    except UserError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        sys.exit(2)
     print(outcome.condition)
     for fact in outcome.facts:
         print(f"  {fact}")

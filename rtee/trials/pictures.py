@@ -148,12 +148,15 @@ def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
     return vertices, np.asarray(model.mesh_face[first : first + count], dtype=np.int64)
 
 
-def write_strip(path: Path, pictures: Sequence[tuple[str, bytes]]) -> None:
+def write_strip(
+    path: Path, pictures: Sequence[tuple[str, bytes]], columns: int | None = None
+) -> None:
     """Write pictures side by side, each with its caption below, as one PNG file.
 
     Args:
         path: The file.
         pictures: Captions and PNG files of the same size.
+        columns: Pictures in a row; all of them unless given.
 
     Raises:
         ConfigError: if it cannot be written.
@@ -162,11 +165,15 @@ def write_strip(path: Path, pictures: Sequence[tuple[str, bytes]]) -> None:
 
     images = [Image.open(io.BytesIO(data)).convert("RGB") for _, data in pictures]
     width, height = images[0].size
-    strip: Any = Image.new("RGB", (width * len(images), height + _CAPTION), "#ffffff")
+    across = min(columns or len(images), len(images))
+    down = -(-len(images) // across)
+    size = (width * across, (height + _CAPTION) * down)
+    strip: Any = Image.new("RGB", size, "#ffffff")
     draw = ImageDraw.Draw(strip)
     for index, ((caption, _), image) in enumerate(zip(pictures, images, strict=True)):
-        strip.paste(image, (index * width, 0))
-        draw.text((index * width + width // 2, height + 4), caption, fill="#222222", anchor="ma")
+        x, y = width * (index % across), (height + _CAPTION) * (index // across)
+        strip.paste(image, (x, y))
+        draw.text((x + width // 2, y + height + 4), caption, fill="#222222", anchor="ma")
     out = io.BytesIO()
     strip.save(out, "PNG", optimize=True)
     write_atomically(path, out.getvalue())

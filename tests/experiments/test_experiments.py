@@ -11,9 +11,11 @@ pytest.importorskip("mujoco")
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from experiments import drill, heri_objects, svh, variants
+from experiments import dagana_gui, drill, heri_objects, svh, variants
 from experiments.common import Outcome, hold
+from rtee.errors import ConfigError
 from rtee.log import read
+from rtee.testing.browser import find_browser
 from rtee.trials.trial import Trial
 
 
@@ -49,6 +51,25 @@ def test_an_experiment_that_fails_says_so(tmp_path: Path) -> None:
     hold("robotiq_2f_85", Trial("Grasp", object="sphere:0.06"), tmp_path, outcome, pictures=False)
     assert not outcome.passed
     assert outcome.facts[0].startswith("FAILED")
+
+
+@pytest.mark.browser
+@pytest.mark.timeout(300)
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium was found")
+def test_dagana_does_what_is_clicked(tmp_path: Path) -> None:
+    outcome = dagana_gui.run(tmp_path, pictures=False, steps=dagana_gui.STEPS[::2])
+    assert passed(outcome)
+    assert {path.suffix for path in outcome.files} == {".mcap", ".png"}
+
+
+def test_without_a_browser_it_is_said_plainly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("RTEE_BROWSER", raising=False)
+    with pytest.raises(ConfigError, match="no Chromium was found"):
+        dagana_gui.run(tmp_path)
+    assert not list(tmp_path.glob("*.mcap"))
 
 
 @pytest.mark.parametrize("variant", variants.EXPECTED)

@@ -1,0 +1,219 @@
+"""Dagana in dynamics, used through the GUI by a scripted browser, as a person would."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.common import Outcome, main, plot_of, strip
+from rtee.errors import ConfigError
+from rtee.hand.files import make_folder
+from rtee.log import Recording, Span, read
+from rtee.testing.browser import browser
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Locator, Page
+
+HAND = "dagana"
+CLAW = "dagana_gripper_claw_joint"
+TOLERANCE = 0.02
+CLOSED = 0.8
+SIZE = (1000, 600)
+_COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
+_RATE = "250"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What the person does: an action at an intensity [%], then a look at what the GUI says.
+
+    Attributes:
+        action: Name of the action's card.
+        intensity: Where the slider is put [%].
+        word: What the card says in the end.
+        at: Where the claw is then [rad]; ``None``: closed on the other jaw, above `CLOSED`.
+    """
+
+    action: str
+    intensity: int
+    word: str
+    at: float | None
+
+
+STEPS = (
+    Step("Trig", 60, "reached", 0.6),
+    Step("Grasp", 80, "reached", 0.8),
+    Step("PinchTight", 100, "grasped", None),
+)
+"""After each the person presses Open."""
+
+
+def run(folder: Path, *, pictures: bool = True, steps: Sequence[Step] = STEPS) -> Outcome:
+    """Start hand and GUI, act in the browser, end both, and look at the recording.
+
+    Args:
+        folder: Where recording, plot and pictures go.
+        pictures: Take pictures of the browser.
+        steps: What the person does.
+
+    Raises:
+        ConfigError: if there is no Chromium or no Playwright.
+    """
+    outcome = Outcome(
+        f"each action ends as the GUI says, within {TOLERANCE:g} rad of its posture (closed: jaw "
+        f"on jaw above {CLOSED:g} rad); Open opens again; the log has the spans"
+    )
+    logs = make_folder(folder.resolve())
+    before = set(logs.glob("*.mcap"))
+    stills: list[tuple[str, bytes]] = []
+    with ExitStack() as stack:
+        # The browser first: if there is none, nothing is started in vain.
+        context = stack.enter_context(browser(*SIZE))
+        place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rtee-")))
+        hand = ("run", HAND, "--driver", "mujoco", "--rate", _RATE, "--log", str(logs))
+        stack.enter_context(_program(place, rf"{HAND}: .* active", *hand))
+        gui = stack.enter_context(_program(place, r"GUI at (\S+)", "gui", HAND, "--port", "0"))
+        person = _Person(context.pages[0], gui[1])
+        if pictures:
+            stills.append(("start", person.look()))
+        for step in steps:
+            said, position = person.do(step)
+            seen = position >= CLOSED if step.at is None else abs(position - step.at) <= TOLERANCE
+            outcome.check(
+                seen and said.startswith(step.word),
+                f"{step.action} at {step.intensity} %: '{said}', the claw at {position:.3f} rad",
+            )
+            if pictures:
+                stills.append((f"{step.action} at {step.intensity} %", person.look()))
+            position = person.open()
+            outcome.check(abs(position) <= TOLERANCE, f"opened: the claw at {position:.3f} rad")
+        if pictures:
+            stills.append(("Open", person.look()))
+    for path in sorted(set(logs.glob("*.mcap")) - before):
+        _check_log(read(path), steps, outcome)
+        outcome.files += [path, plot_of(path)]
+    if stills:
+        strip(folder / "dagana_gui.png", stills, outcome, columns=3)
+    return outcome
+
+
+def _check_log(recording: Recording, steps: Sequence[Step], outcome: Outcome) -> None:
+    """Compare the recording with what was done: the actions, how far, and that it was opened."""
+    spans = recording.spans
+    names = [span.name.split()[0] for span in spans]
+    wanted = [name for step in steps for name in (step.action, "open")]
+    outcome.check(names == wanted, f"spans in the log: {', '.join(names)}")
+    moves = [span for span in spans if span.name != "open"]
+    for step, span in zip(steps, moves, strict=False):
+        at = _position(recording, span)
+        seen = at >= CLOSED if step.at is None else abs(at - step.at) <= TOLERANCE
+        outcome.check(seen, f"{span.name} in the log: {span.outcome} at {at:.3f} rad")
+
+
+def _position(recording: Recording, span: Span) -> float:
+    series = recording.actuator_states
+    row = int(np.searchsorted(series.t, span.end)) - 1
+    return float(series.position[row, series.index(CLAW)])
+
+
+@contextmanager
+def _program(place: Path, pattern: str, *arguments: str) -> Iterator[re.Match[str]]:
+    """Run a command of rtee while the context lasts, once it has said something."""
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(place)}
+    with subprocess.Popen(
+        [*_COMMAND, *arguments], cwd=place, env=environment, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None  # noqa: S101 - narrows the type
+            said: list[str] = []
+            for line in process.stdout:
+                said.append(line)
+                if found := re.search(pattern, line):
+                    break
+            else:
+                raise ConfigError(f"'rtee {' '.join(arguments)}' said only: {''.join(said)}")
+            yield found
+        finally:
+            process.terminate()
+
+
+class _Person:
+    """Somebody who uses the GUI: types, clicks, waits, reads."""
+
+    def __init__(self, page: Page, address: str) -> None:
+        self._page = page
+        page.goto(address)
+        page.get_by_text(f"{HAND}: connected").wait_for()
+        page.get_by_role("button", name="Do", exact=True).first.wait_for()
+        for notice in page.locator(".mantine-Notification-closeButton").all():
+            notice.click()
+
+    def do(self, step: Step) -> tuple[str, float]:
+        """Do an action at an intensity; returns what its card says, and where the claw is [rad]."""
+        page = self._page
+        search = self._field("Search")
+        search.fill(step.action)
+        others = {other.action for other in STEPS} - {step.action}
+        for other in others:
+            page.get_by_text(other, exact=True).locator("visible=true").first.wait_for(
+                state="detached"
+            )
+        if not page.get_by_role("button", name="Do", exact=True).first.is_visible():
+            page.get_by_text(step.action, exact=True).first.click()
+        intensity = self._field("Intensity [%]")
+        intensity.fill(str(step.intensity))
+        intensity.press("Enter")
+        page.get_by_role("button", name="Do", exact=True).first.click()
+        word = page.get_by_text(re.compile(r"^(reached|grasped|stalled|timed out|aborted)"))
+        word.locator("visible=true").first.wait_for()
+        said = word.locator("visible=true").first.inner_text()
+        return said, self._settled()
+
+    def open(self) -> float:
+        """Press Open; returns where the claw is when it stands [rad]."""
+        self._page.get_by_role("button", name="Open", exact=True).first.click()
+        self._page.get_by_role("tab", name="Joints").click()
+        self._page.wait_for_function(
+            "([name, most]) => [...document.querySelectorAll('td')].some(cell =>"
+            " cell.innerText === name && Math.abs(+cell.nextSibling.innerText) <= most)",
+            arg=[CLAW, TOLERANCE],
+        )
+        return self._settled()
+
+    def look(self) -> bytes:
+        """Return a picture of the page with the plots."""
+        self._page.get_by_role("tab", name="Plots").click()
+        self._page.mouse.move(SIZE[0] / 2, 8)
+        self._page.wait_for_timeout(700)  # the plots are drawn anew some times a second
+        return self._page.screenshot(timeout=120_000)
+
+    def _settled(self) -> float:
+        """Read the claw's position from the table of joints, when it no longer changes [rad]."""
+        self._page.get_by_role("tab", name="Joints").click()
+        row = self._page.locator("tr", has=self._page.locator("td", has_text=CLAW)).first
+        cell = row.locator("td").nth(1)
+        before, now = "", cell.inner_text()
+        while before != now:
+            self._page.wait_for_timeout(300)
+            before, now = now, cell.inner_text()
+        return float(now)
+
+    def _field(self, label: str) -> Locator:
+        """Return the first visible field with a label to type into."""
+        row = "xpath=ancestor::div[contains(@class, 'mantine-Flex-root')][1]"
+        found = self._page.locator("label:visible").filter(has_text=label).first
+        return found.locator(row).locator("input:not([type=hidden])").last
+
+
+if __name__ == "__main__":
+    main(run, "dagana_gui")
