@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
-from typing import Final
 
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.evidence import Inspector, posture_of
-from rtee.extract.jobs import processors, workers
+from rtee.extract.jobs import Progress, processors, spread
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.extract.multi import Pinches, find_multi
 from rtee.extract.pinch import Sight, pinch_search
 from rtee.extract.ranking import Found, Rank
 from rtee.hand.model import Hand
-
-Progress = Callable[[int, int], None]
-
-_WORTH_FORKING: Final = 4
-"""Fewer searches than these are done in one process."""
 
 
 @dataclass(frozen=True)
@@ -77,33 +71,27 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     """Return all pinches: first who pinches at all, then how, and who else joins."""
     fingers = inspector.scene.hand.fingers
     tipped = [i for i, finger in enumerate(fingers) if finger.tip]
-    pairs = list(combinations(tipped, 2))
-    alone = len(pairs) < _WORTH_FORKING or len(inspector.scene.hand.actuators) == 1
-    with workers(inspector, 1 if alone else jobs) as mapped:
-        done, total = 0, len(pairs)
-        sights: list[tuple[int, int, Sight]] = []
-        for (i, j), sight in zip(
-            pairs, mapped(_look, [(i, j, rank) for i, j in pairs]), strict=True
-        ):
-            done += 1
-            progress(done, total)
-            if sight is not None:
-                sights.append((i, j, sight))
-        tight = {
-            frozenset((fingers[i].name, fingers[j].name)): sight.postures[0]
-            for i, j, sight in sights
-            if sight.kind is PrimitiveKind.PINCH_TIGHT
-        }
-        tasks: list[_Finish | _Group] = [(i, j, rank, sight) for i, j, sight in sights]
-        for size in range(len(tipped), 2, -1):  # those that take longest first
-            tasks += [(group, tight, rank) for group in combinations(tipped, size)]
-        found, total = [], total + len(tasks)
-        for one in mapped(_finish, tasks):
-            done += 1
-            progress(done, total)
-            if one is not None:
-                found.append(one)
-    return found
+    looks: list[_Look] = [(i, j, rank) for i, j in combinations(tipped, 2)]
+    groups = [
+        group for size in range(len(tipped), 2, -1) for group in combinations(tipped, size)
+    ]  # those that take longest first
+    most = 2 * len(looks) + len(groups)
+    found = spread(partial(_look, inspector), looks, jobs, lambda done, _: progress(done, most))
+    seen = [(i, j, sight) for (i, j, _), sight in zip(looks, found, strict=True) if sight]
+    tight = {
+        frozenset((fingers[i].name, fingers[j].name)): sight.postures[0]
+        for i, j, sight in seen
+        if sight.kind is PrimitiveKind.PINCH_TIGHT
+    }
+    tasks: list[_Finish | _Group] = [(i, j, rank, sight) for i, j, sight in seen]
+    tasks += [(group, tight, rank) for group in groups]
+    finished = spread(
+        partial(_finish, inspector),
+        tasks,
+        jobs,
+        lambda done, total: progress(most - total + done, most),
+    )
+    return [one for one in finished if one is not None]
 
 
 def _look(inspector: Inspector, task: _Look) -> Sight | None:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import gc
-import multiprocessing
 import os
+import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any, TypeVar
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from multiprocessing import Pipe
+from typing import Any, Final, TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-Mapper = Callable[[Callable[[Any, Any], Any], Sequence[Any]], Iterator[Any]]
-"""Applies a function of the common state and a task to all tasks; the results come in order."""
+Progress = Callable[[int, int], None]
 
-_state: list[object] = []
-"""What forked processes inherit."""
+_TICKET: Final = 4
+"""Bytes of a task's number."""
 
 
 def processors() -> int:
@@ -28,34 +27,100 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-@contextmanager
-def workers(state: object, jobs: int) -> Iterator[Mapper]:
-    """Give a mapper that works in ``jobs`` processes, or in this one.
+def spread(
+    function: Callable[[Task], Result], tasks: Sequence[Task], jobs: int, progress: Progress
+) -> list[Result]:
+    """Return what a function makes of all tasks, in their order.
 
-    Processes are forked, so that they share the state, meshes and all, without copies. Where that
+    The tasks are done by ``jobs`` processes, of which this one is the first. The others are forked,
+    so that they share what the function refers to, meshes and all, without copies. Where that
     cannot be done safely, on other systems than Linux or beside other threads, all is done in this
-    process; the results are the same.
+    process; the results are the same. So are they when another process dies: what it doesn't hand
+    over is done here.
 
     Args:
-        state: First argument of the functions to map.
+        function: A function without side effects that matter.
+        tasks: Its arguments.
         jobs: Number of processes.
+        progress: Called with the number of tasks that are begun or done and that of all.
     """
-    if jobs < 2 or not sys.platform.startswith("linux") or threading.active_count() > 1:
-        yield lambda function, tasks: (function(state, task) for task in tasks)
-        return
-    _state.append(state)
-    try:
-        with multiprocessing.get_context("fork").Pool(jobs, gc.disable) as pool:
-            yield lambda function, tasks: pool.imap(_Call(function), tasks)
-    finally:
-        _state.pop()
+    total, jobs = len(tasks), min(jobs, len(tasks))
+    done: dict[int, Result] = {}
+    if jobs > 1 and sys.platform.startswith("linux") and threading.active_count() == 1:
+        queue = _Queue(total)
+        others = [_Fork(function, tasks, queue) for _ in range(jobs - 1)]
+        try:
+            while (number := queue.next()) is not None:
+                done[number] = function(tasks[number])
+                progress(queue.begun(), total)
+            for other in others:
+                done.update(other.results())
+            progress(total, total)
+        finally:
+            for other in others:
+                other.end()
+            queue.close()
+    for number in range(total):
+        if number not in done:
+            done[number] = function(tasks[number])
+            progress(number + 1, total)
+    return [done[number] for number in range(total)]
 
 
-class _Call:
-    """A function of the state and a task as one of the task."""
+class _Queue:
+    """The numbers of the tasks, from which several processes take one after the other.
 
-    def __init__(self, function: Callable[[Any, Any], Any]) -> None:
-        self._function = function
+    The processes share a file in memory and with it the place where they read next.
+    """
 
-    def __call__(self, task: object) -> object:
-        return self._function(_state[-1], task)
+    def __init__(self, total: int) -> None:
+        self._file = os.memfd_create("rtee-tasks")
+        with open(self._file, "wb", closefd=False) as file:
+            file.writelines(number.to_bytes(_TICKET, "little") for number in range(total))
+        os.lseek(self._file, 0, os.SEEK_SET)
+
+    def next(self) -> int | None:
+        """Return the next task's number, ``None`` when all are taken."""
+        ticket = os.read(self._file, _TICKET)
+        return int.from_bytes(ticket, "little") if ticket else None
+
+    def begun(self) -> int:
+        """Return how many tasks are taken."""
+        return os.lseek(self._file, 0, os.SEEK_CUR) // _TICKET
+
+    def close(self) -> None:
+        """Forget the tasks."""
+        os.close(self._file)
+
+
+class _Fork:
+    """A process that does tasks beside this one."""
+
+    def __init__(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task], queue: _Queue
+    ) -> None:
+        self._results, writing = Pipe(duplex=False)
+        self._process = os.fork()
+        if self._process:
+            writing.close()
+            return
+        with suppress(BaseException):
+            results = {}
+            while (number := queue.next()) is not None:
+                results[number] = function(tasks[number])
+            writing.send(results)
+        os._exit(0)
+
+    def results(self) -> dict[int, Any]:
+        """Wait for the process and return its results by the tasks' numbers."""
+        try:
+            return dict(self._results.recv())
+        except EOFError:
+            return {}
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        self._results.close()
+        with suppress(ProcessLookupError):
+            os.kill(self._process, signal.SIGKILL)
+        os.waitpid(self._process, 0)

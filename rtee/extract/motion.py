@@ -8,9 +8,10 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+import pinocchio as pin
 
 from rtee.extract.scene import LinkPair, Scene
-from rtee.types import BoolArray, FloatArray, JointKind
+from rtee.types import FloatArray, JointKind
 
 _STATIONS: Final = 33
 
@@ -80,25 +81,50 @@ class Motion:
         Returns:
             The sum of the greatest displacements up to each station ``(s,)`` [m].
         """
-        scene, shapes = self._scene, self._scene.shapes
-        first, second = pair.shapes
-        couples = [(a, b) for i in first for j in second for a, b in ((i, j), (j, i))]
-        total = [0.0]
-        last: list[tuple[FloatArray, BoolArray]] = []
-        for t in stations:
-            scene.place(way.at(t))
-            now = []
-            for fixed, moving in couples:
-                to_fixed = scene.shape_pose(fixed).actInv(scene.shape_pose(moving))
-                points = shapes[moving].lattice @ to_fixed.rotation.T + to_fixed.translation
-                low, high = shapes[fixed].box
-                reach = _NEAR + shapes[moving].spacing
-                near = ((points > low - reach) & (points < high + reach)).all(axis=1)
-                now.append((points, near))
-            if last:
-                total.append(total[-1] + max(map(_displacement, last, now)))
-            last = now
-        return np.array(total)
+        poses = [self._scene.relative_pose(pair, way.at(t)) for t in stations]
+        there = _stacked(poses)
+        back = _stacked([pose.inverse() for pose in poses])
+        most = np.zeros(len(stations) - 1)
+        for i in pair.shapes[0]:
+            for j in pair.shapes[1]:
+                for fixed, moving, path in ((i, j, there), (j, i, back)):
+                    most = np.maximum(most, self._displacements(fixed, moving, path))
+        return np.concatenate([[0.0], np.cumsum(most)])
+
+    def _displacements(
+        self, fixed: int, moving: int, path: tuple[FloatArray, FloatArray]
+    ) -> FloatArray | float:
+        """Return how far points of a shape that are near another one move between stations.
+
+        Args:
+            fixed: The other shape.
+            moving: The shape.
+            path: Rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of the body of the shape in
+                the body of the other one.
+
+        Returns:
+            The greatest displacements ``(s - 1,)`` [m].
+        """
+        one, other = self._scene.shapes[moving], self._scene.shapes[fixed]
+        outward = other.placement.rotation
+        rotations = outward.T @ path[0] @ one.placement.rotation
+        positions = (
+            path[0] @ one.placement.translation + path[1] - other.placement.translation
+        ) @ outward
+        reach = _NEAR + one.spacing
+        low, high = other.box[0] - reach, other.box[1] + reach
+        centre, radius = one.ball
+        middles = rotations @ centre + positions
+        if not ((middles > low - radius) & (middles < high + radius)).all(axis=1).any():
+            return 0.0
+        points = one.lattice @ rotations.transpose(0, 2, 1) + positions[:, None]
+        near = ((points > low) & (points < high)).all(axis=2)
+        steps = np.diff(points, axis=0)
+        squares = np.einsum("spi,spi->sp", steps, steps)
+        result: FloatArray = np.sqrt(
+            np.where(near[:-1] | near[1:], squares, 0.0).max(axis=1, initial=0.0)
+        )
+        return result
 
     def _bound(self, pair: LinkPair) -> FloatArray:
         """Return the longest lever of every joint on the pair ``(m,)``: metres, 1 if prismatic."""
@@ -138,11 +164,5 @@ class Motion:
         return radii
 
 
-def _displacement(
-    before: tuple[FloatArray, BoolArray], after: tuple[FloatArray, BoolArray]
-) -> float:
-    near = before[1] | after[1]
-    if not near.any():
-        return 0.0
-    step = after[0][near] - before[0][near]
-    return float(np.sqrt(np.einsum("ij,ij->i", step, step).max()))
+def _stacked(poses: Sequence[pin.SE3]) -> tuple[FloatArray, FloatArray]:
+    return np.array([p.rotation for p in poses]), np.array([p.translation for p in poses])

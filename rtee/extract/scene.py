@@ -311,6 +311,12 @@ class Scene:
         placed = self.shapes[shape]
         return self._data.oMi[placed.body] * placed.placement
 
+    def relative_pose(self, pair: LinkPair, u: FloatArray) -> pin.SE3:
+        """Return the pose of the second link's body in the first one's at a posture ``(n,)``."""
+        self.place(u)
+        first, second = pair.bodies
+        return self._data.oMi[first].actInv(self._data.oMi[second])
+
     def _convex_of(self, pair: LinkPair) -> Forms:
         forms = self._convex.get(pair.number)
         if forms is None:

@@ -84,11 +84,17 @@ class Shape:
         faces = [(c[0], c[1], c[2]) for c in corners]
         return np.array(self.exact.vertices()), np.array(faces, dtype=np.int64).reshape(-1, 3)
 
-    @property
+    @cached_property
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Corners of the bounding box in the shape's own frame [m]."""
         bounds = self.exact.aabb_local
-        return bounds.min_, bounds.max_
+        return np.array(bounds.min_), np.array(bounds.max_)
+
+    @cached_property
+    def ball(self) -> tuple[FloatArray, float]:
+        """Centre of the bounding box and the distance of its corners from there [m]."""
+        low, high = self.box
+        return (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
 
     @cached_property
     def least_width(self) -> float:
@@ -112,7 +118,7 @@ class Shape:
         lines = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
         return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
 
-    @property
+    @cached_property
     def spacing(self) -> float:
         """Greatest distance of neighbours in the lattice along an axis [m]."""
         low, high = self.box

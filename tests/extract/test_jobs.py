@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import os
+import sys
+import threading
+
+import pytest
+
+from rtee.extract.jobs import spread
+
+HERE = os.getpid()
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+def nothing(done: int, total: int) -> None:
+    pass
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 5, 40])
+def test_results_come_in_the_order_of_the_tasks(jobs: int) -> None:
+    assert spread(square, range(23), jobs, nothing) == [x * x for x in range(23)]
+
+
+def test_no_tasks_give_no_results() -> None:
+    assert spread(square, [], 2, nothing) == []
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are forked on Linux")
+def test_several_processes_work_and_none_is_left() -> None:
+    if threading.active_count() > 1:
+        pytest.skip("nothing is forked beside other threads")
+    # Each process waits until another one has taken a task, so that none can do them all.
+    reading, writing = os.pipe()
+
+    def meet(task: int) -> int:
+        if task == 0:
+            os.read(reading, 1)
+        else:
+            os.write(writing, b"x")
+        return os.getpid()
+
+    first, second = spread(meet, [0, 1], 2, nothing)
+    assert first != second
+    other = second if first == HERE else first
+    with pytest.raises(ProcessLookupError):
+        os.kill(other, 0)
+
+
+def test_what_a_dying_process_leaves_is_done() -> None:
+    def die(task: int) -> int:
+        if os.getpid() != HERE:
+            os._exit(1)
+        return -task
+
+    assert spread(die, range(50), 3, nothing) == [-task for task in range(50)]
+
+
+def test_an_error_in_any_process_is_raised() -> None:
+    def fail(task: int) -> int:
+        if task == 7:
+            raise ValueError("seven")
+        return task
+
+    for _ in range(4):
+        with pytest.raises(ValueError, match="seven"):
+            spread(fail, range(9), 2, nothing)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_progress_reaches_the_end(jobs: int) -> None:
+    seen: list[tuple[int, int]] = []
+    spread(square, range(5), jobs, lambda done, total: seen.append((done, total)))
+    assert seen == sorted(seen)
+    assert seen[-1] == (5, 5)
