@@ -151,13 +151,17 @@ class HandBody:
         if shown != self._frame.visible:
             self._frame.visible = shown
 
+    def moved(self, position: FloatArray) -> list[int]:
+        """Return which joints would be seen to move to positions ``(m,)`` [rad | m]."""
+        seen = np.isfinite(position) & ~(np.abs(position - self._last) < _UNSEEN)
+        found: list[int] = np.flatnonzero(seen).tolist()
+        return found
+
     def set_joints(self, position: FloatArray) -> None:
         """Move to joint positions ``(m,)`` [rad | m] in the hand's order; what rests isn't sent."""
-        for index, (frame, axis, slides) in enumerate(self._moving):
-            value = float(position[index])
-            if not math.isfinite(value) or abs(value - self._last[index]) < _UNSEEN:
-                continue
-            self._last[index] = value
+        for index in self.moved(position):
+            frame, axis, slides = self._moving[index]
+            value = self._last[index] = float(position[index])
             if slides:
                 frame.position = value * axis
             else:

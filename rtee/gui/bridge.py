@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Awaitable, Callable
 from typing import Any, Final
 
 import viser
 
 from rtee.errors import RteeError
+
+log = logging.getLogger(__name__)
 
 Work = Callable[[], Awaitable[object]]
 
@@ -44,6 +47,14 @@ class Bridge:
             self.tell("Refused", str(error), "orange")
         except OSError as error:
             self.tell("Failed", str(error), "red")
+        except Exception as error:
+            log.exception("a click could not be followed")
+            self.tell("Failed", f"{type(error).__name__}: {error}", "red")
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody has the page open."""
+        return bool(self.server.get_clients())
 
     def tell(self, title: str, text: str, colour: Any = "blue") -> None:
         """Show a notification in every window."""

@@ -18,7 +18,7 @@ LONGEST: Final = 60.0
 """Longest time that can be shown [s]."""
 
 POINTS: Final = 400
-"""A line has at most about this many points."""
+"""A line has at most this many points; it is not much wider on the screen."""
 
 
 class Source(Protocol):
@@ -68,7 +68,7 @@ class History:
         now = time[-1]
         numbers = numbers[time >= now - length]
         # Whole multiples of the step since the start keep the picture from flickering.
-        step = max(1, len(numbers) // POINTS)
+        step = max(1, -(-len(numbers) // POINTS))
         rows = numbers[numbers % step == 0] % self._capacity
         values = self._values[name][rows].astype(np.float64)
         return (self._time[rows] - now, *(values[:, column] for column in columns))

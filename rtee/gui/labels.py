@@ -1,4 +1,4 @@
-"""Short names, for where there is little room."""
+"""Short names, for where there is little room, and units."""
 
 from __future__ import annotations
 
@@ -19,3 +19,17 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
     length = max(first.rfind(mark, 0, same) for mark in "_-. ") + 1
     short = tuple(name[length:] for name in names)
     return short if all(short) else tuple(names)
+
+
+def units(quantity: str, *, slides: bool, turns: bool) -> str:
+    """Return the unit of a quantity, of a hand whose actuators slide, turn or both."""
+    linear, angular = {
+        "position": ("m", "rad"),
+        "velocity": ("m/s", "rad/s"),
+        "effort": ("N", "N·m"),
+        "current": ("A", "A"),
+        "temperature": ("°C", "°C"),
+    }[quantity]
+    if linear == angular or not slides:
+        return angular
+    return f"{angular} | {linear}" if turns else linear

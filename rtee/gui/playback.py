@@ -114,7 +114,7 @@ class Playback:
         states = self.recording.actuator_states
         end = self._row(states.t, self.time) + 1
         start = int(np.searchsorted(states.t, self.time - length))
-        step = max(1, (end - start) // POINTS)
+        step = max(1, -(-(end - start) // POINTS))
         rows = np.arange(start + (-start) % step, end, step)
         time = states.t[rows] - self.time
         if name == "reference":

@@ -64,6 +64,7 @@ class HandScene:
             body.set_joints(rest)
         self._contacts: list[viser.IcosphereHandle | viser.ArrowsHandle] = []
         self._pressures: dict[str, viser.IcosphereHandle] = {}
+        self._strained: dict[str, float] = {}
         self._size = self._aim()
 
     def _aim(self) -> float:
@@ -97,8 +98,9 @@ class HandScene:
 
     def show(self, position: FloatArray) -> None:
         """Show measured joint positions ``(m,)`` [rad | m]."""
-        with self._server.atomic():
-            self._body.set_joints(position)
+        if self._body.moved(position):
+            with self._server.atomic():
+                self._body.set_joints(position)
 
     def show_reference(self, actuators: FloatArray | None) -> None:
         """Show the reference, actuator positions ``(n,)``, as a ghost; ``None`` hides it."""
@@ -119,11 +121,14 @@ class HandScene:
         """Darken fingers by their effort as a share of its limit, by finger name."""
         for finger in self.hand.fingers:
             strength = share.get(finger.name, 0.0)
-            strength = 0.0 if not math.isfinite(strength) else abs(strength)
+            strength = 0.0 if not math.isfinite(strength) else round(min(abs(strength), 1.0), 1)
+            if strength == self._strained.get(finger.name, 0.0):
+                continue
+            self._strained[finger.name] = strength
             for link in finger.links:
                 own = self._colours[link]
                 if own != PALM:
-                    self._body.set_colour(link, blend(own, STRAINED, round(strength, 1)))
+                    self._body.set_colour(link, blend(own, STRAINED, strength))
 
     def show_contacts(self, contacts: Sequence[Contact]) -> None:
         """Mark contact points with their normals [m], in the hand's base frame."""

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
 
 import anyio
+import anyio.to_thread
 import numpy as np
 import viser
 
 from rtee.actions.types import Action, ActionKind, Evidence, Posture
+from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.actions import ActionsPanel
 from rtee.gui.panels.cards import Card
@@ -22,6 +25,7 @@ from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
+from rtee.gui.tried import tried_in
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
@@ -135,6 +139,12 @@ class Session:
             tasks.start_soon(self._follow_events, events)
             tasks.start_soon(self._follow_status)
             tasks.start_soon(self._draw)
+            tasks.start_soon(self._ask_trials)
+
+    async def _ask_trials(self) -> None:
+        with contextlib.suppress(RequestRejected, ConfigError):
+            text = await self._remote.trials()
+            self._actions.tell(await anyio.to_thread.run_sync(tried_in, text))
 
     async def _follow_states(self) -> None:
         async for state in self._remote.states(_STATE_RATE):
@@ -166,6 +176,9 @@ class Session:
     async def _draw(self) -> None:
         plots_due = table_due = 0.0
         while True:
+            await anyio.sleep(_SCENE_PERIOD)
+            if not self._bridge.watched:
+                continue
             state, now, playback = self._state, time.monotonic(), self._playback
             self._recordings.advance()
             if playback is not None:
@@ -180,7 +193,6 @@ class Session:
                     self._table.show_state(state)
                     if playback is None:
                         self._making.show_state(state)
-            await anyio.sleep(_SCENE_PERIOD)
 
     def _draw_hand(self, state: State) -> None:
         self._scene.show(state.joint_position)
@@ -220,5 +232,6 @@ class Session:
         """Take everything of the hand out of the browser."""
         self._scene.remove()
         self._header.remove()
+        self._actions.remove()
         self._tabs.remove()
         self._panel.remove()

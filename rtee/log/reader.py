@@ -167,7 +167,7 @@ class _Collector:
         for start, size, time, number in zip(starts.tolist(), sizes, times, order, strict=True):
             begin = start + MESSAGE.size
             try:
-                fields = kind.decode(array[begin : begin + size].tobytes())
+                fields = kind.decode_older(array[begin : begin + size].tobytes())
             except MessageError:
                 self._damaged += 1
                 continue

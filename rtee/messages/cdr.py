@@ -53,13 +53,19 @@ class Writer:
 
     def align(self, size: int) -> None:
         """Pad with zeros up to a multiple of ``size`` bytes."""
-        self._buffer += bytes(-(len(self._buffer) - len(HEADER)) % size)
+        # The header's four bytes count for alignments up to 4, not for those to 8.
+        padding = (4 - len(self._buffer)) % size
+        if padding:
+            self._buffer += bytes(padding)
 
     def scalar(self, kind: str, value: Any) -> None:
         """Append one number or truth value of a primitive kind."""
         packer = SCALARS[kind]
-        self.align(packer.size)
-        self._buffer += packer.pack(value)
+        buffer = self._buffer
+        padding = (4 - len(buffer)) % packer.size
+        if padding:
+            buffer += bytes(padding)
+        buffer += packer.pack(value)
 
     def string(self, value: str) -> None:
         """Append a string."""
@@ -75,6 +81,9 @@ class Writer:
 
     def array(self, kind: str, values: Sequence[Any] | NDArray[Any]) -> None:
         """Append a sequence of numbers or truth values."""
+        if isinstance(values, list) and not values:
+            self.length(0)
+            return
         array = np.ascontiguousarray(values, dtype=DTYPES[kind])
         self.length(array.size)
         if array.size:
@@ -108,6 +117,11 @@ class Reader:
     def remaining(self) -> int:
         """Bytes that are left."""
         return len(self._data) - self._position
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing but padding is left."""
+        return self.remaining < len(HEADER) and not any(self._data[self._position :])
 
     def align(self, size: int) -> None:
         """Skip the padding up to a multiple of ``size`` bytes."""

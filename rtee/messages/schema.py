@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 from rtee.errors import MessageError
 from rtee.messages.cdr import SCALARS, Reader, Writer
 from rtee.messages.definitions import DEFINITIONS
+
+_LATER = {"rtee_msgs/msg/DeviceStatus": frozenset({"gain"})}
+"""Sequences at the end of messages that older recordings do not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +43,15 @@ class Field:
         return self.kind.replace("/msg/", "/") + ("[]" if self.sequence else "")
 
 
+Write = Callable[[Writer, Any], None]
+Read = Callable[[Reader], Any]
+
+
 @dataclass(frozen=True, slots=True)
 class MessageType:
     """A type of messages.
+
+    How each field is written and read is worked out once: a goal's way to the hand is short.
 
     Attributes:
         name: Full name, such as ``sensor_msgs/msg/JointState``.
@@ -53,6 +62,15 @@ class MessageType:
     name: str
     summary: str
     fields: tuple[Field, ...]
+    _writers: tuple[tuple[str, Write], ...] = field(init=False, repr=False, compare=False)
+    _readers: tuple[tuple[str, Read], ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Work out how the fields are written and read."""
+        writers = tuple((one.name, _writer_of(one)) for one in self.fields)
+        readers = tuple((one.name, _reader_of(one)) for one in self.fields)
+        object.__setattr__(self, "_writers", writers)
+        object.__setattr__(self, "_readers", readers)
 
     def encode(self, values: Mapping[str, Any]) -> bytes:
         """Return the CDR bytes of a message.
@@ -81,30 +99,48 @@ class MessageType:
         reader.finish()
         return values
 
+    def decode_older(self, data: bytes | bytearray | memoryview) -> dict[str, Any]:
+        """Return the fields of a message that may have been recorded by an older version.
+
+        Sequences that were added at its end since may be missing; they are empty then.
+
+        Raises:
+            MessageError: if the bytes are no such message.
+        """
+        reader = Reader(data)
+        later = _LATER.get(self.name, frozenset())
+        values = {
+            name: [] if name in later and reader.ended else read(reader)
+            for name, read in self._readers
+        }
+        reader.finish()
+        return values
+
     def write(self, writer: Writer, values: Mapping[str, Any]) -> None:
         """Append a message to a writer; see `encode`."""
         if len(values) != len(self.fields):
-            wrong = set(values).symmetric_difference(field.name for field in self.fields)
+            wrong = set(values).symmetric_difference(one.name for one in self.fields)
             raise MessageError(f"{self.name}: missing or unknown fields {sorted(wrong)}")
-        for field in self.fields:
-            try:
-                _writer_of(field)(writer, values[field.name])
-            except (KeyError, TypeError, ValueError, AttributeError, struct.error) as error:
-                if isinstance(error, MessageError):
-                    raise
-                raise MessageError(f"{self.name}.{field.name}: {error}") from error
+        name = ""
+        try:
+            for name, write in self._writers:
+                write(writer, values[name])
+        except (KeyError, TypeError, ValueError, AttributeError, struct.error) as error:
+            if isinstance(error, MessageError):
+                raise
+            raise MessageError(f"{self.name}.{name}: {error}") from error
 
     def read(self, reader: Reader) -> dict[str, Any]:
         """Take a message from a reader; see `decode`."""
-        return {field.name: _read(reader, field) for field in self.fields}
+        return {name: read(reader) for name, read in self._readers}
 
     @property
     def parts(self) -> tuple[MessageType, ...]:
         """The types of its nested messages, each once, in order."""
         found: dict[str, MessageType] = {}
-        for field in self.fields:
-            if field.nested:
-                inner = message_type(field.kind)
+        for one in self.fields:
+            if one.nested:
+                inner = message_type(one.kind)
                 for part in (inner, *inner.parts):
                     found.setdefault(part.name, part)
         return tuple(found.values())
@@ -129,8 +165,11 @@ def _write_strings(writer: Writer, values: Any) -> None:
         writer.string(value)
 
 
-@cache
-def _writer_of(field: Field) -> Callable[[Writer, Any], None]:
+def _read_strings(reader: Reader) -> list[str]:
+    return [reader.string() for _ in range(reader.length(5))]
+
+
+def _writer_of(field: Field) -> Write:
     kind = field.kind
     if field.nested:
         inner = message_type(kind)
@@ -148,17 +187,18 @@ def _writer_of(field: Field) -> Callable[[Writer, Any], None]:
     return lambda writer, value: writer.scalar(kind, value)
 
 
-def _read(reader: Reader, field: Field) -> Any:
+def _reader_of(field: Field) -> Read:
+    kind = field.kind
     if field.nested:
-        inner = message_type(field.kind)
+        inner = message_type(kind)
         if field.sequence:
-            return [inner.read(reader) for _ in range(reader.length(1))]
-        return inner.read(reader)
-    if field.kind == "string":
-        if field.sequence:
-            return [reader.string() for _ in range(reader.length(5))]
-        return reader.string()
-    return reader.array(field.kind) if field.sequence else reader.scalar(field.kind)
+            return lambda reader: [inner.read(reader) for _ in range(reader.length(1))]
+        return inner.read
+    if kind == "string":
+        return _read_strings if field.sequence else Reader.string
+    if field.sequence:
+        return lambda reader: reader.array(kind)
+    return lambda reader: reader.scalar(kind)
 
 
 def parse(name: str, definition: str) -> MessageType:

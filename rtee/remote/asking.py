@@ -5,6 +5,7 @@ That thread is the only one that changes the library; the loop's thread only loo
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 Fields = Mapping[str, Any]
 
 _LONGEST_MARK = 1000
-
+_TRIALS = "trials.yaml"
 
 _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
 """Requests whose answer changes only with the actions."""
@@ -46,6 +47,7 @@ class Asking:
             "actions": self._actions,
             "primitives": self._primitives,
             "partners": self._partners,
+            "trials": lambda _: {"data": self._trials()},
             "record": self._record,
             "add": self._add,
             "store": self._store,
@@ -136,6 +138,15 @@ class Asking:
                     f"a recording cannot be told to '{what[:50]}'; start, stop or mark it"
                 )
         return {"accepted": True, "error": "", "reason": "", "text": self._server.recording()}
+
+    def _trials(self) -> str:
+        """Return the text of the file with what trials found, or nothing."""
+        folder = self._library.folder
+        if folder is None:
+            return ""
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            return (folder.parent / _TRIALS).read_text(encoding="utf-8")
+        return ""
 
     # --- actions
 

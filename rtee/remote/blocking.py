@@ -215,6 +215,10 @@ class BlockingHand:
         """Return the elements that a primitive can be done with together with a given one."""
         return self._call(self._hand.partners, name, element)
 
+    def trials(self) -> str:
+        """Return the text of the file with what trials of the actions found; empty for none."""
+        return self._call(self._hand.trials)
+
     def add_generic(self, name: str, set_points: Mapping[str, float], **options: Any) -> None:
         """Add a generic action; options as for `Library.add_generic`."""
         self._call(self._hand.add_generic, name, set_points, **options)

@@ -41,6 +41,13 @@ class Library(View):
         reply = await self._link.ask("partners", self._action(name, element))
         return tuple(reply["names"])
 
+    async def trials(self) -> str:
+        """Return the text of the file with what trials of the actions found; empty for none.
+
+        `rtee.trials.store.parse_results` reads it.
+        """
+        return str((await self._link.ask("trials"))["data"])
+
     async def add_generic(
         self,
         name: str,

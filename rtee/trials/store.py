@@ -9,8 +9,8 @@ from typing import Any
 from rtee.actions.yamltext import emit
 from rtee.errors import ConfigError
 from rtee.hand.files import write_atomically
-from rtee.hand.yamlfile import read_yaml
-from rtee.trials.trial import Trial, TrialResult
+from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
+from rtee.trials.result import Trial, TrialResult
 
 FILE_NAME = "trials.yaml"
 """Where the results stand in a hand's folder."""
@@ -95,7 +95,24 @@ def read_results(path: Path, made_with: str | None = None) -> dict[str, TrialRes
     """
     if not path.exists():
         return {}
-    document = read_yaml(path, "the trials").data
+    return _results(read_yaml(path, "the trials"), made_with)
+
+
+def parse_results(text: str, path: Path) -> dict[str, TrialResult]:
+    """Return the results that the text of such a file holds, by the keys of their trials.
+
+    Args:
+        text: The text; nothing is found in an empty one.
+        path: Where it is from, for messages.
+
+    Raises:
+        ConfigError: if the text is something else.
+    """
+    return _results(parse_yaml(text, path, "the trials"), None) if text else {}
+
+
+def _results(read: YamlDocument, made_with: str | None) -> dict[str, TrialResult]:
+    document = read.data
     try:
         if made_with is not None and document["made_with"] != made_with:
             return {}
@@ -103,6 +120,6 @@ def read_results(path: Path, made_with: str | None = None) -> dict[str, TrialRes
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(
             f"these are no results of trials ({error}); remove the file to make them anew",
-            path=path,
+            path=read.path,
         ) from error
     return {result.trial.key: result for result in results}

@@ -12,19 +12,23 @@ from rtee.actions.types import (
     Primitive,
     PrimitiveKind,
 )
+from rtee.errors import ConfigError
 from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
 from rtee.gui.history import LONGEST, POINTS, History, nice_range
-from rtee.gui.labels import short_names
+from rtee.gui.labels import short_names, units
 from rtee.gui.panels.actions import grouped
-from rtee.gui.panels.cards import described, said
 from rtee.gui.panels.choice import options_at
 from rtee.gui.panels.header import device_line
-from rtee.gui.panels.plots import units
 from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table
+from rtee.gui.tried import key_of, line, tried_in
+from rtee.gui.tried import table as tried_table
+from rtee.gui.wording import described, said
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.messages.state import State
+from rtee.trials.result import Trial, TrialResult
+from rtee.trials.store import write_results
 from rtee.types import DeviceStatus, Lifecycle, Result
 
 PAIRS = [("index", "thumb"), ("middle", "thumb"), ("index", "middle")]
@@ -140,7 +144,7 @@ def test_history_keeps_the_newest_and_thins() -> None:
     for i in range(7000):
         history.add(_state(0.01 * i, float(i)))
     time, first = history.window("position", (0,), LONGEST)
-    assert POINTS <= len(time) <= 2 * POINTS
+    assert POINTS // 2 <= len(time) <= POINTS
     assert time[-1] <= 0.0
     assert time[0] >= -LONGEST
     assert first[0] >= 999.0, "what is older has been overwritten"
@@ -205,3 +209,24 @@ def test_only_recordings_of_the_hand_are_offered(tmp_path: Path) -> None:
     found = files_in(tmp_path, "svh")
     assert [name[:12] for name in found] == ["svh_20260102", "svh_20260101"]
     assert files_in(tmp_path / "nowhere", "svh") == {}
+
+
+def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> None:
+    file = tmp_path / "trials.yaml"
+    results = [
+        TrialResult(Trial("Trig", ("index",), "sphere:0.01"), False, reason="it slipped <out>"),
+        TrialResult(Trial("Trig", ("index",), "sphere:0.03"), True),
+        TrialResult(Trial("fist", (), "drill"), True),
+    ]
+    write_results(file, "0", results)
+    found = tried_in(file.read_text())
+    posture = full_posture(hand, {hand.actuator_names[1]: 0.1})
+    trig = Primitive(PrimitiveKind.TRIG, ("index",), (posture,))
+    assert line(found[key_of(trig)]) == "held 1 of 2 objects"
+    assert line(found["fist", ()]) == "held 1 of 1 object"
+    picture = tried_table(found[key_of(trig)])
+    assert picture.index("sphere:0.03") < picture.index("sphere:0.01"), "what was held comes first"
+    assert "it slipped &lt;out&gt;" in picture
+    assert tried_in("") == {}
+    with pytest.raises(ConfigError, match="no results of trials"):
+        tried_in("trials: [1]")

@@ -139,3 +139,18 @@ def test_what_makes_no_sense_is_refused(
 ) -> None:
     with pytest.raises(MessageError, match=text):
         decode(data)
+
+
+@pytest.mark.parametrize("text", ["", "a", "ab", "abc", "abcd"])
+def test_a_status_written_before_devices_told_their_gains_is_read(text: str) -> None:
+    status = replace(STATUS, gains=(), message=text)
+    kind = message_type("rtee_msgs/DeviceStatus")
+    fields = kind.decode(messages.encode_device_status(status))
+    del fields["gain"]
+    older = replace(kind, fields=kind.fields[:-1])
+    data = older.encode(fields)
+    assert convert.device_status_of(kind.decode_older(data)) == status
+    with pytest.raises(MessageError):
+        kind.decode(data)
+    with pytest.raises(MessageError):
+        kind.decode_older(data[:-9])

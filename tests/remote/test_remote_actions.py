@@ -139,3 +139,16 @@ async def test_a_library_without_a_folder_stores_nothing(hand: Hand) -> None:
     async with serving(hand, make_library(hand)), rtee.connect("small") as remote:
         with pytest.raises(RequestRejected, match="no folder"):
             await remote.store_action("fist")
+
+
+async def test_what_trials_found_is_told(hand: Hand, tmp_path: Path) -> None:
+    library = make_library(hand, tmp_path / "actions")
+    async with (
+        serving(hand, ActionLibrary.load(hand, tmp_path / "actions")),
+        rtee.connect("small") as remote,
+    ):
+        assert await remote.trials() == ""
+        (tmp_path / "trials.yaml").write_text("trials: []\n")
+        assert await remote.trials() == "trials: []\n"
+    async with serving(hand, library), rtee.connect("small") as remote:
+        assert await remote.trials() == ""

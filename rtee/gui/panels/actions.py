@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rtee.actions.types import Action, ActionKind, Primitive, kind_of
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.cards import Card, Show
+from rtee.gui.tried import Tried
 from rtee.remote.client import RemoteHand
 
 _FEW = 3
@@ -44,6 +45,7 @@ class ActionsPanel:
         self._folders = {kind: gui.add_folder(title) for kind, title in _TITLES.items()}
         self._cards: dict[tuple[ActionKind, str], Card] = {}
         self._known: dict[tuple[ActionKind, str], tuple[object, ...]] = {}
+        self._tried: Tried = {}
 
     @property
     def cards(self) -> dict[tuple[ActionKind, str], Card]:
@@ -73,9 +75,21 @@ class ActionsPanel:
                     expanded=place < _FEW or key[0] is not ActionKind.PRIMITIVE,
                     order=place,
                 )
+            self._cards[key].tell(self._tried)
             self._known[key] = signature
         self._filter()
         return actions
+
+    def tell(self, tried: Tried) -> None:
+        """Take what trials of the actions found."""
+        self._tried = tried
+        for card in self._cards.values():
+            card.tell(tried)
+
+    def remove(self) -> None:
+        """Take the cards away, and their commands."""
+        while self._cards:
+            self._cards.popitem()[1].remove()
 
     def _filter(self) -> None:
         wanted = str(self._search.value).lower().split()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from html import escape
 
@@ -10,7 +9,6 @@ import viser
 
 from rtee.actions.types import (
     Action,
-    ActionReference,
     Composed,
     Evidence,
     Generic,
@@ -19,12 +17,15 @@ from rtee.actions.types import (
     PrimitiveKind,
     Timed,
 )
-from rtee.errors import RteeError
 from rtee.gui.bridge import Bridge
-from rtee.gui.colours import BAD, BAR, GOOD, PREVIEW, WARN
 from rtee.gui.panels.choice import ElementChoice
+from rtee.gui.panels.execution import Execution, last_posture
+from rtee.gui.tried import Tried, key_of
+from rtee.gui.tried import line as tried_line
+from rtee.gui.tried import table as tried_table
+from rtee.gui.wording import described, small
 from rtee.remote.client import GoalOptions, RemoteHand
-from rtee.types import Feedback, Result, Stage
+from rtee.types import Stage
 
 Show = Callable[[Posture | None, float, Evidence | None], None]
 """Shows a posture at an intensity as a ghost, with its contact; ``None`` hides it."""
@@ -34,29 +35,6 @@ _STAGES = {
     "to just before contact": Stage.PRE_GRASP,
     "on to the grasp": Stage.GRASP,
 }
-
-
-def said(result: Result) -> tuple[str, str]:
-    """Return how a goal ended, in words, and the colour that goes with it."""
-    if result.grasped:
-        return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}", GOOD
-    if result.reached:
-        return "reached", GOOD
-    for ended, words in (
-        (result.preempted, "replaced by another goal"),
-        (result.cancelled, "cancelled"),
-        (result.timed_out, "timed out"),
-        (result.stalled, "stalled"),
-    ):
-        if ended:
-            return words, WARN
-    return f"aborted: {result.reason}", BAD
-
-
-def described(use: ActionReference) -> str:
-    """Return a use of an action as people write it: ``Trig thumb × 0.3``."""
-    name = " ".join((use.action, *use.elements))
-    return name if use.scale == 1.0 else f"{name} × {use.scale:g}"
 
 
 class Card:
@@ -92,12 +70,11 @@ class Card:
         self._hand = hand
         self._actions = tuple(actions)
         self._show = show
-        self._goal_id = ""
         self._previewing = False
-        self._inner: dict[str, viser.GuiProgressBarHandle] = {}
         self._choice: ElementChoice | None = None
         self._stage: viser.GuiDropdownHandle[str] | None = None
         self._contact: float | None = None
+        self._tried: Tried = {}
         gui = bridge.server.gui
         self._folder = gui.add_folder(self.name, expand_by_default=expanded, order=order)
         with self._folder:
@@ -110,8 +87,10 @@ class Card:
                 hint="Do: execute it. Preview: show where it leads. Cancel: hold the hand as it is",
                 order=4,
             )
-            self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR, order=5)
-            self._word = gui.add_html("", order=6)
+            first = self._actions[0]
+            self._execution = Execution(
+                bridge, hand, first.steps if isinstance(first, Timed) else ()
+            )
         self._buttons.on_click(self._clicked)
         self._command = gui.add_command(
             f"Do {self.name}", description="Execute it as it is set in its card"
@@ -131,20 +110,10 @@ class Card:
                 noun = "Actuator" if single else "Finger"
                 self._choice = ElementChoice(gui, whole, self._chosen_anew, noun)
             case Composed(parts=parts):
-                gui.add_html(_small(" + ".join(escape(described(p)) for p in parts)), order=0)
+                gui.add_html(small(" + ".join(escape(described(p)) for p in parts)), order=0)
             case Generic(posture=posture):
                 moved = ", ".join(escape(name) for name in posture.involved)
-                gui.add_html(_small(f"moves {moved}"), order=0)
-            case Timed(steps=steps):
-                for step in steps:
-                    text = (
-                        f"<b>{escape(step.alias)}</b> {escape(described(step.use))} · "
-                        f"{step.before:g} s before, {step.after:g} s after"
-                    )
-                    gui.add_html(_small(text), order=0)
-                    self._inner[step.alias] = gui.add_progress_bar(
-                        0.0, animated=False, color=PREVIEW, order=0
-                    )
+                gui.add_html(small(f"moves {moved}"), order=0)
 
     def _make_slider(self, gui: viser.GuiApi, value: int = 100) -> viser.GuiSliderHandle[int]:
         self._contact = None if self.evidence is None else self.evidence.contact_at
@@ -164,6 +133,7 @@ class Card:
         return slider
 
     def _add_more(self, gui: viser.GuiApi) -> None:
+        self._found = gui.add_html("", visible=False, order=2)
         with gui.add_folder("More", expand_by_default=False, order=3):
             self._speed = gui.add_slider(
                 "Speed [%]", 5, 100, 5, 100, hint="Share of the hand's velocity limits"
@@ -195,11 +165,6 @@ class Card:
         action = self.action
         return action.evidence[0] if isinstance(action, Primitive) and action.evidence else None
 
-    @property
-    def _posture(self) -> Posture:
-        action = self.action
-        return action.steps[-1].posture if isinstance(action, Timed) else action.posture
-
     def _chosen_anew(self) -> None:
         evidence = self.evidence
         contact = None if evidence is None else evidence.contact_at
@@ -208,7 +173,23 @@ class Card:
             self._slider.remove()
             with self._folder:
                 self._slider = self._make_slider(self._bridge.server.gui, value)
+        self._show_tried()
         self._preview_if_shown()
+
+    def tell(self, tried: Tried) -> None:
+        """Take what trials found."""
+        self._tried = tried
+        self._show_tried()
+
+    def _show_tried(self) -> None:
+        results = self._tried.get(key_of(self.action), ())
+        if results:
+            title = "Of the objects it was tried on in simulation (rtee try --all)"
+            self._found.content = small(
+                f'<details><summary title="{title}">{tried_line(results)}</summary>'
+                f"{tried_table(results)}</details>"
+            )
+        self._found.visible = bool(results)
 
     # --- what is clicked
 
@@ -229,64 +210,17 @@ class Card:
 
     def _preview_if_shown(self, *, hide: bool = False) -> None:
         if self._previewing:
-            self._show(self._posture, self._slider.value / 100.0, self.evidence)
+            self._show(last_posture(self.action), self._slider.value / 100.0, self.evidence)
         elif hide:
             self._show(None, 0.0, None)
 
-    def _options(self) -> GoalOptions:
+    async def _do(self) -> None:
         options = GoalOptions(intensity=self._slider.value / 100.0, speed=self._speed.value / 100.0)
         if self._stage is not None:
             options["stage"] = _STAGES[str(self._stage.value)]
-        return options
+        await self._execution.do(self.action, options, self._effort.value / 100.0)
 
-    async def _do(self) -> None:
-        action = self.action
-        elements = action.elements if isinstance(action, Primitive) else ()
-        options = self._options()
-        share = self._effort.value / 100.0
-        posture = self._posture
-        if share < 1.0:
-            info = await self._hand.info()
-            limits = {a.name: a.effort for a in info.actuators}
-            options["effort"] = {
-                name: share * limits[name]
-                for name in posture.involved
-                if math.isfinite(limits[name])
-            }
-        self._reset()
-        try:
-            running = await self._hand.start(self.name, *elements, **options)
-        except RteeError as error:
-            self._say(str(error), BAD)
-            raise
-        self._goal_id = running.goal.goal_id
-        result = await running.result(self._progress)
-        if result.goal_id == self._goal_id:
-            self._end(result)
-
-    def _reset(self) -> None:
-        self._bar.value = 0.0
-        for bar in self._inner.values():
-            bar.value = 0.0
-        self._say("", "")
-
-    def _progress(self, feedback: Feedback) -> None:
-        if feedback.goal_id != self._goal_id:
-            return
-        self._bar.value = round(100.0 * feedback.progress, 1)
-        for name, progress in feedback.inner_progress.items():
-            if name in self._inner:
-                self._inner[name].value = round(100.0 * progress, 1)
-
-    def _end(self, result: Result) -> None:
-        if result.reached or result.grasped:
-            self._bar.value = 100.0
-            for bar in self._inner.values():
-                bar.value = 100.0
-        self._say(*said(result))
-
-    def _say(self, text: str, colour: str) -> None:
-        self._word.content = _small(f'<span style="color:{colour}">{escape(text)}</span>')
+    # --- where it stands
 
     @property
     def visible(self) -> bool:
@@ -307,7 +241,3 @@ class Card:
         """Take the card away."""
         self._command.remove()
         self._folder.remove()
-
-
-def _small(html: str) -> str:
-    return f'<div style="font-size:0.8em;padding:0 0.75em">{html}</div>'

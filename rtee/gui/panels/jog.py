@@ -12,6 +12,7 @@ from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
 
 _FOLD = 12
+_STEPS = {"rad": 0.001, "m": 0.0001}
 
 
 class JogPanel:
@@ -41,7 +42,7 @@ class JogPanel:
                     f"{names[index]} [{unit}]",
                     lower,
                     upper,
-                    (upper - lower) / 1000.0,
+                    _STEPS[unit],
                     min(max(actuator.rest, lower), upper),
                     disabled=True,
                     hint=f"Position of {actuator.name} [{unit}]; moves it while Jog is ticked",

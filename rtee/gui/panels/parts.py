@@ -9,7 +9,7 @@ from html import escape
 from rtee.actions.build import StepPlan
 from rtee.actions.types import Action, ActionReference, Primitive, Timed
 from rtee.gui.bridge import Bridge
-from rtee.gui.panels.cards import described
+from rtee.gui.wording import described, small
 from rtee.remote.client import RemoteHand
 
 _NONE = "–"
@@ -100,7 +100,7 @@ class PartsPanel:
             for index, part in enumerate(self._parts, 1)
         ]
         text = "<br>".join(lines) or "no parts yet"
-        self._list.content = f'<div style="font-size:0.8em;padding:0 0.75em">{text}</div>'
+        self._list.content = small(text)
         names = [f"{index}. {part.alias}" for index, part in enumerate(self._parts, 1)] or [_NONE]
         self._part.options = names
         self._part.value = names[min(max(chosen, 0), len(names) - 1)]

@@ -11,7 +11,7 @@ from viser import uplot
 
 from rtee.gui.colours import line_colour, line_dash
 from rtee.gui.history import LONGEST, QUANTITIES, History, Source, nice_range
-from rtee.gui.labels import short_names
+from rtee.gui.labels import short_names, units
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
@@ -25,20 +25,6 @@ _LEAST = {
 _FOLD = 6
 _HEIGHT = 140
 _SMALL = "10px system-ui, sans-serif"
-
-
-def units(quantity: str, *, slides: bool, turns: bool) -> str:
-    """Return the unit of a quantity, of a hand whose actuators slide, turn or both."""
-    linear, angular = {
-        "position": ("m", "rad"),
-        "velocity": ("m/s", "rad/s"),
-        "effort": ("N", "N·m"),
-        "current": ("A", "A"),
-        "temperature": ("°C", "°C"),
-    }[quantity]
-    if linear == angular or not slides:
-        return angular
-    return f"{angular} | {linear}" if turns else linear
 
 
 class PlotsPanel:

@@ -8,12 +8,15 @@ from html import escape
 
 import viser
 
-from rtee.gui.labels import short_names
+from rtee.gui.labels import short_names, units
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.views import HandStatus
 
 _STYLE = "font-size:0.75em;border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums"
+
+
+_NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
 
 
 def _number(value: float, digits: int = 3) -> str:
@@ -24,10 +27,10 @@ def _number(value: float, digits: int = 3) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return an HTML table; cells after the first are numbers."""
-    cells = "".join(f'<th style="text-align:right">{h}</th>' for h in head[1:])
+    cells = "".join(f'<th style="{_NUMBER}">{h}</th>' for h in head[1:])
     lines = [f'<tr><th style="text-align:left">{head[0]}</th>{cells}</tr>']
     for row in rows:
-        numbers = "".join(f'<td style="text-align:right">{cell}</td>' for cell in row[1:])
+        numbers = "".join(f'<td style="{_NUMBER}">{cell}</td>' for cell in row[1:])
         lines.append(f"<tr><td>{escape(row[0])}</td>{numbers}</tr>")
     return (
         f'<div style="padding:0 0.5em;overflow-x:auto"><table style="{_STYLE}">'
@@ -43,6 +46,13 @@ class TablePanel:
         self._hand = hand
         self._names = short_names(hand.actuator_names)
         self._joint_names = short_names(hand.joint_names)
+        kinds = {actuator.kind for actuator in hand.actuators}
+        slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
+        self._unit = units("position", slides=slides, turns=turns)
+        self._force = units("effort", slides=slides, turns=turns)
+        kinds = {joint.kind for joint in hand.joints}
+        slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
+        self._joint_unit = units("position", slides=slides, turns=turns)
         with gui.add_folder("Actuators"):
             self._actuators = gui.add_html("")
         with gui.add_folder("Joints", expand_by_default=len(hand.joints) <= 24):
@@ -59,14 +69,12 @@ class TablePanel:
                 self._names[i],
                 _number(state.position[i]),
                 _number(state.reference_position[i]),
-                _number(spec.lower),
-                _number(spec.upper),
-                _number(state.effort[i]),
+                _number(state.effort[i], 2),
                 _number(state.temperature[i], 0),
             ]
-            for i, spec in enumerate(self._hand.actuators)
+            for i in range(len(self._names))
         ]
-        head = ("actuator", "pos", "ref", "min", "max", "effort", "°C")
+        head = (f"actuator [{self._unit}]", "pos", "ref", f"effort [{self._force}]", "°C")
         self._actuators.content = table(head, rows)
         by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
         rows = [
@@ -78,7 +86,7 @@ class TablePanel:
             ]
             for i, joint in enumerate(self._hand.joints)
         ]
-        self._joints.content = table(("joint [rad | m]", "pos", "min", "max"), rows)
+        self._joints.content = table((f"joint [{self._joint_unit}]", "pos", "min", "max"), rows)
 
     def show_status(self, status: HandStatus) -> None:
         """Show the loop's clock and the buses' counters."""

@@ -1,0 +1,105 @@
+"""Executing the action of a card: a bar that fills, a bar per inner action, and how it ended."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+import viser
+
+from rtee.actions.types import Action, Posture, Step, Timed
+from rtee.errors import RteeError
+from rtee.gui.bridge import Bridge
+from rtee.gui.colours import BAD, BAR, PREVIEW
+from rtee.gui.tried import key_of
+from rtee.gui.wording import described, said, small
+from rtee.remote.client import GoalOptions, RemoteHand
+from rtee.types import Feedback, Result
+
+
+def last_posture(action: Action) -> Posture:
+    """Return the posture that an action leads to, as far as it moves actuators."""
+    return action.steps[-1].posture if isinstance(action, Timed) else action.posture
+
+
+def _step(step: Step) -> str:
+    return small(
+        f"<b>{escape(step.alias)}</b> {escape(described(step.use))} · "
+        f"{step.before:g} s before, {step.after:g} s after"
+    )
+
+
+class Execution:
+    """The bars of an action, and what fills them."""
+
+    def __init__(self, bridge: Bridge, hand: RemoteHand, steps: Sequence[Step]) -> None:
+        """Put the bars where the GUI builds now.
+
+        Args:
+            bridge: Carries clicks.
+            hand: The hand.
+            steps: The inner actions of a timed action.
+        """
+        gui = bridge.server.gui
+        self._hand = hand
+        self._goal_id = ""
+        self._inner: dict[str, viser.GuiProgressBarHandle] = {}
+        for step in steps:
+            gui.add_html(_step(step), order=0)
+            self._inner[step.alias] = gui.add_progress_bar(
+                0.0, animated=False, color=PREVIEW, order=0
+            )
+        self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR, order=5)
+        self._word = gui.add_html("", order=6)
+
+    async def do(self, action: Action, options: GoalOptions, effort: float) -> None:
+        """Execute an action and show how it goes.
+
+        Args:
+            action: The action.
+            options: How.
+            effort: Share of the actuators' effort limits, 0 to 1.
+        """
+        if effort < 1.0:
+            limits = {a.name: a.effort for a in (await self._hand.info()).actuators}
+            options["effort"] = {
+                name: effort * limits[name]
+                for name in last_posture(action).involved
+                if math.isfinite(limits[name])
+            }
+        self._reset()
+        name, elements = key_of(action)
+        try:
+            running = await self._hand.start(name, *elements, **options)
+        except RteeError as error:
+            self._say(str(error), BAD)
+            raise
+        self._goal_id = running.goal.goal_id
+        result = await running.result(self._progress)
+        if result.goal_id == self._goal_id:
+            self._end(result)
+
+    def _reset(self) -> None:
+        self._bar.value = 0.0
+        for bar in self._inner.values():
+            bar.value = 0.0
+        self._say("", "")
+
+    def _progress(self, feedback: Feedback) -> None:
+        if feedback.goal_id != self._goal_id:
+            return
+        self._bar.value = round(100.0 * feedback.progress, 1)
+        for name, progress in feedback.inner_progress.items():
+            if name in self._inner:
+                self._inner[name].value = round(100.0 * progress, 1)
+
+    def _end(self, result: Result) -> None:
+        if result.reached or result.grasped:
+            self._bar.value = 100.0
+            for bar in self._inner.values():
+                bar.value = 100.0
+        self._say(*said(result))
+
+    def _say(self, text: str, colour: str) -> None:
+        self._word.content = small(f'<span style="color:{colour}">{escape(text)}</span>')

@@ -1,0 +1,60 @@
+"""What is tried and how it ended; needs no simulator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What is tried.
+
+    Attributes:
+        action: Name of the action.
+        elements: Its elements.
+        object: The object, as on the command line.
+        intensity: How far the action goes.
+        mass: Mass of the object [kg].
+        places: How many places are tried at most.
+    """
+
+    action: str
+    elements: tuple[str, ...] = ()
+    object: str = "sphere:0.03"
+    intensity: float = 1.0
+    mass: float = 0.1
+    places: int = 3
+
+    @property
+    def key(self) -> str:
+        """Tells this trial from all others of the hand."""
+        return f"{' '.join((self.action, *self.elements))} @ {self.object}"
+
+
+@dataclass(frozen=True, slots=True)
+class TrialResult:
+    """How a trial ended.
+
+    Attributes:
+        trial: What was tried.
+        held: The object was lifted, held and shaken and is still in the hand.
+        reason: Why not, in words; empty if it was held.
+        outcome: How the goal ended: ``grasped``, ``reached`` and so on; empty if it never began.
+        slip: How far the object moved in the hand from the grasp to the end [m].
+        forces: Contact force per finger after the grasp [N].
+        peak: The largest contact force on a fingertip while it was lifted and shaken [N].
+        duration: Simulated time of the trial [s].
+        places: How many places were tried.
+        position: Where the object was put in the hand's base frame [m].
+    """
+
+    trial: Trial
+    held: bool
+    reason: str = ""
+    outcome: str = ""
+    slip: float = 0.0
+    forces: tuple[tuple[str, float], ...] = ()
+    peak: float = 0.0
+    duration: float = 0.0
+    places: int = 0
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
