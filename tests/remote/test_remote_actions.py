@@ -142,7 +142,7 @@ async def test_a_library_without_a_folder_stores_nothing(hand: Hand) -> None:
 
 
 async def test_what_trials_found_is_told(hand: Hand, tmp_path: Path) -> None:
-    library = make_library(hand, tmp_path / "actions")
+    make_library(hand, tmp_path / "actions")
     async with (
         serving(hand, ActionLibrary.load(hand, tmp_path / "actions")),
         rtee.connect("small") as remote,
@@ -150,5 +150,5 @@ async def test_what_trials_found_is_told(hand: Hand, tmp_path: Path) -> None:
         assert await remote.trials() == ""
         (tmp_path / "trials.yaml").write_text("trials: []\n")
         assert await remote.trials() == "trials: []\n"
-    async with serving(hand, library), rtee.connect("small") as remote:
+    async with serving(hand, make_library(hand)), rtee.connect("small") as remote:
         assert await remote.trials() == ""
