@@ -91,7 +91,7 @@ async def open_link(
         made = protocol()
         if url.startswith("rfc2217://") or sys.platform == "win32":
             return ThreadTransport(loop, made, port_object), made
-        return _Transport(loop, made, port_object), made
+        return SerialTransport(loop, made, port_object), made
     except TimeoutError as error:
         raise BusBroken(name, f"no connection within {timeout:.1f} s") from error
     except ConfigError:
@@ -158,7 +158,7 @@ def explained(name: str, error: OSError | ValueError) -> BusError:
     return BusBroken(name, f"cannot be opened: {error}")
 
 
-class _Transport(serial_asyncio.SerialTransport):  # type: ignore[misc]
+class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
     """pyserial-asyncio's transport: quiet when the adapter vanishes, quick to close, and direct.
 
     It writes at once instead of at the next turn of the event loop, and reads by one system call.
@@ -178,6 +178,14 @@ class _Transport(serial_asyncio.SerialTransport):  # type: ignore[misc]
                 return
         if data:
             super().write(bytes(data))
+
+    def read_now(self) -> None:
+        """Hand over what the port has received, without waiting for the event loop."""
+        if self._serial is None or self._closing:
+            return
+        with contextlib.suppress(OSError):  # a port that vanished says so when it is written to
+            if self._serial.in_waiting:
+                self._read_ready()
 
     def _read_ready(self) -> None:
         try:

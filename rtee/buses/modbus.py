@@ -11,12 +11,20 @@ from typing import Any
 
 from pymodbus.client.base import ModbusBaseClient
 from pymodbus.exceptions import ModbusException
-from pymodbus.framer import FramerRTU, FramerType
+from pymodbus.framer import FramerRTU, FramerSocket, FramerType
 from pymodbus.transport import CommParams, CommType
 
 from rtee.buses.bus import Bus
-from rtee.buses.link import Line, open_link
-from rtee.buses.modbus_frames import READ_HOLDING, READ_INPUT, READ_WRITE, WRITE_MANY, find_answer
+from rtee.buses.link import Line, SerialTransport, open_link
+from rtee.buses.modbus_frames import (
+    READ_HOLDING,
+    READ_INPUT,
+    READ_WRITE,
+    WRITE_MANY,
+    answer_head,
+    find_answer,
+    find_network_answer,
+)
 from rtee.buses.timing import Pause, silence, wire_time
 from rtee.errors import BusBroken, BusError, BusTimeout, FrameError
 
@@ -46,6 +54,12 @@ class ModbusBus(Bus):
     ``tcp://host[:502]`` speaks Modbus TCP; everything else speaks RTU, also through a socket. The
     client is pymodbus's; link, deadlines and retries are those of all buses, so a cancelled
     request stays cancelled and a broken link ends what waits for it at once.
+
+    On an RTU line an answer does not tell which request it belongs to. So a request goes out only
+    when the line has been silent for the gap, whatever was received until then is thrown away, and
+    an answer counts only if unit, function and length (or, of a write, address and number of
+    registers) are those of the request. What remains: the answer to a request that was given up
+    and asked again, or to an equal request before it, that comes while the next one waits.
 
     Attributes:
         line: How the line is set.
@@ -104,7 +118,8 @@ class ModbusBus(Bus):
             asked = client.read_input_registers if function == READ_INPUT else None
             return (asked or client.read_holding_registers)(address, count=count, device_id=unit)
 
-        return await self._transact(request, unit, function, count, deadline, retries)
+        head = answer_head(function, address, count)
+        return await self._transact(request, (unit, function, head), count, deadline, retries)
 
     async def write(
         self, unit: int, address: int, values: Sequence[int], *, deadline: float, retries: int = 1
@@ -114,7 +129,8 @@ class ModbusBus(Bus):
         def request(client: _Client) -> Awaitable[Any]:
             return client.write_registers(address, list(values), device_id=unit)
 
-        await self._transact(request, unit, WRITE_MANY, 0, deadline, retries)
+        head = answer_head(WRITE_MANY, address, len(values))
+        await self._transact(request, (unit, WRITE_MANY, head), 0, deadline, retries)
 
     async def exchange(
         self,
@@ -138,7 +154,8 @@ class ModbusBus(Bus):
                 device_id=unit,
             )
 
-        return await self._transact(request, unit, READ_WRITE, count, deadline, retries)
+        head = answer_head(READ_WRITE, read_address, count)
+        return await self._transact(request, (unit, READ_WRITE, head), count, deadline, retries)
 
     def exchange_time(self, sent: int, received: int, *, turnaround: float = 0.0) -> float:
         """Return the shortest time of an exchange on this wire [s].
@@ -156,12 +173,12 @@ class ModbusBus(Bus):
     async def _transact(
         self,
         request: Callable[[_Client], Awaitable[Any]],
-        unit: int,
-        function: int,
+        expected: tuple[int, int, bytes],
         count: int,
         deadline: float,
         retries: int,
     ) -> tuple[int, ...]:
+        unit = expected[0]
         end = time.monotonic() + deadline
         try:
             async with asyncio.timeout(deadline):
@@ -178,7 +195,7 @@ class ModbusBus(Bus):
                 if share <= 0.0:
                     break
                 self.counters.retries += attempt > 0
-                answer = await self._attempt(request, unit, function, share)
+                answer = await self._attempt(request, expected, share)
                 if answer is not None and len(answer) == count:
                     return answer
             received = self.counters.bytes_received - before
@@ -192,17 +209,19 @@ class ModbusBus(Bus):
         raise BusTimeout(self.name, f"{where}no answer within {deadline:.3f} s")
 
     async def _attempt(
-        self, request: Callable[[_Client], Awaitable[Any]], unit: int, function: int, share: float
+        self,
+        request: Callable[[_Client], Awaitable[Any]],
+        expected: tuple[int, int, bytes],
+        share: float,
     ) -> tuple[int, ...] | None:
         client = self._client
         if client is None:
             raise BusBroken(self.name, "no link")
         before = self.counters.bytes_received
+        function = expected[1]
         try:
             async with asyncio.timeout(share):
-                if self.gap:
-                    await self._pause.until(self._last + self.gap)
-                client.expect(unit, function)
+                client.wanted = expected
                 response = await request(client)
         except TimeoutError:
             self.counters.timeouts += 1
@@ -211,6 +230,9 @@ class ModbusBus(Bus):
         except ModbusException:
             self.counters.strays += 1  # an answer to another request
             return None
+        finally:
+            client.wanted = client.expected = None
+            self._pause.cancel()
         if response.isError():
             raise ModbusRefusal(self.name, function, int(response.exception_code))
         if response.function_code != function:
@@ -218,11 +240,22 @@ class ModbusBus(Bus):
             return None
         return tuple(int(v) for v in getattr(response, "registers", ())) if function != 16 else ()
 
-    def _sent(self, data: bytes) -> None:
+    def send(self, client: _Client, data: bytes) -> None:
+        """Write a request when the line has been silent long enough; called by the client."""
+        due = self._last + self.gap
+        if self.gap and due > time.monotonic():
+            # The frame is made while the silence lasts, and goes out from the timer's callback.
+            self._pause.start(due, lambda: self.send(client, data))
+            return
+        if client is not self._client or client.link is None or client.wanted is None:
+            return
+        client.discard()
+        client.expected = client.wanted
         self._last = time.monotonic()
         self.counters.bytes_sent += len(data)
         if self.trace is not None:
             self.trace(self.name, "tx", data, self._last)
+        client.link.write(data)
 
     def _received(self, data: bytes) -> None:
         self._last = time.monotonic()
@@ -244,7 +277,8 @@ class ModbusBus(Bus):
         )
         if transport.is_closing():
             raise BusBroken(self.name, "the other end hung up at once")
-        client.ctx.transport = transport
+        client.link = transport
+        client.ctx.transport = _Sender(self, client)  # type: ignore[assignment]
         self._client = client
 
     async def _close(self) -> None:
@@ -252,10 +286,9 @@ class ModbusBus(Bus):
         self._pause.close()
         if client is not None:
             client.abandon(BusBroken(self.name, "the bus was closed meanwhile"))
-            transport: Any = client.ctx.transport
             client.close()
-            if transport is not None:
-                transport.abort()
+            if client.link is not None:
+                client.link.abort()
             await asyncio.sleep(0)  # the transport closes its file descriptor in its next callback
 
 
@@ -263,11 +296,6 @@ class _Client(ModbusBaseClient):
     """pymodbus's client on a link of ours; it neither reconnects nor times out by itself."""
 
     def __init__(self, bus: ModbusBus) -> None:
-        def sending(outward: bool, data: bytes) -> bytes:
-            if outward:
-                bus._sent(data)  # noqa: SLF001 - a part of the bus
-            return data
-
         params = CommParams(
             comm_type=CommType.SERIAL if bus.rtu else CommType.TCP,
             comm_name=bus.name,
@@ -275,14 +303,17 @@ class _Client(ModbusBaseClient):
             timeout_connect=_FOR_EVER,
         )
         framer = FramerType.RTU if bus.rtu else FramerType.SOCKET
-        super().__init__(framer, 0, params, sending, None, None)
-        if bus.rtu:
-            self.ctx.framer = _Framer(self.ctx.framer.decoder)
+        super().__init__(framer, 0, params, None, None, None)
+        decoder = self.ctx.framer.decoder
+        self.ctx.framer = _Framer(self, decoder) if bus.rtu else _NetworkFramer(self, decoder)
+        self.link: asyncio.Transport | None = None
+        self.wanted: tuple[int, int, bytes] | None = None
+        self.expected: tuple[int, int, bytes] | None = None
 
-    def expect(self, unit: int, function: int) -> None:
-        """Note what the next answer looks like."""
-        if isinstance(self.ctx.framer, _Framer):
-            self.ctx.framer.expected = unit, function
+    def discard(self) -> None:
+        """Throw away what the port has received and nobody has read."""
+        if isinstance(self.link, SerialTransport):
+            self.link.read_now()
 
     def abandon(self, error: Exception) -> None:
         """End the request that waits, if any."""
@@ -292,17 +323,55 @@ class _Client(ModbusBaseClient):
             waiting.exception()
 
 
-class _Framer(FramerRTU):
-    """pymodbus's RTU framer, but one that finds the answer also behind noise."""
+class _Sender:
+    """What pymodbus takes for its transport: it sends when the bus lets it."""
 
-    expected = (0, 0)
+    def __init__(self, bus: ModbusBus, client: _Client) -> None:
+        self._bus = bus
+        self._client = client
+
+    def write(self, data: bytes) -> None:
+        self._bus.send(self._client, data)
+
+    def close(self) -> None:
+        """The bus closes the link."""
+
+    def abort(self) -> None:
+        """The bus closes the link."""
+
+
+class _Framer(FramerRTU):
+    """pymodbus's RTU framer, but one that finds the answer to its request also behind noise."""
+
+    def __init__(self, client: _Client, decoder: Any) -> None:
+        super().__init__(decoder)
+        self._client = client
 
     def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
         """Return bytes used, unit, 0 and the PDU of the answer that is expected."""
-        start, end = find_answer(data, *self.expected)
+        expected = self._client.expected
+        start, end = (-1, -1) if expected is None else find_answer(data, *expected)
         if start < 0:
             return 0, 0, 0, self.EMPTY
         return len(data), data[start], 0, data[start + 1 : end - 2]
+
+
+class _NetworkFramer(FramerSocket):
+    """pymodbus's TCP framer, but one that finds the answer to its request also behind garbage."""
+
+    def __init__(self, client: _Client, decoder: Any) -> None:
+        super().__init__(decoder)
+        self._client = client
+
+    def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
+        """Return bytes used, unit, transaction and the PDU of the answer that is expected."""
+        expected, transaction = self._client.expected, self._client.ctx.request_transaction_id
+        if expected is None:
+            return 0, 0, 0, self.EMPTY
+        start, end = find_network_answer(data, transaction, *expected)
+        if start < 0:
+            return 0, 0, 0, self.EMPTY
+        return len(data), data[start + 6], transaction, data[start + 7 : end]
 
 
 class _Relay(asyncio.Protocol):
@@ -313,10 +382,14 @@ class _Relay(asyncio.Protocol):
         self._client = client
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._client.ctx.connection_made(transport)
+        sender: Any = _Sender(self._bus, self._client)
+        self._client.ctx.connection_made(sender)
 
     def data_received(self, data: bytes) -> None:
         self._bus._received(data)  # noqa: SLF001 - a part of the bus
+        if self._client.expected is None:
+            self._bus.counters.strays += len(data)
+            return
         try:
             self._client.ctx.data_received(data)
         except (ModbusException, struct.error, IndexError, ValueError):

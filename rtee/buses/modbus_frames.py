@@ -33,7 +33,7 @@ def rtu_frame(unit: int, pdu: bytes) -> bytes:
     return frame + crc16(frame)
 
 
-def find_answer(data: bytes, unit: int, function: int) -> tuple[int, int]:
+def find_answer(data: bytes, unit: int, function: int, head: bytes = b"") -> tuple[int, int]:
     """Return start and end of the first complete RTU answer in ``data``, or (-1, -1).
 
     Garbage before the answer does not matter.
@@ -42,23 +42,63 @@ def find_answer(data: bytes, unit: int, function: int) -> tuple[int, int]:
         data: What was received.
         unit: The slave that was asked.
         function: The function it was asked for; an exception counts as an answer.
+        head: What follows the function in the answer to just this request, from `answer_head`.
     """
     start = data.find(unit)
     while 0 <= start <= len(data) - 5:
-        end = start + _answer_size(data, start, function)
-        if start < end <= len(data) and crc16(data[start : end - 2]) == data[end - 2 : end]:
+        size = _answer_size(data[start + 1 : start + 7], function, head)
+        end = start + size + 3
+        if size and end <= len(data) and crc16(data[start : end - 2]) == data[end - 2 : end]:
             return start, end
         start = data.find(unit, start + 1)
     return -1, -1
 
 
-def _answer_size(data: bytes, start: int, function: int) -> int:
-    found = data[start + 1]
+def find_network_answer(
+    data: bytes, transaction: int, unit: int, function: int, head: bytes = b""
+) -> tuple[int, int]:
+    """Return start and end of the first complete TCP answer in ``data``, or (-1, -1).
+
+    Args:
+        data: What was received.
+        transaction: Number of the request.
+        unit: The unit that was asked.
+        function: The function it was asked for; an exception counts as an answer.
+        head: What follows the function in the answer to just this request, from `answer_head`.
+    """
+    wanted = transaction.to_bytes(2, "big") + b"\0\0"
+    start = data.find(wanted)
+    while 0 <= start <= len(data) - 9:
+        size = _answer_size(data[start + 7 : start + 13], function, head)
+        told = int.from_bytes(data[start + 4 : start + 6], "big")
+        end = start + 7 + size
+        if size and told == size + 1 and data[start + 6] == unit and end <= len(data):
+            return start, end
+        start = data.find(wanted, start + 1)
+    return -1, -1
+
+
+def answer_head(function: int, address: int, count: int) -> bytes:
+    """Return what follows the function code in the answer to a request.
+
+    Args:
+        function: What is asked for.
+        address: First register written, for function 16.
+        count: Registers read, or written by function 16.
+    """
+    if function == WRITE_MANY:
+        return address.to_bytes(2, "big") + count.to_bytes(2, "big")
+    return bytes([2 * count])
+
+
+def _answer_size(pdu: bytes, function: int, head: bytes) -> int:
+    """Return the size of the PDU that begins so, 0 if it is no answer to the request."""
+    found = pdu[0]
     if found == function | 0x80:
-        return 5
-    if found != function:
+        return 2
+    if found != function or not head.startswith(pdu[1 : 1 + len(head)]):
         return 0
-    return 8 if found in (WRITE_ONE, WRITE_MANY) else 5 + data[start + 2]
+    return 5 if found in (WRITE_ONE, WRITE_MANY) else 2 + pdu[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +182,9 @@ def _request_size(data: bytes, start: int) -> int:
 class TcpRequests:
     """Cuts requests out of the bytes of a Modbus TCP connection.
 
+    A frame carries no checksum, so its length has to fit its function, and a whole request at the
+    beginning of a piece of data ends an incomplete one before it: garbage costs no good frame.
+
     Attributes:
         errors: Bytes skipped because they belong to no frame.
     """
@@ -152,17 +195,22 @@ class TcpRequests:
 
     def feed(self, data: bytes) -> list[Request]:
         """Take bytes and return the requests that they complete."""
+        if self._buffer and _network_size(data) == len(data):
+            self.errors += len(self._buffer)
+            self._buffer = b""
+        if not self._buffer and len(data) >= 8 and _told(data) == len(data):
+            return [Request(data[6], data[7:], data[:4])]
         self._buffer += data
         found = []
         while len(self._buffer) >= 8:
-            size = int.from_bytes(self._buffer[4:6], "big")
-            if self._buffer[2:4] != b"\0\0" or not 2 <= size <= 254:
+            size = _network_size(self._buffer)
+            if size == 0:
                 self.errors += 1
                 self._buffer = self._buffer[1:]
                 continue
-            if len(self._buffer) < 6 + size:
+            if size < 0 or len(self._buffer) < size:
                 break
-            frame, self._buffer = self._buffer[: 6 + size], self._buffer[6 + size :]
+            frame, self._buffer = self._buffer[:size], self._buffer[size:]
             found.append(Request(frame[6], frame[7:], frame[:4]))
         return found
 
@@ -174,3 +222,28 @@ class TcpRequests:
     def pending(self) -> int:
         """Bytes kept of an incomplete request."""
         return len(self._buffer)
+
+
+def _network_size(data: bytes) -> int:
+    """Return the length of the TCP request that begins so: 0 if none does, -1 if too few bytes."""
+    if len(data) < 8:
+        return -1
+    size, function = _told(data), data[7]
+    if not size or not 0 < function < 0x80:
+        return 0
+    if function <= 6:
+        return 12 if size == 12 else 0
+    at = {0x0F: 12, WRITE_MANY: 12, READ_WRITE: 16}.get(function)
+    if at is None:  # a function of which only the header tells the length
+        return size
+    if len(data) <= at:
+        return -1 if size > at + 1 else 0
+    registers = int.from_bytes(data[at - 2 : at], "big")
+    bytes_of = (registers + 7) // 8 if function == 0x0F else 2 * registers
+    return size if data[at] == bytes_of and size == at + 1 + bytes_of else 0
+
+
+def _told(data: bytes) -> int:
+    """Return the length of the TCP frame that its header tells, 0 if there is no header."""
+    told = int.from_bytes(data[4:6], "big")
+    return 6 + told if data[2:4] == b"\0\0" and 2 <= told <= 254 else 0

@@ -235,7 +235,8 @@ class SimulatedLine(Simulation):
                     self.wire.reset()
                 elif data:
                     self.wire.receive(data, time.monotonic())
-        for data in self.wire.step(time.monotonic()):
+        data = b"".join(self.wire.step(time.monotonic()))
+        if data:
             self._end.write(data)
 
     def _wait(self, timeout: float | None) -> list[int]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import ctypes
 import os
 import struct
 import sys
 import time
+from collections.abc import Callable
 
 _TFD_NONBLOCK = os.O_NONBLOCK
 _TFD_CLOEXEC = getattr(os, "O_CLOEXEC", 0)
@@ -37,22 +37,33 @@ def wake_exactly() -> None:
 class Pause:
     """Waits in the event loop with the precision of a timerfd; asyncio itself rounds up to 1 ms.
 
-    One task at a time. Elsewhere than on Linux it is ``asyncio.sleep``.
+    One wait at a time. Elsewhere than on Linux it is the event loop's own timer.
     """
 
     def __init__(self) -> None:
         self._fd = -1
-        self._waiter: asyncio.Future[None] | None = None
+        self._callback: Callable[[], None] | None = None
+        self._timer: asyncio.TimerHandle | None = None
 
     async def until(self, when: float) -> None:
         """Return at ``when`` on CLOCK_MONOTONIC [s], or at once if that has passed."""
-        left = when - time.monotonic()
-        if left <= 0.0:
+        if when <= time.monotonic():
             return
-        if _libc is None:
-            await asyncio.sleep(left)
-            return
+        waiter = asyncio.get_running_loop().create_future()
+        self.start(when, lambda: None if waiter.done() else waiter.set_result(None))
+        try:
+            await waiter
+        finally:
+            self.cancel()
+
+    def start(self, when: float, callback: Callable[[], None]) -> None:
+        """Call a function from the event loop at ``when`` on CLOCK_MONOTONIC [s]."""
         loop = asyncio.get_running_loop()
+        left = max(when - time.monotonic(), 1e-9)
+        self._callback = callback
+        if _libc is None:
+            self._timer = loop.call_later(left, self._call)
+            return
         if self._fd < 0:
             self._fd = _libc.timerfd_create(time.CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC)
             if self._fd < 0:
@@ -61,22 +72,33 @@ class Pause:
         setting = struct.pack("@qqqq", 0, 0, seconds, max(1, int((left - seconds) * 1e9)))
         if _libc.timerfd_settime(self._fd, 0, setting, None) != 0:
             raise OSError(ctypes.get_errno(), "timerfd_settime failed")
-        self._waiter = loop.create_future()
         loop.add_reader(self._fd, self._ready)
-        try:
-            await self._waiter
-        finally:
-            loop.remove_reader(self._fd)
-            self._waiter = None
+
+    def cancel(self) -> None:
+        """Call nothing; idempotent."""
+        self._callback = None
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._fd >= 0:
+            asyncio.get_running_loop().remove_reader(self._fd)
 
     def _ready(self) -> None:
-        with contextlib.suppress(BlockingIOError):
+        try:
             os.read(self._fd, 8)
-        if self._waiter is not None and not self._waiter.done():
-            self._waiter.set_result(None)
+        except BlockingIOError:
+            return  # armed anew meanwhile
+        self._call()
+
+    def _call(self) -> None:
+        callback = self._callback
+        self.cancel()
+        if callback is not None:
+            callback()
 
     def close(self) -> None:
         """Give the timer back; idempotent, and it may be used again afterwards."""
         if self._fd >= 0:
+            self.cancel()
             os.close(self._fd)
             self._fd = -1

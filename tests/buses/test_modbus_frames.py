@@ -6,7 +6,15 @@ import random
 
 import pytest
 
-from rtee.buses.modbus_frames import RtuRequests, TcpRequests, crc16, find_answer, rtu_frame
+from rtee.buses.modbus_frames import (
+    RtuRequests,
+    TcpRequests,
+    answer_head,
+    crc16,
+    find_answer,
+    find_network_answer,
+    rtu_frame,
+)
 
 
 @pytest.mark.parametrize(
@@ -76,6 +84,38 @@ def test_an_answer_is_found_behind_noise() -> None:
     assert find_answer(data, 9, 4) == (4, 11)
     assert find_answer(data, 9, 3) == (-1, -1)
     assert find_answer(answer[:-1], 9, 4) == (-1, -1)
+
+
+def test_only_the_answer_to_the_request_is_taken() -> None:
+    long, short = rtu_frame(9, bytes([3, 4, 0, 1, 0, 2])), rtu_frame(9, bytes([3, 2, 0, 5]))
+    assert find_answer(long + short, 9, 3, answer_head(3, 0, 1)) == (9, 16)
+    assert find_answer(short + long, 9, 3, answer_head(3, 0, 2)) == (7, 16)
+    other, mine = (rtu_frame(9, bytes([16, 0, at, 0, 1])) for at in (4, 5))
+    assert find_answer(other, 9, 16, answer_head(16, 5, 1)) == (-1, -1)
+    assert find_answer(other + mine, 9, 16, answer_head(16, 5, 1)) == (8, 16)
+
+
+def test_an_answer_on_a_network_is_found_by_its_number() -> None:
+    frame = bytes.fromhex("0002 0000 0005 41 03 02 00 07")
+    head = answer_head(3, 0, 1)
+    assert find_network_answer(b"\x00\x00" + frame, 2, 65, 3, head) == (2, 13)
+    for number, unit, function in ((1, 65, 3), (2, 64, 3), (2, 65, 4)):
+        assert find_network_answer(frame, number, unit, function, head) == (-1, -1)
+    assert find_network_answer(frame, 2, 65, 3, answer_head(3, 0, 2)) == (-1, -1)
+    assert find_network_answer(frame[:-1], 2, 65, 3, head) == (-1, -1)
+    refusal = bytes.fromhex("0002 0000 0003 41 83 02")
+    assert find_network_answer(refusal, 2, 65, 3, head) == (0, 9)
+
+
+@pytest.mark.parametrize("cut", range(1, 19))
+def test_an_incomplete_request_on_a_network_costs_no_other(cut: int) -> None:
+    write = bytes.fromhex("339A0000000D0210000000030601000000 0000")
+    read = bytes.fromhex("000200000006410301000004")
+    parser = TcpRequests()
+    assert parser.feed(write[:cut]) == []
+    assert [r.pdu for r in parser.feed(read)] == [read[7:]]
+    whole = [r.pdu for piece in (write[:cut], write[cut:], read) for r in parser.feed(piece)]
+    assert whole == [write[7:], read[7:]]
 
 
 def test_an_exception_is_an_answer() -> None:

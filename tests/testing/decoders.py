@@ -5,7 +5,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from rtee.buses.modbus_frames import RtuRequests, TcpRequests, find_answer, rtu_frame
+from rtee.buses.modbus_frames import (
+    RtuRequests,
+    TcpRequests,
+    find_answer,
+    find_network_answer,
+    rtu_frame,
+)
 from rtee.drivers.allegro import codec as allegro
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402 import codec as cia402
@@ -15,7 +21,7 @@ from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.onrobot_3fg import codec as onrobot
 from rtee.drivers.qb_softhand import codec as qb
 from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
-from rtee.drivers.qb_softhand.parameters import ListParser
+from rtee.drivers.qb_softhand.parameters import SLOT, ListParser, Parameter
 from rtee.drivers.robotiq_2f import codec as two
 from rtee.drivers.robotiq_3f import codec as three
 from rtee.drivers.schunk_svh import codec as svh
@@ -40,6 +46,22 @@ def answered(data: bytes) -> object:
     if start < 0:
         raise FrameError("", "no answer")
     return data[start:end]
+
+
+def network_answered(data: bytes) -> object:
+    start, end = find_network_answer(data, 2, 65, 3, b"\x08")
+    if start < 0:
+        raise FrameError("", "no answer")
+    return data[start:end]
+
+
+def told(command: svh.Command, decode: Callable[[svh.Packet], object]) -> Callable[[bytes], object]:
+    """Return a decoder of an SVH packet's data."""
+    return lambda data: decode(svh.Packet(command, 0, data))
+
+
+def state_of(data: bytes) -> object:
+    return cia402.Status.from_bytes(data).state
 
 
 ROBOTIQ = [
@@ -99,7 +121,7 @@ MESSAGES: list[tuple[str, bytes, Callable[[bytes], object], tuple[type[Exception
     (
         "CiA 402 status",
         bytes.fromhex("3712DA03000008"),
-        cia402.Status.from_bytes,
+        state_of,
         (cia301.CanopenFrameError,),
     ),
     (
@@ -114,14 +136,67 @@ MESSAGES: list[tuple[str, bytes, Callable[[bytes], object], tuple[type[Exception
         xbot2.Command.from_bytes,
         (XBot2FrameError,),
     ),
+    ("XBot2 service", xbot2.answer(True, "ok", ["a", "b"]), xbot2.read_yaml, (XBot2FrameError,)),
+    ("XBot2 joint names", xbot2.answer(True, "", ["a"]), xbot2.joint_names, (XBot2FrameError,)),
+    (
+        "Allegro periods",
+        bytes.fromhex("030000000000"),
+        allegro.Periods.from_bytes,
+        (allegro.AllegroFrameError,),
+    ),
+    ("CANopen heartbeat", b"\x05", cia301.read_heartbeat, (cia301.CanopenFrameError,)),
+    ("CiA 402 command", bytes(7), cia402.Command.from_bytes, (cia301.CanopenFrameError,)),
+    ("CiA 402 limits", bytes(6), cia402.Limits.from_bytes, (cia301.CanopenFrameError,)),
+    ("CiA 402 motion", bytes(8), cia402.Motion.from_bytes, (cia301.CanopenFrameError,)),
+    (
+        "SVH feedback",
+        bytes(54),
+        told(svh.Command.GET_CONTROL_FEEDBACK_ALL, svh.FeedbackAll.from_bytes),
+        (svh.SvhFrameError,),
+    ),
+    (
+        "SVH position settings",
+        bytes(40),
+        told(svh.Command.GET_POSITION_SETTINGS, svh.PositionSettings.from_bytes),
+        (svh.SvhFrameError,),
+    ),
+    (
+        "SVH state",
+        bytes(12),
+        told(svh.Command.GET_CONTROLLER_STATE, svh.ControllerState.from_bytes),
+        (svh.SvhFrameError,),
+    ),
+    (
+        "SVH firmware",
+        b"SVH\0" + bytes(52),
+        told(svh.Command.GET_FIRMWARE_INFO, svh.FirmwareInfo.from_bytes),
+        (svh.SvhFrameError,),
+    ),
+    ("qb currents", bytes(10), qb.CurrentsAndPositions.from_bytes, (qb.QbFrameError,)),
+    (
+        "qb parameter",
+        Parameter(2, (1, 2)).to_bytes().ljust(SLOT, b"\0"),
+        Parameter.from_bytes,
+        (qb.QbFrameError,),
+    ),
     ("HERI II command", bytes(32), heri.Command.from_bytes, (heri.HeriFrameError,)),
     ("HERI II reply", bytes(38), heri.Reply.from_bytes, (heri.HeriFrameError,)),
 ]
 
 DECODERS = [
     Decoder("Modbus RTU requests", ROBOTIQ, parser=lambda: RtuRequests(9), prefix=b"\x09"),
-    # A length in the garbage may span good frames; a connection begins with none.
-    Decoder("Modbus TCP requests", NETWORK, parser=TcpRequests, limit=260, lost=8),
+    Decoder("Modbus TCP requests", NETWORK, parser=TcpRequests, limit=260, lost=0),
+    Decoder(
+        "Modbus TCP answers",
+        [
+            bytes.fromhex("00 02 00 00 00 0B 41 03 08 00 0E 02 EE 02 70 01 F4"),
+            bytes.fromhex("00 02 00 00 00 03 41 83 02"),
+        ],
+        decode=network_answered,
+        errors=(FrameError,),
+        prefix=bytes.fromhex("00 02 00 00 00"),
+    ),
+    Decoder("Robotiq 2F command", ROBOTIQ, decode=registers(3, two.Command.from_registers)),
     Decoder(
         "Modbus RTU answers", ANSWERS, decode=answered, errors=(FrameError,), prefix=b"\x09\x03"
     ),
@@ -179,7 +254,6 @@ DECODERS = [
         parser=lambda: ListParser(1),
         prefix=b"::\1\x0c",
         limit=ListParser.LIMIT,
-        lost=8,
     ),
     *(
         Decoder(name, [sample], decode=decode, errors=errors)

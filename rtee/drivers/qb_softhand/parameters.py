@@ -111,10 +111,10 @@ class ListParser:
                 return []
             count = buffer[5]
             if buffer[4] == Command.GET_PARAM_LIST and 0 < count <= MOST:
-                if len(buffer) < 6 + count * SLOT:
-                    return []
                 try:
                     found = self._read(bytes(buffer[6 : 6 + count * SLOT]))
+                    if len(found) < count:
+                        return []
                     buffer.clear()
                     return [found]
                 except QbFrameError:
@@ -124,9 +124,13 @@ class ListParser:
 
     @staticmethod
     def _read(slots: bytes) -> dict[int, Parameter]:
+        """Return the parameters in the slots that are whole; raises `QbFrameError`."""
+        whole = len(slots) - len(slots) % SLOT
+        if whole < len(slots) and slots[whole] not in _FORMS:
+            raise QbFrameError("a parameter begins with its type")
         return {
             at // SLOT + 1: Parameter.from_bytes(slots[at : at + SLOT])
-            for at in range(0, len(slots), SLOT)
+            for at in range(0, whole, SLOT)
         }
 
 
