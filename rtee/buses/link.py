@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import errno
 import os
+import select
 import sys
 import termios
 import threading
@@ -197,8 +198,13 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
             return
         if data:
             self._protocol.data_received(data)
-        else:
+        elif self._hung_up():  # else `read_now` was faster
             self._close(exc=OSError("the port vanished"))
+
+    def _hung_up(self) -> bool:
+        poll = select.poll()
+        poll.register(self._serial.fd, 0)
+        return bool(poll.poll(0))
 
     def _fatal_error(self, exc: Exception, message: str = "") -> None:
         self._abort(exc)
