@@ -16,7 +16,6 @@ _GAP: Final = 2
 _INDENT: Final = 2
 _NOTHING: Final = "-"
 _NARROW: Final = 8
-_WORTH: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,16 +160,8 @@ def on_terminal() -> bool:
     return sys.stdout.isatty()
 
 
-def common_prefix(names: Collection[str]) -> str:
-    """Return the words that all names begin with and that a terminal need not repeat.
+def prefix_to_drop(names: Collection[str]) -> str:
+    """Return what all names begin with and a terminal need not repeat; elsewhere nothing."""
+    from rtee.hand.names import common_prefix
 
-    Words end in ``_``, ``-`` or ``/``. Empty where little is gained, or output is no terminal.
-    """
-    if len(names) < 2 or not on_terminal():
-        return ""
-    first, last = min(names), max(names)
-    same = 0
-    while same < min(len(first), len(last)) and first[same] == last[same]:
-        same += 1
-    end = 1 + max(first[:same].rfind(mark) for mark in "_-/")
-    return first[:end] if end >= _WORTH and all(len(name) > end for name in names) else ""
+    return common_prefix(names) if on_terminal() else ""

@@ -33,12 +33,12 @@ def actions(hand: Hand, as_json: JsonOption = False) -> None:
 
 
 def _show(hand: str, found: list[Action], actuators: Collection[str]) -> None:
-    from rtee.cli._table import Column, Table, common_prefix
+    from rtee.cli._table import Column, Table, prefix_to_drop
 
     if not found:
         print(f"{hand} has no actions yet; 'rtee extract {hand} --save' finds its primitives")
         return
-    prefix = common_prefix(actuators)
+    prefix = prefix_to_drop(actuators)
     title = f"Grasping actions of {hand}"
     if prefix:
         title += f"\n(names of actuators begin with {prefix})"

@@ -168,9 +168,9 @@ def _progress(what: str = "searching pinches") -> Iterator[Callable[[int, int], 
 
 
 def _show(hand: HandModel, found: Extraction) -> None:
-    from rtee.cli._table import Column, Row, Table, common_prefix
+    from rtee.cli._table import Column, Row, Table, prefix_to_drop
 
-    prefix = common_prefix(hand.actuator_names)
+    prefix = prefix_to_drop(hand.actuator_names)
     title = f"Primitive grasping actions of {hand.name}, found in {found.seconds:.2f} s"
     if prefix:
         title += f"\n(names of actuators begin with {prefix})"

@@ -89,9 +89,9 @@ def _plain(name: str, found: State) -> dict[str, Any]:
 
 
 def _table(name: str, found: State) -> Table:
-    from rtee.cli._table import Column, Row, Table, common_prefix
+    from rtee.cli._table import Column, Row, Table, prefix_to_drop
 
-    prefix = common_prefix(found.names)
+    prefix = prefix_to_drop(found.names)
     title = f"{name}, tick {found.tick}"
     if prefix:
         title += f" (names of actuators begin with {prefix})"

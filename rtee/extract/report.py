@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,9 +20,10 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.errors import ConfigError
+from rtee.extract.jobs import processors, spread
 from rtee.extract.report_image import Contact
 from rtee.extract.report_page import Card, Section, Shot, page
-from rtee.extract.report_pictures import Studio
+from rtee.extract.report_pictures import SIZE, Studio
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
@@ -62,6 +61,7 @@ def write_report(
     extraction: Extraction,
     actions: Iterable[Action] | None = None,
     *,
+    size: tuple[int, int] = SIZE,
     jobs: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
@@ -72,7 +72,8 @@ def write_report(
         hand: The hand.
         extraction: What was extracted from it.
         actions: Its actions (a library is some), for the composed, timed and generic ones.
-        jobs: Threads that take pictures; 0 for one per processor.
+        size: Width and height of the pictures of the whole hand [pixels].
+        jobs: Processes that take pictures; 0 for one per processor.
         progress: Called with the pictures taken and those there are.
 
     Raises:
@@ -83,40 +84,37 @@ def write_report(
         raise ConfigError("cannot be written: no such folder", path=path)
     sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}
     every = [view for plans in sections.values() for plan in plans for view in plan.views]
-    studio = Studio(hand, postures=[view.u for view in every])
-    done = 0
+    studio = Studio(hand, size, postures=[view.u for view in every])
+    rest = _View(hand.rest, hand.finger_names)
 
-    def count(_: Future[bytes] | Future[Shot]) -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, len(every) + 1)
+    def shoot(view: _View) -> Shot:
+        if view is rest:
+            return Shot(studio.picture(hand.rest, file_format="WEBP"))
+        return _shot(studio, view)
 
-    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        rest = pool.submit(studio.picture, hand.rest, file_format="WEBP")
-        shots = {id(view): pool.submit(_shot, studio, view) for view in every}
-        rest.add_done_callback(count)
-        for shot in shots.values():
-            shot.add_done_callback(count)
-        cards = [
-            Section(
-                title,
-                [
-                    Card(
-                        plan.title,
-                        plan.fingers,
-                        tuple(shots[id(view)].result() for view in plan.views),
-                        plan.posture,
-                        plan.evidence,
-                        plan.description,
-                    )
-                    for plan in plans
-                ],
-            )
-            for title, plans in sections.items()
-        ]
-        notes = (*hand.notes, *extraction.notes)
-        text = page(hand, rest.result(), cards, notes, extraction.seconds)
+    shots = spread(
+        shoot, [rest, *every], jobs or processors(), progress or (lambda done, total: None)
+    )
+    taken = iter(shots[1:])
+    cards = [
+        Section(
+            title,
+            [
+                Card(
+                    plan.title,
+                    plan.fingers,
+                    tuple(next(taken) for _ in plan.views),
+                    plan.posture,
+                    plan.evidence,
+                    plan.description,
+                )
+                for plan in plans
+            ],
+        )
+        for title, plans in sections.items()
+    ]
+    notes = (*hand.notes, *extraction.notes)
+    text = page(hand, shots[0].image, cards, notes, extraction.seconds)
     write_atomically(path, text)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -83,23 +84,29 @@ def _marked(image: Any, camera: Camera, contact: Contact, *, large: bool) -> Any
     from PIL import Image, ImageDraw
 
     fine = 3
-    layer = Image.new("RGBA", (image.width * fine, image.height * fine), (255, 255, 255, 0))
-    draw = ImageDraw.Draw(layer)
-    point, normal = np.array(contact[0]), np.array(contact[1])
-    x, y = camera.project(point[None])[0] * fine
-    tip = camera.project((point + 1e-3 * normal)[None])[0] * fine - np.array([x, y])
-    length = float(np.hypot(*tip))
     radius = (0.030 if large else 0.020) * image.height * fine
     pen = max(1.6 * fine, radius / 6)
+    point, normal = np.array(contact[0]), np.array(contact[1])
+    at = camera.project(point[None])[0]
+    side = camera.project((point + 1e-3 * normal)[None])[0] - at
+    length = float(np.hypot(*side))
+    # Only the surroundings are drawn, finely, and made smaller afterwards.
+    half = math.ceil((3.2 * radius + 4 * pen) / fine)
+    corner = np.floor(at).astype(int) - half
+    layer = Image.new("RGBA", (2 * half * fine, 2 * half * fine), (255, 255, 255, 0))
+    draw = ImageDraw.Draw(layer)
+    x, y = (at - corner) * fine
     for colour, width in (((255, 255, 255, 235), pen * 2.2), ((17, 17, 17, 255), pen)):
         grown = (width - pen) / 2
         box = [x - radius - grown, y - radius - grown, x + radius + grown, y + radius + grown]
         draw.ellipse(box, outline=colour, width=round(width))
         if length > 1e-9:
             for sign in (-1.0, 1.0):
-                _arrow(draw, np.array([x, y]), sign * tip / length, radius, width, grown, colour)
-    small = layer.resize(image.size, Image.Resampling.LANCZOS)
-    return Image.alpha_composite(image.convert("RGBA"), small).convert(image.mode)
+                _arrow(draw, np.array([x, y]), sign * side / length, radius, width, grown, colour)
+    small = layer.resize((2 * half, 2 * half), Image.Resampling.LANCZOS)
+    whole = Image.new("RGBA", image.size, (255, 255, 255, 0))
+    whole.paste(small, (int(corner[0]), int(corner[1])))
+    return Image.alpha_composite(image.convert("RGBA"), whole).convert(image.mode)
 
 
 def _arrow(

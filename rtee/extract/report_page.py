@@ -13,6 +13,7 @@ from rtee.actions.types import Evidence, Posture
 from rtee.extract import report_tables as tables
 from rtee.extract.report_style import STYLE
 from rtee.hand.model import Hand
+from rtee.hand.names import common_prefix
 
 EXPLAINED: Final = {
     "Trig": "All actuators that move only this finger, as far as they go.",
@@ -28,6 +29,10 @@ EXPLAINED: Final = {
     "Timed": "Actions one after the other.",
     "Generic": "Set-points given directly.",
 }
+
+
+_FEW: Final = 2
+"""How many pairs of colliding links are named at once."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,8 @@ def page(
         seconds: How long the extraction took [s].
     """
     title = escape(hand.description or hand.name)
-    body = "".join(_section(hand, section) for section in sections)
+    found = tuple(sections)
+    body = "".join(_section(hand, section) for section in found)
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -100,7 +106,7 @@ def page(
 <h1>{title}</h1>
 <div class="soft">What this hand can do, found in {escape(hand.urdf.path.name)}
 in {seconds:.2f} s</div>
-{_hero(hand, picture)}
+{_hero(hand, picture, found)}
 <h2>Fingers</h2><div class="panel">{tables.fingers(hand)}</div>
 <h2>Actuators</h2><div class="panel">{tables.actuators(hand)}</div>
 <h2>What moves what</h2><div class="panel">{tables.moves(hand)}</div>
@@ -113,7 +119,7 @@ in {seconds:.2f} s</div>
 """
 
 
-def _hero(hand: Hand, picture: bytes) -> str:
+def _hero(hand: Hand, picture: bytes, sections: Sequence[Section]) -> str:
     counts = (
         (len(hand.fingers), "fingers"),
         (len(hand.actuators), "actuators"),
@@ -123,8 +129,23 @@ def _hero(hand: Hand, picture: bytes) -> str:
     legend = "".join(f"<li>{tables.named(hand, finger)}</li>" for finger in hand.finger_names)
     return (
         f'<div class="hero panel"><img src="{_source(picture)}" alt="The hand at rest">'
-        f'<div><div class="tiles">{tiles}</div><ul class="legend">{legend}</ul></div></div>'
+        f'<div><div class="tiles">{tiles}</div><ul class="legend">{legend}</ul>'
+        f"{_contents(sections)}</div></div>"
     )
+
+
+def _contents(sections: Sequence[Section]) -> str:
+    """Return links to the kinds of actions with how many there are of each."""
+    links = "".join(
+        f'<li><a href="#{escape(section.title)}">{escape(_heading(section))}</a>'
+        f'<span class="count">{len(section.cards)}</span></li>'
+        for section in sections
+    )
+    return f'<nav><ul class="contents">{links}</ul></nav>' if links else ""
+
+
+def _heading(section: Section) -> str:
+    return section.title.replace("_", " ")
 
 
 def _folded(title: str, content: str) -> str:
@@ -140,12 +161,11 @@ def _list(sentences: Sequence[str]) -> str:
 
 
 def _section(hand: Hand, section: Section) -> str:
-    kind, _, count = section.title.partition("_")
-    text = EXPLAINED.get(kind, "")
-    title = f"{kind} {count}".strip()
+    text = EXPLAINED.get(section.title.partition("_")[0], "")
     cards = "".join(_card(hand, card) for card in section.cards)
     return (
-        f'<h2>{escape(title)} <span class="soft">({len(section.cards)})</span></h2>'
+        f'<h2 id="{escape(section.title)}">{escape(_heading(section))} '
+        f'<span class="soft">({len(section.cards)})</span></h2>'
         f'<p class="soft">{escape(text)}</p><div class="grid">{cards}</div>'
     )
 
@@ -186,11 +206,15 @@ def _source(image: bytes) -> str:
 
 def _posture(hand: Hand, posture: Posture) -> str:
     rows = []
+    prefix = common_prefix(hand.actuator_names)
     for name in posture.involved:
         actuator = hand.actuator(name)
         value = posture.position[name]
         shown = tables.quantity(value, actuator.kind)
-        rows.append([tables.code(name, breaks=True), shown, tables.bar(actuator, value)])
+        short = tables.code(name.removeprefix(prefix), breaks=True)
+        rows.append(
+            [f'<span title="{escape(name)}">{short}</span>', shown, tables.bar(actuator, value)]
+        )
     return tables.table(["actuator", "position", ""], rows, numbers=(1,))
 
 
@@ -206,19 +230,24 @@ def _evidence(evidence: Evidence) -> str:
     opposition = evidence.opposition
     if opposition is not None:
         angles = " and ".join(f"{math.degrees(angle):.0f}°" for angle in opposition.angles)
-        tags.append(f"contact normal {angles} off the lines of closing")
+        tags.append(f"normals {angles} off the closing")
         closure = "holds" if opposition.force_closure else "does not hold"
         tags.append(f"{closure} a ball at friction {opposition.friction:g}")
     shown = "".join(f'<span class="tag">{escape(tag)}</span>' for tag in tags)
-    return shown + "".join(
-        f'<span class="tag warn">{escape(w)}</span>' for w in _warnings(evidence)
-    )
+    return shown + _warning(evidence)
 
 
-def _warnings(evidence: Evidence) -> list[str]:
-    pairs = "; ".join(" and ".join(pair) for pair in evidence.colliding)
-    if not evidence.clear:
-        return [f"not clear: {pairs} collide"]
-    if not evidence.path_clear:
-        return ["the way there is not clear" + (f": {pairs} collide" if pairs else "")]
-    return []
+def _warning(evidence: Evidence) -> str:
+    """Return what else collides; many pairs of links are folded."""
+    pairs = [f"{a} and {b}" for a, b in evidence.colliding]
+    if evidence.clear:
+        text = "" if evidence.path_clear else "the way there is not clear"
+    elif len(pairs) <= _FEW:
+        text = f"not clear: {'; '.join(pairs)} collide"
+    else:
+        listed = "".join(f"<li>{escape(pair)}</li>" for pair in pairs)
+        return (
+            f'<details class="tag warn"><summary>not clear: {len(pairs)} pairs of links collide'
+            f"</summary><ul>{listed}</ul></details>"
+        )
+    return f'<span class="tag warn">{escape(text)}</span>' if text else ""

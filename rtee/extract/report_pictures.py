@@ -93,6 +93,7 @@ class Studio:
         self.hand = hand
         self.size = size
         self._lock = threading.Lock()
+        self._last: tuple[bytes, Tracer] | None = None
         self._surface = HandSurface(HandGeometry(hand, visual=True))
         self._back, self._up = view(self._surface.geometry)
         rest = self._corners(hand.rest)
@@ -103,8 +104,9 @@ class Studio:
 
     @cached_property
     def _silhouette(self) -> FloatArray:
-        rest = Tracer(self._posed(self.hand.rest))
-        return Painter(rest, self._camera, self._look(self._camera, None)).cover()
+        return Painter(
+            self._traced(self.hand.rest), self._camera, self._look(self._camera, None)
+        ).cover()
 
     def picture(
         self,
@@ -117,8 +119,9 @@ class Studio:
         file_format: FileFormat = "PNG",
     ) -> bytes:
         """Return a picture file of the hand; see `render`."""
-        tracer = Tracer(self._posed(u))
-        picture = Painter(tracer, self._camera, self._look(self._camera, highlight)).paint()
+        picture = Painter(
+            self._traced(u), self._camera, self._look(self._camera, highlight)
+        ).paint()
         if ghost:
             picture = with_silhouette(picture, self._silhouette)
         return picture_file(picture, background, self._camera, contacts, file_format)
@@ -143,7 +146,8 @@ class Studio:
             background: Colour behind the hand; ``None`` for transparent.
             file_format: Format of the file.
         """
-        surface = self._posed(u)
+        tracer = self._traced(u)
+        surface = tracer.surface
         point, normal = np.array(contact[0]), np.array(contact[1])
         chosen = np.isin(surface.links, [self._surface.links.index(tip) for tip in tips])
         others = surface.corners[~chosen]
@@ -152,8 +156,16 @@ class Studio:
         ring = _around(back) * reach
         camera = fitted(point + ring, back, self._up, size)
         look = self._look(camera, None, tips)
-        picture = Painter(Tracer(surface), camera, _without_ground(look)).paint()
+        picture = Painter(tracer, camera, _without_ground(look)).paint()
         return picture_file(picture, background, camera, [contact], file_format, large=True)
+
+    def _traced(self, u: FloatArray) -> Tracer:
+        """Return the rays' surface at a posture; the last one is kept."""
+        key = u.tobytes()
+        last = self._last
+        if last is None or last[0] != key:
+            last = self._last = (key, Tracer(self._posed(u)))
+        return last[1]
 
     def _posed(self, u: FloatArray) -> Surface:
         with self._lock:  # kinematics keeps what it computes

@@ -23,13 +23,17 @@ from rtee.types import FloatArray
 
 _TILE: Final = 4
 """Pixels of a tile of this many squared use different rays and are averaged afterwards."""
-_RAYS: Final = 5
+_RAYS: Final = 4
 """Rays for ambient light, and as many for the soft shadow, per pixel."""
 _GRID: Final = 3
 """Samples per pixel at edges, squared."""
 _EDGE: Final = 0.035
 """Neighbours that differ more than this in brightness or cover have an edge between them."""
 _GROUND_STEP: Final = 4
+_AROUND: Final = tuple((dy, dx) for dy in (0, -1, 1) for dx in (0, -1, 1))
+"""Pixels around one, itself first."""
+_ALIKE: Final = 0.05
+"""Points that differ less than this show the same spot."""
 
 
 @dataclass(frozen=True)
@@ -91,15 +95,16 @@ class _Seen:
         """Return the light at points in given pixels: that of the nearest likeness around."""
         best = np.full(len(y), np.inf)
         found = np.ones((len(y), 2))
-        for dy in (0, -1, 1):
-            for dx in (0, -1, 1):
-                beside = self._beside(y, x, dy, dx)
-                unlike = 1 - np.einsum("ij,ij->i", self.normals[beside], hits.normals)
-                unlike += 20 * np.abs(self.depth[beside] - hits.depth) / hits.depth
-                unlike += 9.0 * (self.links[beside] != hits.links)
-                better = unlike < best
-                best = np.where(better, unlike, best)
-                found = np.where(better[:, None], self.light[beside], found)
+        left = np.arange(len(y))
+        for dy, dx in _AROUND:
+            beside = self._beside(y[left], x[left], dy, dx)
+            unlike = 1 - np.einsum("ij,ij->i", self.normals[beside], hits.normals[left])
+            unlike += 20 * np.abs(self.depth[beside] - hits.depth[left]) / hits.depth[left]
+            unlike += 9.0 * (self.links[beside] != hits.links[left])
+            better = unlike < best[left]
+            best[left[better]] = unlike[better]
+            found[left[better]] = self.light[beside][better]
+            left = left[best[left] > _ALIKE]
         return found[:, 0], found[:, 1]
 
     def _beside(
@@ -134,7 +139,7 @@ class Painter:
         seen = _Seen(hits, y[hits.which], x[hits.which], (height, width))
         seen.set_light(*self._lit(hits, x, y))
         picture = np.zeros((height, width, 4))
-        picture[seen.y, seen.x] = self._shaded(hits, *seen.light_of(hits, seen.y, seen.x))
+        picture[seen.y, seen.x] = self._shaded(hits, *seen.light[seen.y, seen.x].T)
         self._refine(picture, seen)
         return self._grounded(picture)
 

@@ -54,6 +54,15 @@ code { font: 13px/1.4 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; 
 .bar u { position: absolute; top: -3px; bottom: -3px; width: 2px; background: var(--ink); }
 .tag { display: inline-block; padding: 1px 9px; border-radius: 20px; font-size: 12.5px;
   background: #eef1f4; color: var(--ink); margin: 6px 4px 0 0; }
+details.tag { display: block; border-radius: 12px; margin: 6px 0 0; }
+details.tag summary { color: var(--warn); }
+details.tag ul { margin: 4px 0; padding-left: 18px; }
+.contents { list-style: none; padding: 14px 0 0; margin: 20px 0 0; max-width: 400px;
+  border-top: 1px solid var(--line); }
+.contents li { display: flex; justify-content: space-between; padding: 2px 0; }
+.contents a { color: var(--accent); text-decoration: none; }
+.contents a:hover { text-decoration: underline; }
+.count { color: var(--soft); font-variant-numeric: tabular-nums; }
 .tag.warn { background: #fdeee3; color: var(--warn); }
 details { margin-top: 14px; }
 summary { cursor: pointer; color: var(--soft); }

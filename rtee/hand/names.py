@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
 from rtee.errors import ConfigError
 
 MAX_LENGTH: Final = 100
+
+_WORTH: Final = 5
+"""A beginning shorter than this is not worth leaving out."""
 
 _ALLOWED = re.compile(r"[A-Za-z0-9_\-.]+\Z")
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_\-.]+")
@@ -59,3 +63,18 @@ def _why_not(name: str) -> str | None:
     if not _ALLOWED.match(name):
         return "holds a character that is not allowed"
     return None
+
+
+def common_prefix(names: Collection[str]) -> str:
+    """Return the words that all names begin with, to be left out where room is scarce.
+
+    Words end in ``_``, ``-`` or ``/``. Empty for a single name and where little would be gained.
+    """
+    if len(names) < 2:
+        return ""
+    first, last = min(names), max(names)
+    same = 0
+    while same < min(len(first), len(last)) and first[same] == last[same]:
+        same += 1
+    end = 1 + max(first[:same].rfind(mark) for mark in "_-/")
+    return first[:end] if end >= _WORTH and all(len(name) > end for name in names) else ""

@@ -3,14 +3,9 @@ from __future__ import annotations
 import pytest
 
 from rtee.cli import _table
-from rtee.cli._table import Column, Row, Table, common_prefix
+from rtee.cli._table import Column, Row, Table, prefix_to_drop
 
 LONG = "a remark of many words that no narrow terminal shows on a line of its own"
-
-
-@pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_table, "on_terminal", lambda: True)
 
 
 def table(heading: str = "") -> Table:
@@ -75,22 +70,8 @@ def test_the_widest_column_gives_way() -> None:
     assert table().widths(200)[0] == len(LONG)
 
 
-@pytest.mark.usefixtures("terminal")
-@pytest.mark.parametrize(
-    ("names", "prefix"),
-    [
-        (["left_hand_thumb", "left_hand_index"], "left_hand_"),
-        (["left_hand_thumb", "left_hand_"], ""),
-        (["left_thumb_one", "left_thumb_once"], "left_thumb_"),
-        (["thumb", "index"], ""),
-        (["a_b", "a_c"], ""),
-        (["left_hand_thumb"], ""),
-        ([], ""),
-    ],
-)
-def test_what_all_names_begin_with(names: list[str], prefix: str) -> None:
-    assert common_prefix(names) == prefix
-
-
-def test_names_are_whole_elsewhere() -> None:
-    assert common_prefix(["left_hand_thumb", "left_hand_index"]) == ""
+def test_what_names_share_is_dropped_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ["left_hand_thumb", "left_hand_index"]
+    assert prefix_to_drop(names) == ""
+    monkeypatch.setattr(_table, "on_terminal", lambda: True)
+    assert prefix_to_drop(names) == "left_hand_"

@@ -182,6 +182,7 @@ class Page(HTMLParser):
         super().__init__()
         self.images: list[str] = []
         self.references: list[str] = []
+        self.targets: set[str] = set()
         self.open: list[str] = []
         self.text = ""
 
@@ -191,6 +192,8 @@ class Page(HTMLParser):
                 self.images.append(value or "")
             elif name == "href":
                 self.references.append(value or "")
+            elif name == "id":
+                self.targets.add(value or "")
         if tag not in self.VOID:
             self.open.append(tag)
 
@@ -232,7 +235,12 @@ def test_report_is_one_page_with_a_picture_of_every_action(hand: Hand, tmp_path:
     extraction = Extraction(tuple(primitives), 0.5, ("a note & more",))
     file = tmp_path / "report.html"
     write_report(
-        file, hand, extraction, custom, progress=lambda done, total: seen.append((done, total))
+        file,
+        hand,
+        extraction,
+        custom,
+        size=(200, 180),
+        progress=lambda done, total: seen.append((done, total)),
     )
     page = Page()
     text = file.read_text()
@@ -241,7 +249,8 @@ def test_report_is_one_page_with_a_picture_of_every_action(hand: Hand, tmp_path:
     # At rest, two primitives, a close-up, composed, two steps, generic.
     assert len(page.images) == 8
     assert all(image.startswith("data:image/webp;base64,") for image in page.images)
-    assert not page.references
+    assert page.references == ["#Trig", "#PinchTight", "#Composed", "#Timed", "#Generic"]
+    assert {reference[1:] for reference in page.references} <= page.targets
     assert not re.search(r"https?://|url\(|@import", text)
     for words in ("half <b>", "a note & more", "depth 1.2 mm", "not clear: palm and left collide"):
         assert words in page.text

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rtee.errors import ConfigError
 from rtee.hand.files import make_folder, read_bytes, write_atomically
-from rtee.hand.names import check_name, safe_name
+from rtee.hand.names import check_name, common_prefix, safe_name
 
 
 @pytest.mark.parametrize("name", ["schunk_svh", "2F-85", "a", "v1.2", "x" * 100])
@@ -44,6 +44,22 @@ def test_bad_names(name: str, why: str) -> None:
 def test_any_text_becomes_a_good_name(text: str) -> None:
     name = safe_name(text)
     assert check_name(name, "hand") == name
+
+
+@pytest.mark.parametrize(
+    ("names", "prefix"),
+    [
+        (["left_hand_thumb", "left_hand_index"], "left_hand_"),
+        (["left_hand_thumb", "left_hand_"], ""),
+        (["left_thumb_one", "left_thumb_once"], "left_thumb_"),
+        (["thumb", "index"], ""),
+        (["a_b", "a_c"], ""),
+        (["left_hand_thumb"], ""),
+        ([], ""),
+    ],
+)
+def test_what_all_names_begin_with(names: list[str], prefix: str) -> None:
+    assert common_prefix(names) == prefix
 
 
 def test_written_whole_and_replaced(tmp_path: Path) -> None:
