@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from rtee.cli._common import HAND_VARIABLE, actions_of
+from rtee.errors import RteeError
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -14,6 +18,37 @@ if TYPE_CHECKING:
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the new action.")]
 Description = Annotated[str, typer.Option("--description", help="One sentence for people.")]
 Replace = Annotated[bool, typer.Option("--replace", help="Replace an action of the same name.")]
+
+
+def complete_part(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the uses of actions, such as ``trig:index``, that begin like this."""
+    from rtee.actions.naming import snake_case
+    from rtee.actions.types import Primitive, Timed
+
+    found = []
+    for action in _library(ctx) or ():
+        if isinstance(action, Timed):  # none can be a part of another action
+            continue
+        elements = action.elements if isinstance(action, Primitive) else ()
+        words = f":{','.join(elements)}" if elements else ""
+        spellings = (action.name + words, snake_case(action.name) + words)
+        found += [next((s for s in spellings if s.startswith(incomplete)), "")]
+    return [word for word in found if word]
+
+
+def complete_set_point(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the actuators that begin like this, ready for a value."""
+    library = _library(ctx)
+    names = library.hand.actuator_names if library else ()
+    return [f"{name}=" for name in names if name.startswith(incomplete)]
+
+
+def _library(ctx: typer.Context) -> ActionLibrary | None:
+    asked = ctx.params.get("hand") or os.environ.get(HAND_VARIABLE)
+    try:
+        return actions_of(str(asked) if asked else None)
+    except (RteeError, OSError):
+        return None
 
 
 def store(library: ActionLibrary, action: Action, replace: bool) -> None:

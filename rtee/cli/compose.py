@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rtee.cli._common import HandOption, actions_of
-from rtee.cli._define import Description, Name, Replace, store
+from rtee.cli._define import Description, Name, Replace, complete_part, store
 
 app = typer.Typer()
 
@@ -18,7 +18,9 @@ def compose(
     parts: Annotated[
         list[str],
         typer.Argument(
-            metavar="PART…", help="ACTION, ACTION:ELEMENT or ACTION:ELEMENT,ELEMENT, each *SCALE."
+            metavar="PART…",
+            help="ACTION, ACTION:ELEMENT or ACTION:ELEMENT,ELEMENT, each *SCALE.",
+            autocompletion=complete_part,
         ),
     ],
     hand: HandOption = None,

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rtee.cli._common import HandOption, actions_of
-from rtee.cli._define import Description, Name, Replace, store
+from rtee.cli._define import Description, Name, Replace, complete_set_point, store
 
 app = typer.Typer()
 
@@ -18,7 +18,9 @@ def generic(
     set_points: Annotated[
         list[str],
         typer.Argument(
-            metavar="ACTUATOR=VALUE…", help="Set-points [rad | m]; other actuators stay."
+            metavar="ACTUATOR=VALUE…",
+            help="Set-points [rad | m]; other actuators stay.",
+            autocompletion=complete_set_point,
         ),
     ],
     hand: HandOption = None,

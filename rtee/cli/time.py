@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rtee.cli._common import HandOption, actions_of
-from rtee.cli._define import Description, Name, Replace, store
+from rtee.cli._define import Description, Name, Replace, complete_part, store
 
 app = typer.Typer()
 
@@ -20,6 +20,7 @@ def time(
         typer.Argument(
             metavar="STEP…",
             help="ACTION[:ELEMENT,…][*SCALE][:before=SECONDS,after=SECONDS,alias=NAME]",
+            autocompletion=complete_part,
         ),
     ],
     hand: HandOption = None,

@@ -58,6 +58,8 @@ def opposition(
     speeds = [float(np.linalg.norm(v)) for v in closing]
     if max(speeds) < 1e-9 or float(np.linalg.norm(closing[0] - closing[1])) < 1e-9:
         return None
+    if not np.isfinite(speeds).all() or float(np.linalg.norm(witness.normal)) < 0.5:
+        return None
     for i in (0, 1):
         if speeds[i] < _STILL * speeds[1 - i]:
             closing[i] = -closing[1 - i]

@@ -20,6 +20,12 @@ from rtee.hand.urdf import (
 )
 from rtee.hand.xmlfile import Element, read_xml
 
+FARTHEST: Final = 1e3
+"""Lengths beyond this are refused [m]: nothing could be computed with them."""
+
+MOST: Final = 1e6
+"""Likewise limits, angles and factors beyond this."""
+
 _ZERO: Final[Triple] = (0.0, 0.0, 0.0)
 _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
 _LIMITED: Final = ("revolute", "prismatic")
@@ -93,15 +99,15 @@ def _geometry(element: Element, link: str) -> UrdfGeometry:
                 line=shape.line,
             )  # fmt: skip
         case "box":
-            size = _triple(shape.numbers("size", 3))
+            size = _triple(shape.numbers("size", 3, most=FARTHEST))
             _positive(shape, min(size))
             return UrdfGeometry("box", size=size, xyz=xyz, rpy=rpy, line=shape.line)
         case "sphere":
-            radius = _positive(shape, shape.number("radius"))
+            radius = _positive(shape, shape.number("radius", most=FARTHEST))
             return UrdfGeometry("sphere", radius=radius, xyz=xyz, rpy=rpy, line=shape.line)
         case "cylinder":
-            radius = _positive(shape, shape.number("radius"))
-            length = _positive(shape, shape.number("length"))
+            radius = _positive(shape, shape.number("radius", most=FARTHEST))
+            length = _positive(shape, shape.number("length", most=FARTHEST))
             return UrdfGeometry(
                 "cylinder", radius=radius, length=length, xyz=xyz, rpy=rpy, line=shape.line
             )
@@ -119,7 +125,7 @@ def _positive(shape: Element, value: float) -> float:
 
 
 def _scale(shape: Element) -> Triple:
-    scale = _triple(shape.numbers("scale", 3, (1.0, 1.0, 1.0)))
+    scale = _triple(shape.numbers("scale", 3, (1.0, 1.0, 1.0), most=MOST))
     if 0.0 in scale:
         raise shape.error("the mesh's scale is zero")
     return scale
@@ -129,7 +135,8 @@ def _origin(element: Element) -> tuple[Triple, Triple]:
     origin = element.first("origin")
     if origin is None:
         return _ZERO, _ZERO
-    return _triple(origin.numbers("xyz", 3, _ZERO)), _triple(origin.numbers("rpy", 3, _ZERO))
+    xyz = origin.numbers("xyz", 3, _ZERO, most=FARTHEST)
+    return _triple(xyz), _triple(origin.numbers("rpy", 3, _ZERO, most=MOST))
 
 
 def _triple(values: tuple[float, ...]) -> Triple:
@@ -215,7 +222,7 @@ def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, fl
         return -math.inf, math.inf, velocity, effort
     if kind == "fixed":
         return 0.0, 0.0, velocity, effort
-    lower, upper = limit.number("lower", 0.0), limit.number("upper", 0.0)
+    lower, upper = (limit.number(end, 0.0, most=MOST) for end in ("lower", "upper"))
     if lower > upper:
         raise limit.error(f"joint '{name}' has its lower limit {lower:g} above its upper {upper:g}")
     return lower, upper, velocity, effort
@@ -227,8 +234,8 @@ def _mimic(element: Element) -> UrdfMimic | None:
         return None
     return UrdfMimic(
         of=mimic.required("joint"),
-        multiplier=mimic.number("multiplier", 1.0),
-        offset=mimic.number("offset", 0.0),
+        multiplier=mimic.number("multiplier", 1.0, most=MOST),
+        offset=mimic.number("offset", 0.0, most=MOST),
         expression=mimic.attributes.get("nlFunPos"),
         line=mimic.line,
     )

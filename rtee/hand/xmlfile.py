@@ -52,27 +52,34 @@ class Element:
             raise self.error(f"<{self.tag}> needs the attribute '{attribute}'")
         return value
 
-    def number(self, attribute: str, default: float | None = None) -> float:
+    def number(
+        self, attribute: str, default: float | None = None, *, most: float = math.inf
+    ) -> float:
         """Return an attribute as a finite number.
 
         Raises:
-            ModelError: It is no finite number, or missing without a default.
+            ModelError: It is no finite number, larger than ``most``, or missing without a default.
         """
         text = self.attributes.get(attribute)
         if text is None and default is not None:
             return default
         if text is None:
             raise self.error(f"<{self.tag}> needs the attribute '{attribute}'")
-        return self._finite(attribute, text)
+        return self._finite(attribute, text, most)
 
     def numbers(
-        self, attribute: str, count: int, default: tuple[float, ...] | None = None
+        self,
+        attribute: str,
+        count: int,
+        default: tuple[float, ...] | None = None,
+        *,
+        most: float = math.inf,
     ) -> tuple[float, ...]:
         """Return an attribute as finite numbers separated by blanks.
 
         Raises:
-            ModelError: There are not ``count`` of them, one is no finite number, or the attribute
-                is missing without a default.
+            ModelError: There are not ``count`` of them, one is no finite number or larger than
+                ``most``, or the attribute is missing without a default.
         """
         text = self.attributes.get(attribute)
         if text is None and default is not None:
@@ -82,19 +89,21 @@ class Element:
         parts = text.split()
         if len(parts) != count:
             raise self.error(f'{attribute}="{text[:80]}" should be {count} numbers')
-        return tuple(self._finite(attribute, part) for part in parts)
+        return tuple(self._finite(attribute, part, most) for part in parts)
 
     def error(self, message: str) -> ModelError:
         """Return an error that points at this element."""
         return ModelError(message, path=self.path, line=self.line)
 
-    def _finite(self, attribute: str, text: str) -> float:
+    def _finite(self, attribute: str, text: str, most: float) -> float:
         try:
             value = float(text)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
             raise self.error(f'{attribute}="{text[:80]}" is not a finite number')
+        if abs(value) > most:
+            raise self.error(f'{attribute}="{text[:80]}" is beyond {most:g}, too much for a hand')
         return value
 
 

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from rtee.actions.library import ActionLibrary
 from rtee.cli import actions, compose, generic, import_, time
 from rtee.cli._common import hand_folder
+from rtee.cli._define import complete_part, complete_set_point
 from rtee.errors import ActionError, ConfigError, UserError
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
@@ -148,3 +149,16 @@ def test_hand_by_name_or_path(home: Path) -> None:
         hand_folder("./none")
     with pytest.raises(ConfigError, match="unknown hand 'smal'"):
         hand_folder("smal")
+
+
+def test_parts_and_set_points_are_completed(home: Path) -> None:
+    class Context:
+        def __init__(self, **params: object) -> None:
+            self.params = params
+
+    assert complete_part(Context(hand="small"), "trig:i") == ["trig:index"]
+    assert complete_part(Context(hand="small"), "Pinch")[0] == "PinchTight:index,thumb"
+    assert "schunkGrasp" in complete_part(Context(hand="small"), "sch")
+    assert complete_part(Context(hand="none"), "") == []
+    assert complete_set_point(Context(hand="small"), "middle") == ["middle_joint="]
+    assert complete_set_point(Context(hand="none"), "") == []
