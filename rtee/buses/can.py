@@ -45,6 +45,7 @@ class CanBus(Bus):
         self._by_id: dict[int, list[Callable[[CanFrame], None]]] = {}
         self._by_any: list[Callable[[CanFrame], None]] = []
         self._waiting: set[asyncio.Future[CanFrame]] = set()
+        self._watching: list[Callable[[], None]] = []
 
     async def send(self, frame: CanFrame) -> None:
         """Send a frame; returns when the controller's queue has taken it.
@@ -146,6 +147,16 @@ class CanBus(Bus):
 
         return undo
 
+    def watch(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call ``callback`` in the event loop when the bus breaks; returns how to undo it."""
+        self._watching.append(callback)
+
+        def undo() -> None:
+            with contextlib.suppress(ValueError):
+                self._watching.remove(callback)
+
+        return undo
+
     def _on_message(self, message: Any) -> None:
         if message.is_error_frame:
             self.counters.checksum_errors += 1
@@ -173,6 +184,8 @@ class CanBus(Bus):
         for answer in list(self._waiting):
             if not answer.done():
                 answer.set_exception(BusBroken(self.name, f"the bus broke: {cause}"))
+        for callback in list(self._watching):
+            callback()
 
     def _failed_elsewhere(self, cause: str) -> None:
         """Note that the bus broke; from any thread."""
@@ -216,6 +229,7 @@ class CanBus(Bus):
             return
 
         def stop() -> None:
+            bus.end()
             notifier.stop()
             bus.shutdown()
 
@@ -229,6 +243,7 @@ class _Guarded:
         self._bus = bus
         self._failed = failed
         self._dead = threading.Event()
+        self._ended = False
         self.channel_info = bus.channel_info
 
     def fileno(self) -> int:
@@ -240,12 +255,20 @@ class _Guarded:
         except NotImplementedError:
             return None
 
+    def end(self) -> None:
+        """Have the notifier's thread end now instead of when its wait is over."""
+        self._ended = True
+        wake(self._bus)
+
     def recv(self, timeout: float | None = None) -> Any:
+        if self._ended:
+            raise SystemExit  # ends a thread without a word
         if self._dead.is_set():
             time.sleep(timeout or 0.0)
             return None
         try:
-            return self._bus.recv(timeout)
+            message = self._bus.recv(timeout)
+            return None if self._ended else message
         except Exception as error:
             self._dead.set()
             self._failed(str(error))
@@ -257,6 +280,15 @@ class _Guarded:
     def shutdown(self) -> None:
         self._dead.set()
         self._bus.shutdown()
+
+
+def wake(bus: Any) -> None:
+    """End the wait of whoever receives from a virtual bus, by an error frame of its own."""
+    import can
+
+    queue = getattr(bus, "queue", None)
+    if queue is not None:
+        queue.put(can.Message(is_error_frame=True))
 
 
 def _traced(frame: CanFrame) -> bytes:

@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from rtee.buses.can import wake
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
@@ -113,17 +114,20 @@ class Simulation(ABC):
                 done.set()
 
         self._tasks.put(task)
-        os.write(self._wake_in, b"\0")
+        self._wake()
         done.wait()
         if failed:
             raise failed[0]
         return box[0]
 
+    def _wake(self) -> None:
+        os.write(self._wake_in, b"\0")
+
     def close(self) -> None:
         """Stop playing and close everything; idempotent."""
         if self._running:
             self._running = False
-            os.write(self._wake_in, b"\0")
+            self._wake()
             if self._thread is not None and self._thread is not threading.current_thread():
                 self._thread.join()
         if self._wake_in >= 0:
@@ -439,6 +443,10 @@ class SimulatedCan(Simulation):
             if self.on_unplug is not None:
                 self.on_unplug()
 
+    def _wake(self) -> None:
+        super()._wake()
+        wake(self._bus)
+
     def _next_due(self) -> float | None:
         return self.wire.next_due()
 
@@ -446,7 +454,7 @@ class SimulatedCan(Simulation):
         if self._bus is None:
             select.select([self._wake_out], [], [], timeout)
             return
-        # The virtual bus has no file descriptor to select on, so the wake-up pipe waits this long.
+        # Buses of other interfaces cannot be woken, so what is asked for waits this long.
         message = self._bus.recv(0.02 if timeout is None else min(timeout, 0.02))
         now = time.monotonic()
         if message is not None and not message.is_error_frame:

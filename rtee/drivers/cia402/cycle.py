@@ -103,6 +103,7 @@ class Cia402Cycle(Driver):
         bus.counters.transactions += 1
         end = now + options.deadline
         while True:
+            bus.check()
             late = [d.id for d, stamp in zip(self.drives, before, strict=True) if d.stamp <= stamp]
             restarted = [d for d in self.drives if d.booted]
             if restarted:

@@ -90,6 +90,7 @@ class DriveLink:
             (cia301.EMERGENCY + self.id, self._take_emergency),
         ):
             self._undo.append(self.bus.subscribe(take, cob))
+        self._undo.append(self.bus.watch(told))
 
     def detach(self) -> None:
         """Listen no more; idempotent."""
