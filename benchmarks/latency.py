@@ -1,16 +1,20 @@
 """Time from a client's goal to the first changed reference, in another process on this computer.
 
-    python benchmarks/latency.py [--hand schunk_svh] [--rate 1000] [--goals 200] [--realtime]
+    python benchmarks/latency.py [--hand schunk_svh] [--rate 1000] [--goals 300] [--realtime]
 
 The hand runs in a process of its own with the kinematic driver and the network, as `rtee run`
-would run it. A client sends goals from standstill, at random moments of the loop's period. Both
-clocks are CLOCK_MONOTONIC. Measured beside it, in the same run: a bare Zenoh query between two
-processes, answered at once, which is what the network alone takes there and back.
+would run it. A client sends goals from standstill, at random moments of the loop's period. The time
+ends when the device's driver is handed the first reference that differs in any bit from the one
+before. All clocks are CLOCK_MONOTONIC.
+
+With it is printed where the time goes, and, measured beside it in the same run, a bare Zenoh query
+of the same size to another process: until that process' callback runs, and there and back.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import random
 import statistics
@@ -18,49 +22,91 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import anyio
-import numpy as np
+import anyio.to_thread
+import zenoh
 
 import rtee
-from rtee.loop.observer import Observer, TickRecord
 from rtee.remote.client import RemoteHand
+from rtee.remote.server import Server
 from rtee.remote.session import direct, open_client, open_server
+from rtee.run import RunOptions, run_hands
+from rtee.types import Goal, Reference
 
-STILL = 20
-"""Ticks without change after which the reference counts as standing."""
+STAGES = (
+    "client: until the request is on the network",
+    "network: until the server's callback runs",
+    "server: until the goal is checked and planned",
+    "waiting for the tick, until its wake-up",
+    "tick: until the driver is handed the change",
+)
+"""What lies between the times noted for a goal."""
+
+QUESTION = bytes(200)
+"""Of the size of a goal."""
+
+now = time.monotonic_ns
 
 
-class Changes(Observer):
-    """Notes when the reference begins to move after it has stood."""
+class Noted(Server):
+    """A server that notes when goals come by; all times in ns.
 
-    def __init__(self) -> None:
-        self._last: np.ndarray | None = None
-        self._still = 0
-        self.found: list[int] = []
+    Attributes:
+        found: By goal: the callback, the goal planned, the tick's wake-up, the driver's call.
+    """
 
-    def on_tick(self, record: TickRecord) -> None:
-        now = record.reference_position
-        if self._last is not None and not np.array_equal(now, self._last):
-            if self._still >= STILL:
-                self.found.append(time.monotonic_ns())
-            self._still = 0
-        else:
-            self._still += 1
-        self._last = now
+    def __init__(self, loop: Any, hand: Any, config: Any) -> None:
+        super().__init__(loop, hand, config)
+        self.found: dict[str, list[int]] = {}
+        self._came = 0
+        self._submit = loop.submit
+        loop.submit = self._noted_submit
+        self._changing = ""
+        self._last = b""
+        self._take = loop.controller.take
+        loop.controller.take = self._noted_take
+        for device in loop.devices.values():
+            self._watch(device.driver)
+
+    def _receive(self, group: str, take: Any, query: zenoh.Query) -> None:
+        self._came = now()
+        super()._receive(group, take, query)
+
+    def _noted_submit(self, goal: Goal, **options: Any) -> None:
+        self.found[goal.goal_id] = times = [self._came]
+        self._submit(goal, **options)
+        times.append(now())
+
+    def _noted_take(self, plan: Any, stamp: float) -> None:
+        self.found[plan.goal.goal_id].append(now())
+        self._changing = plan.goal.goal_id
+        self._take(plan, stamp)
+
+    def _watch(self, driver: Any) -> None:
+        move = driver.move
+
+        async def noted(reference: Reference) -> None:
+            position = reference.position.tobytes()
+            if position != self._last and self._changing:
+                self.found[self._changing].append(now())
+                self._changing = ""
+            self._last = position
+            await move(reference)
+
+        driver.move = noted
 
 
 def serve(arguments: argparse.Namespace) -> None:
-    """Run the hand until standard input ends; then print when the reference began to move."""
-    from rtee.remote.server import Server
-    from rtee.run import RunOptions, run_hands
+    """Run the hand until standard input ends; then print what was noted."""
+    servers: list[Noted] = []
 
-    changes = Changes()
-
-    def with_observer(loop, hand, config):  # type: ignore[no-untyped-def]
-        loop.add_observer(changes)
-        return Server(loop, hand, config)
+    def with_notes(loop: Any, hand: Any, config: Any) -> Server:
+        servers.append(Noted(loop, hand, config))
+        return servers[0]
 
     async def main() -> None:
         until = anyio.Event()
@@ -78,20 +124,24 @@ def serve(arguments: argparse.Namespace) -> None:
                 record=arguments.record,
                 log=Path(arguments.log) if arguments.record else None,
             )
-            said = lambda line: print(line, file=sys.stderr)  # noqa: E731
-            await run_hands([arguments.hand], options, serve=with_observer, until=until, say=said)
-        print(json.dumps(changes.found))
+
+            def said(line: str) -> None:
+                print(line, file=sys.stderr)
+
+            await run_hands([arguments.hand], options, serve=with_notes, until=until, say=said)
 
     anyio.run(main)
+    print(json.dumps(servers[0].found))
 
 
-def echo(arguments: argparse.Namespace) -> None:
-    """Answer a Zenoh query at once until standard input ends."""
+def echo() -> None:
+    """Answer a Zenoh query at once, with the time at which it came, until standard input ends."""
     session, endpoint = open_server([], [])
 
-    def answer(query) -> None:  # type: ignore[no-untyped-def]
+    def answer(query: zenoh.Query) -> None:
+        came = now()
         with query:
-            query.reply(query.key_expr, b"", express=True)
+            query.reply(query.key_expr, str(came).encode(), express=True)
 
     session.declare_queryable("rtee/echo", direct(answer))
     print(endpoint, flush=True)
@@ -99,90 +149,115 @@ def echo(arguments: argparse.Namespace) -> None:
     session.close()
 
 
-async def send_goals(hand: RemoteHand, action: tuple[str, ...], count: int) -> list[int]:
-    """Send goals from standstill; return when each was sent [ns]."""
+async def send_goals(
+    hand: RemoteHand, action: tuple[str, ...], count: int
+) -> list[tuple[str, int, int]]:
+    """Send goals from standstill; return of each its name, and when it was called and sent [ns]."""
     source = random.Random(1)
+    session: Any = hand._link._session  # the moment at which Zenoh takes over is seen nowhere else
+    handed = 0
+
+    class Watched:
+        def get(self, *arguments: Any, **options: Any) -> Any:
+            nonlocal handed
+            session.get(*arguments, **options)
+            handed = now()
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(session, name)
+
+    hand._link._session = Watched()  # type: ignore[assignment]
     sent = []
     for i in range(count):
-        await anyio.sleep(0.2 + source.uniform(0.0, 0.01))
-        now = time.monotonic_ns()
-        result = await hand.do(*action, intensity=0.02 if i % 2 else 0.04, tolerance=0.002)
-        sent.append(now)
+        await anyio.sleep(0.1 + source.uniform(0.0, 0.01))
+        begin = now()
+        running = await hand.start(*action, intensity=0.02 if i % 2 else 0.04, tolerance=0.002)
+        sent.append((running.goal.goal_id, begin, handed))
+        result = await running.result()
         assert result.succeeded, result
     return sent
 
 
-async def measure_network(endpoint: str, count: int) -> list[float]:
-    """Return the times of bare Zenoh queries there and back [s]."""
-    import asyncio
-
+async def measure_network(endpoint: str, count: int) -> tuple[list[float], list[float]]:
+    """Return the times of bare Zenoh queries [s]: there, and there and back."""
     session = open_client([endpoint])
     loop = asyncio.get_running_loop()
-    times = []
+    there, back = [], []
     for _ in range(count):
-        await anyio.sleep(0.005)
-        came: asyncio.Future[None] = loop.create_future()
+        await anyio.sleep(0.02)
+        came: asyncio.Future[int] = loop.create_future()
 
-        def on_reply(_: object, came: asyncio.Future[None] = came) -> None:
-            loop.call_soon_threadsafe(came.set_result, None)
+        def on_reply(reply: zenoh.Reply, came: asyncio.Future[int] = came) -> None:
+            assert reply.ok is not None
+            loop.call_soon_threadsafe(came.set_result, int(reply.ok.payload.to_bytes()))
 
-        begin = time.perf_counter()
-        session.get("rtee/echo", direct(on_reply), payload=bytes(200), express=True)
-        await came
-        times.append(time.perf_counter() - begin)
+        begin = now()
+        session.get("rtee/echo", direct(on_reply), payload=QUESTION, express=True)
+        there.append((await came - begin) * 1e-9)
+        back.append((now() - begin) * 1e-9)
     session.close()
-    return times
+    return there, back
 
 
-def show(what: str, times: list[float]) -> None:
+def show(what: str, times: Sequence[float]) -> None:
+    """Print a row [ms]."""
     ordered = sorted(times)
     p95 = ordered[int(0.95 * (len(ordered) - 1))]
     median = statistics.median(ordered)
-    print(
-        f"{what:58} median {median * 1e3:6.3f} ms   p95 {p95 * 1e3:6.3f} ms   "
-        f"worst {ordered[-1] * 1e3:6.3f} ms"
-    )
+    print(f"| {what} | {median * 1e3:.3f} | {p95 * 1e3:.3f} | {ordered[-1] * 1e3:.3f} |")
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--hand", default="schunk_svh")
     parser.add_argument("--action", nargs="+", default=["Trig", "index"])
     parser.add_argument("--rate", type=float, default=1000.0)
-    parser.add_argument("--goals", type=int, default=200)
+    parser.add_argument("--goals", type=int, default=300)
     parser.add_argument("--realtime", action="store_true")
     parser.add_argument("--record", action="store_true", help="also record every tick")
-    parser.add_argument("--log", default="")
+    parser.add_argument("--log", default="", help=argparse.SUPPRESS)
     parser.add_argument("--role", choices=("measure", "serve", "echo"), default="measure")
     arguments = parser.parse_args()
-    if arguments.role != "measure":
-        {"serve": serve, "echo": echo}[arguments.role](arguments)
-        return
+    if arguments.role == "serve":
+        serve(arguments)
+    elif arguments.role == "echo":
+        echo()
+    else:
+        measure(arguments)
+
+
+def measure(arguments: argparse.Namespace) -> None:
+    """Start the other processes, measure and print."""
     with tempfile.TemporaryDirectory() as log:
         words = [sys.executable, __file__, *sys.argv[1:], "--log", log]
-        hand = subprocess.Popen(
-            [*words, "--role", "serve"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        hand, other = (
+            subprocess.Popen(
+                [*words, "--role", role], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+            for role in ("serve", "echo")
         )
-        other = subprocess.Popen(
-            [*words, "--role", "echo"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        assert other.stdout is not None
+        endpoint = other.stdout.readline().strip()
 
-        async def run() -> tuple[list[int], list[float]]:
+        async def run() -> tuple[list[tuple[str, int, int]], tuple[list[float], list[float]]]:
             async with rtee.connect(arguments.hand, wait=20.0) as remote:
                 await anyio.sleep(1.0)
                 sent = await send_goals(remote, tuple(arguments.action), arguments.goals)
-            return sent, await measure_network(other.stdout.readline().strip(), arguments.goals)
+            return sent, await measure_network(endpoint, arguments.goals)
 
-        sent, network = anyio.run(run)
+        sent, (there, back) = anyio.run(run)
         other.communicate()
-        changed = np.array(json.loads(hand.communicate()[0].splitlines()[-1]))
-    # The first change after each goal; a goal always comes from standstill.
-    times = [(changed[np.searchsorted(changed, at)] - at) * 1e-9 for at in sent]
-    period = 1.0 / arguments.rate
-    how = "real-time" if arguments.realtime else "ordinary process"
-    show(f"goal to first changed reference ({arguments.rate:g} Hz, {how})", times)
-    show("bare Zenoh query, there and back", network)
-    print(f"waiting for the next tick takes {period / 2 * 1e3:.3f} ms of it on average")
+        found = json.loads(hand.communicate()[0].splitlines()[-1])
+    ways = [(begin, handed, *found[goal]) for goal, begin, handed in sent]
+    how = "real-time set-up" if arguments.realtime else "ordinary process"
+    print(f"| {arguments.rate:g} Hz, {how} [ms] | median | p95 | worst |")
+    print("| --- | --- | --- | --- |")
+    show("goal to first changed reference", [(way[-1] - way[0]) * 1e-9 for way in ways])
+    for k, stage in enumerate(STAGES):
+        show(f"– {stage}", [(way[k + 1] - way[k]) * 1e-9 for way in ways])
+    show("a bare Zenoh query, there", there)
+    show("a bare Zenoh query, there and back", back)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ measured"; a reference never contains ``NaN``.
 from __future__ import annotations
 
 import math
-import uuid
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -316,7 +316,7 @@ class Stage(StrEnum):
 
 def new_goal_id() -> str:
     """Return an identifier that no other goal has."""
-    return uuid.uuid4().hex[:16]
+    return os.urandom(8).hex()
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,9 +100,10 @@ class Executor:
         self._run = run = _Run(plan, stamp)
         run.progress, run.reached, run.stalled = [0.0] * legs, [False] * legs, [False] * legs
         self._contact.forget(plan.involved)
-        self._profile.go({}, brake=self._moving(except_for=()))
         self._wait(run, stamp)
         self._proceed(run, stamp, measured)
+        if run.phase is Phase.BEFORE:
+            self._profile.go({}, brake=self._moving(except_for=()))
 
     def step(
         self,

@@ -97,6 +97,7 @@ class HandTicks:
         }
         self._gather = Gather(list(self.devices.values()))
         self._pending: deque[Plan | Command] = deque()
+        self._begun: list[tuple[Plan | Command, float]] = []
         self._was_active: dict[str, bool] = dict.fromkeys(self.devices, False)
         self._group: anyio.abc.TaskGroup | None = None
         self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
@@ -162,6 +163,14 @@ class HandTicks:
 
     def tick(self, tick: Tick) -> None:
         """Do one tick; takes no time to speak of and never waits."""
+        self.move_on(tick)
+        self.tell()
+
+    def move_on(self, tick: Tick) -> None:
+        """Move the reference on and hand it to the devices' tasks; `tell` tells of it.
+
+        Whoever watches may wake other threads, which then want the interpreter: first the devices.
+        """
         stamp = tick.due_ns * 1e-9
         controller, gather = self.controller, self._gather
         gather.collect()
@@ -189,9 +198,18 @@ class HandTicks:
             if device.due(tick.number):
                 moving = self._was_active[device.name] and not device.muted
                 device.offer(self._reference(device, record) if moving else None)
+
+    def tell(self) -> None:
+        """Tell the observers what the last `move_on` did."""
+        record = self._record
+        if self._begun:
+            self._tell_begun()
+        if record is None:
+            return
         self._observers.tick(record)
-        if controller.outbox:
+        if self.controller.outbox:
             self._deliver()
+        stamp = record.stamp
         if stamp >= self._status_at:
             window = self.settings.statistics_window
             if self._status_at > 0.0:
@@ -249,16 +267,25 @@ class HandTicks:
 
     def _begin(self, what: Plan | Command, tick: int, stamp: float) -> None:
         if isinstance(what, Plan):
-            self._observers.goal(what.goal, stamp)
-            self._observers.plan(what, stamp)
+            self._begun.append((what, stamp))
             self.controller.take(what, stamp)
             return
         command = replace(what, tick=tick, stamp=stamp)
-        self._observers.command(command)
+        self._begun.append((command, stamp))
         self.controller.apply(command)
+
+    def _tell_begun(self) -> None:
+        begun, self._begun = self._begun, []
+        for what, stamp in begun:
+            if isinstance(what, Plan):
+                self._observers.goal(what.goal, stamp)
+                self._observers.plan(what, stamp)
+            else:
+                self._observers.command(what)
 
     def _take_at_once(self, command: Command) -> None:
         self._begin(command, 0 if self._record is None else self._record.tick + 1, command.stamp)
+        self._tell_begun()
         self._deliver()
 
     def _deliver(self) -> None:

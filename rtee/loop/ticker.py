@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable, Sequence
 
@@ -28,6 +29,21 @@ async def drive(
     for loop in loops:
         loop.clock_statistics = statistics
     used = time.thread_time_ns()
+    untold: list[Tick] = []
+    failures: list[Exception] = []
+    soon = asyncio.get_running_loop().call_soon
+
+    def tell() -> None:
+        if not untold:
+            return
+        tick = untold.pop()
+        try:
+            for loop in loops:
+                loop.tell()
+        except Exception as error:
+            failures.append(error)
+        if idle is not None:
+            idle(tick.due_ns + period_ns)
 
     def at_tick(tick: Tick) -> None:
         nonlocal used
@@ -35,9 +51,16 @@ async def drive(
         if statistics.started:
             statistics.add(tick.woken_ns, tick.lateness_ns, used - before, tick.missed)
         statistics.started = True
+        if failures:
+            raise failures.pop()
         for loop in loops:
-            loop.tick(tick)
-        if idle is not None:
-            idle(tick.due_ns + period_ns)
+            loop.move_on(tick)
+        untold.append(tick)
+        soon(tell)  # after the devices' tasks, which `move_on` has woken
 
-    await clock.drive(at_tick)
+    try:
+        await clock.drive(at_tick)
+    finally:
+        tell()
+    if failures:
+        raise failures.pop()

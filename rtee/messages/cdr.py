@@ -41,6 +41,7 @@ DTYPES: dict[str, np.dtype[Any]] = {
 }
 
 _LENGTH = SCALARS["uint32"]
+_PADDING = tuple(bytes(size) for size in range(8))
 
 
 class Writer:
@@ -53,31 +54,24 @@ class Writer:
 
     def align(self, size: int) -> None:
         """Pad with zeros up to a multiple of ``size`` bytes."""
-        # The header's four bytes count for alignments up to 4, not for those to 8.
-        padding = (4 - len(self._buffer)) % size
-        if padding:
-            self._buffer += bytes(padding)
+        self._buffer += bytes((4 - len(self._buffer)) % size)
 
     def scalar(self, kind: str, value: Any) -> None:
         """Append one number or truth value of a primitive kind."""
         packer = SCALARS[kind]
         buffer = self._buffer
-        padding = (4 - len(buffer)) % packer.size
-        if padding:
-            buffer += bytes(padding)
-        buffer += packer.pack(value)
+        buffer += _PADDING[(4 - len(buffer)) % packer.size] + packer.pack(value)
 
     def string(self, value: str) -> None:
         """Append a string."""
         data = value.encode("utf-8", "replace")
-        self.length(len(data) + 1)
-        self._buffer += data
-        self._buffer.append(0)
+        buffer = self._buffer
+        buffer += _PADDING[-len(buffer) % 4] + _LENGTH.pack(len(data) + 1) + data + b"\0"
 
     def length(self, count: int) -> None:
         """Append the length of a sequence."""
-        self.align(4)
-        self._buffer += _LENGTH.pack(count)
+        buffer = self._buffer
+        buffer += _PADDING[-len(buffer) % 4] + _LENGTH.pack(count)
 
     def array(self, kind: str, values: Sequence[Any] | NDArray[Any]) -> None:
         """Append a sequence of numbers or truth values."""
@@ -103,20 +97,22 @@ class Reader:
             the bytes end too early or a length makes no sense.
     """
 
-    __slots__ = ("_data", "_position")
+    __slots__ = ("_data", "_end", "_position")
 
     def __init__(self, data: bytes | bytearray | memoryview) -> None:
         if len(data) > LONGEST:
             raise MessageError(f"{len(data)} bytes are longer than any message")
-        if bytes(data[:2]) != HEADER[:2] or len(data) < len(HEADER):
+        # Plain bytes are taken apart fastest; messages that come from the network are those.
+        self._data = data if isinstance(data, bytes) else bytes(data)
+        if self._data[:2] != HEADER[:2] or len(data) < len(HEADER):
             raise MessageError("no little-endian CDR header at the start")
-        self._data = memoryview(data).cast("B")[len(HEADER) :]
-        self._position = 0
+        self._end = len(self._data)
+        self._position = len(HEADER)
 
     @property
     def remaining(self) -> int:
         """Bytes that are left."""
-        return len(self._data) - self._position
+        return self._end - self._position
 
     @property
     def ended(self) -> bool:
@@ -125,41 +121,47 @@ class Reader:
 
     def align(self, size: int) -> None:
         """Skip the padding up to a multiple of ``size`` bytes."""
-        self._position += -self._position % size
+        self._position += (len(HEADER) - self._position) % size
 
-    def _take(self, count: int) -> memoryview:
+    def _take(self, count: int) -> int:
+        """Move on by as many bytes; return where they begin."""
         start = self._position
         end = start + count
-        if end > len(self._data):
-            raise MessageError(f"{count} bytes expected at offset {start}, {self.remaining} left")
+        if end > self._end:
+            raise MessageError(
+                f"{count} bytes expected at offset {start - len(HEADER)}, {self.remaining} left"
+            )
         self._position = end
-        return self._data[start:end]
+        return start
 
     def scalar(self, kind: str) -> Any:
         """Return one number or truth value of a primitive kind."""
         unpacker = SCALARS[kind]
-        self.align(unpacker.size)
-        return unpacker.unpack(self._take(unpacker.size))[0]
+        self._position += (4 - self._position) % unpacker.size
+        return unpacker.unpack_from(self._data, self._take(unpacker.size))[0]
 
     def string(self) -> str:
         """Return a string."""
-        start = self._position
+        data, start = self._data, self._position
         length = self.length(1)
         if length == 0:
-            raise MessageError(f"string without its closing NUL at offset {start}")
-        data = bytes(self._take(length))
-        if data[-1] != 0:
-            raise MessageError(f"string without its closing NUL at offset {start}")
+            raise MessageError(f"string without its closing NUL at offset {start - len(HEADER)}")
+        begin = self._position
+        self._position = end = begin + length
+        if data[end - 1] != 0:
+            raise MessageError(f"string without its closing NUL at offset {start - len(HEADER)}")
         try:
-            return data[:-1].decode()
+            return data[begin : end - 1].decode()
         except UnicodeDecodeError:
-            raise MessageError(f"string that is not UTF-8 at offset {start}") from None
+            raise MessageError(
+                f"string that is not UTF-8 at offset {start - len(HEADER)}"
+            ) from None
 
     def length(self, least: int) -> int:
         """Return the length of a sequence whose elements take at least ``least`` bytes each."""
-        self.align(4)
-        count = int(_LENGTH.unpack(self._take(4))[0])
-        if count * least > self.remaining:
+        self._position += (4 - self._position) % 4
+        count: int = _LENGTH.unpack_from(self._data, self._take(4))[0]
+        if count * least > self._end - self._position:
             raise MessageError(f"sequence of {count} elements, but {self.remaining} bytes left")
         return count
 
@@ -170,10 +172,10 @@ class Reader:
         if not count:
             return np.empty(0, dtype=dtype)
         self.align(dtype.itemsize)
-        data = np.frombuffer(self._take(count * dtype.itemsize), dtype=np.uint8)
+        start = self._take(count * dtype.itemsize)
         if kind == "bool":
-            return data.astype(bool)
-        array: NDArray[Any] = data.copy().view(dtype)
+            return np.frombuffer(self._data, np.uint8, count, start).astype(bool)
+        array: NDArray[Any] = np.frombuffer(self._data, dtype, count, start).copy()
         return array
 
     def finish(self) -> None:

@@ -11,7 +11,6 @@ import math
 import os
 import uuid
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
 import anyio
@@ -52,7 +51,6 @@ class GoalOptions(TypedDict, total=False):
 
 
 def _goal(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
-    goal = Goal(action=action, elements=tuple(elements), client=client)
     values: dict[str, Any] = dict(options)
     if "stage" in values:
         try:
@@ -61,7 +59,7 @@ def _goal(action: str, elements: Sequence[str], client: str, options: GoalOption
             raise GoalRejected(
                 f"unknown stage '{values['stage']}'; {suggestion(str(values['stage']), Stage)}"
             ) from None
-    return replace(goal, **values)
+    return Goal(action=action, elements=tuple(elements), client=client, **values)
 
 
 class RemoteHand(Library):
@@ -117,9 +115,11 @@ class RemoteHand(Library):
             NoHand: if the hand has gone.
         """
         goal = _goal(action, elements, self.client, options)
+        # On its way first: the answer and what follows it wait until this task does.
+        answer = self._link.send("do", encode_goal(goal))
         running = self._goals[goal.goal_id] = RunningGoal(self, goal)
         try:
-            await self._link.ask_bytes("do", encode_goal(goal))
+            await answer
         except BaseException:
             self._goals.pop(goal.goal_id, None)
             raise

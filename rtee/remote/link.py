@@ -80,7 +80,13 @@ class Link:
         return request.answer.decode(await self.ask_bytes(name, question, within=within))
 
     async def ask_bytes(self, name: str, question: bytes = b"", *, within: float = 5.0) -> bytes:
-        """Ask the hand and return its answer.
+        """Ask the hand and return its answer; see `send`."""
+        return await self.send(name, question, within=within)
+
+    def send(
+        self, name: str, question: bytes = b"", *, within: float = 5.0
+    ) -> asyncio.Future[bytes]:
+        """Send a question to the hand, now, and return its answer to come.
 
         Args:
             name: Name of the request.
@@ -93,11 +99,15 @@ class Link:
             RequestRejected: if the hand refused; with its reason.
         """
         request = REQUESTS[name]
-        future: asyncio.Future[tuple[bool, bytes]] = self._loop.create_future()
+        future: asyncio.Future[bytes] = self._loop.create_future()
 
         def settle(ok: bool, data: bytes) -> None:
-            if not future.done():
-                future.set_result((ok, data))
+            if future.done():
+                return
+            if ok:
+                future.set_result(data)
+            else:
+                future.set_exception(self._error(data))
 
         def replied(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
@@ -121,10 +131,7 @@ class Link:
             )
         except zenoh.ZError as error:
             raise NoHand(f"the hand '{self.hand}' cannot be asked: {error}") from None
-        ok, data = await future
-        if ok:
-            return data
-        raise self._error(data)
+        return future
 
     def _error(self, data: bytes) -> Exception:
         try:
