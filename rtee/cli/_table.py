@@ -16,6 +16,7 @@ _GAP: Final = 2
 _INDENT: Final = 2
 _NOTHING: Final = "-"
 _NARROW: Final = 8
+_PADDED: Final = 44
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +93,17 @@ class Table:
         return Group(*parts)
 
     def lines(self) -> list[str]:
-        """Return one line per row, columns aligned and at least two blanks apart."""
+        """Return one line per row, cells at least two blanks apart; long ones push the rest on."""
         head = tuple(column.name for column in self.columns)
         cells = [head, *(row.cells for row in self.rows)]
         if self.heading:
             firsts = [self.heading, *(row.heading for row in self.rows)]
             cells = [(first, *rest) for first, rest in zip(firsts, cells, strict=True)]
         flat = [[", ".join(cell.split("\n")) or _NOTHING for cell in row] for row in cells]
-        widths = [max(map(len, column)) for column in zip(*flat, strict=True)]
+        widths = [
+            max(len(cell) for cell in column if len(cell) <= _PADDED or cell is column[0])
+            for column in zip(*flat, strict=True)
+        ]
         right = [False] * (len(widths) - len(self.columns)) + [c.right for c in self.columns]
         return [
             (" " * _GAP)
