@@ -62,7 +62,7 @@ def descend(
         enough: A value at which the descent ends.
     """
     low, high = bounds
-    y = np.clip(start, low, high)
+    y = within(start, bounds)
     value, slope = function(y)
     count, fresh, restarted = 1, True, False
     inverse = np.eye(len(y))
@@ -71,8 +71,8 @@ def descend(
         free = np.where(held, 0.0, slope)
         if np.abs(free).max(initial=0.0) < 1e-10:
             break
-        direction = -np.where(held, 0.0, inverse @ free)
-        if direction @ free >= 0.0:
+        direction = np.where(held, 0.0, -inverse.dot(free))
+        if direction.dot(free) >= 0.0:
             direction, inverse, fresh = -free, np.eye(len(y)), True
         longest = float(np.abs(direction).max())
         if fresh:
@@ -90,18 +90,22 @@ def descend(
             continue
         step, change = found[0] - y, found[2] - slope
         y, value, slope = found
-        along = float(step @ change)
+        along = float(step.dot(change))
         if along > 1e-14:
             if fresh:
-                inverse = np.eye(len(y)) * (along / float(change @ change))
-            bent = inverse @ change
-            inverse = (
-                inverse
-                + ((change @ bent / along + 1.0) / along) * np.outer(step, step)
-                - (np.outer(bent, step) + np.outer(step, bent)) / along
-            )
+                inverse = np.eye(len(y)) * (along / float(change.dot(change)))
+            bent = inverse.dot(change) / along
+            half = (0.5 * (float(change.dot(bent)) + 1.0) / along) * step - bent
+            update = step[:, None] * half
+            inverse = inverse + (update + update.T)
             fresh = False
     return Minimum(y, value, count)
+
+
+def within(y: FloatArray, bounds: Bounds) -> FloatArray:
+    """Return coordinates clamped into a box."""
+    clamped: FloatArray = np.minimum(np.maximum(y, bounds[0]), bounds[1])
+    return clamped
 
 
 _Point = tuple[FloatArray, float, FloatArray]
@@ -114,18 +118,18 @@ def _search_line(
     y, value, slope = origin
     below, above, t = 0.0, np.inf, 1.0
     best: _Point | None = None
-    steepness = float(slope @ direction)
+    steepness = float(slope.dot(direction))
     for count in range(1, 11):
         there = y + t * direction
-        inside = np.clip(there, *bounds)
+        inside = within(there, bounds)
         new, new_slope = function(inside)
-        if new > value + _DECREASE * float(slope @ (inside - y)):
+        if new > value + _DECREASE * float(slope.dot(inside - y)):
             above = t
         else:
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)
             projected = (there != inside).any()
-            if projected or float(new_slope @ direction) >= _CURVATURE * steepness:
+            if projected or float(new_slope.dot(direction)) >= _CURVATURE * steepness:
                 return best, count
             below = t
         t = (below + above) / 2.0 if above < np.inf else 2.0 * t

@@ -75,8 +75,7 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     groups = [
         group for size in range(len(tipped), 2, -1) for group in combinations(tipped, size)
     ]  # those that take longest first
-    most = 2 * len(looks) + len(groups)
-    found = spread(partial(_look, inspector), looks, jobs, lambda done, _: progress(done, most))
+    found = spread(partial(_look, inspector), looks, jobs, progress)
     seen = [(i, j, sight) for (i, j, _), sight in zip(looks, found, strict=True) if sight]
     tight = {
         frozenset((fingers[i].name, fingers[j].name)): sight.postures[0]
@@ -85,11 +84,12 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     }
     tasks: list[_Finish | _Group] = [(i, j, rank, sight) for i, j, sight in seen]
     tasks += [(group, tight, rank) for group in groups]
+    before = len(looks)
     finished = spread(
         partial(_finish, inspector),
         tasks,
         jobs,
-        lambda done, total: progress(most - total + done, most),
+        lambda done, total: progress(before + done, before + total),
     )
     return [one for one in finished if one is not None]
 

@@ -115,7 +115,7 @@ class Scene:
         self._slope = self.couplings.slope(hand.rest)
         self._convex: dict[int, Forms] = {}
         self._exact: dict[int, Forms] = {}
-        self._stamp = 0
+        self._stamp = self._jacobian_stamp = 0
         self.place(hand.rest)
         self.tips = self._tip_pairs()
 
@@ -182,10 +182,9 @@ class Scene:
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
         """
-        pin.computeJointJacobians(self._model, self._data, self.couplings.joints(u))
+        pin.forwardKinematics(self._model, self._data, self.couplings.joints(u))
         self._stamp += 1
-        if not self.couplings.linear:
-            self._slope = self.couplings.slope(u)
+        self._at = u
 
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
@@ -230,9 +229,18 @@ class Scene:
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
-        by_joint = row @ self._data.J if self._model.nv > 1 else row @ self._data.J.reshape(6, 1)
-        result: FloatArray = by_joint @ self._levers(pair, space)
+        result: FloatArray = row.dot(self._jacobian()).dot(self._levers(pair, space))
         return result
+
+    def _jacobian(self) -> FloatArray:
+        """Return the Jacobian of all joints in the base frame ``(6, m)``."""
+        if self._jacobian_stamp != self._stamp:
+            pin.computeJointJacobians(self._model, self._data)
+            if not self.couplings.linear:
+                self._slope = self.couplings.slope(self._at)
+            self._jacobian_stamp = self._stamp
+        jacobian: FloatArray = self._data.J
+        return jacobian if jacobian.ndim == 2 else jacobian.reshape(6, -1)
 
     def _levers(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return how the coordinates move the joints between two links ``(m, k)``."""
@@ -291,7 +299,7 @@ class Scene:
 
     def point_jacobian(self, link: str, point: FloatArray) -> FloatArray:
         """Return the Jacobian ``(3, n)`` of a point of a link by the actuators, base frame [m]."""
-        jacobian = self._data.J.reshape(6, -1) * self.kinematics.support(self.kinematics.body(link))
+        jacobian = self._jacobian() * self.kinematics.support(self.kinematics.body(link))
         jacobian = jacobian[:3] - pin.skew(point) @ jacobian[3:]
         result: FloatArray = jacobian @ self._slope
         return result
