@@ -63,3 +63,18 @@ def store(library: ActionLibrary, action: Action, replace: bool) -> None:
     for warning in warnings_of(action):
         print(f"rtee: warning: {warning}", file=sys.stderr)
     print(f"'{action.name}' is now an action of {library.hand.name}")
+    _tell(library.hand.name)
+
+
+def _tell(hand: str) -> None:
+    """Have a running hand read its actions again, as it does when it is asked for them."""
+    from rtee.remote.directory import running
+
+    try:
+        if hand not in running():
+            return
+        from rtee.cli._online import with_hand
+
+        with_hand(hand, None, "define", lambda remote: remote.actions())
+    except RteeError as error:
+        print(f"rtee: warning: the running hand does not know it yet: {error}", file=sys.stderr)

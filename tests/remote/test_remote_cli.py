@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rtee.actions.library import ActionLibrary
-from rtee.cli import _common, do, open, recover, state, status, stop
+from rtee.cli import _common, compose, do, open, recover, state, status, stop
 from rtee.errors import ConfigError, NoHand, RequestRejected
 from rtee.hand.model import Hand
 
@@ -130,14 +130,31 @@ def test_ctrl_c_cancels_the_goal(served: Served) -> None:
     assert served.watcher.results[0].cancelled
 
 
-def test_completion(
+def test_a_running_hand_knows_a_new_action_at_once(
     served: Served, hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    folder = configured(hand, tmp_path)
+    (folder / "actions").symlink_to(tmp_path / "actions")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RequestRejected, match="unknown action 'hook'"):
+        run(do, "hook")
+    assert "'hook' is now an action" in run(compose, "hook", "trig:index*0.3", "--hand", "small")
+    assert "hook: reached" in run(do, "hook")
+
+
+def configured(hand: Hand, tmp_path: Path) -> Path:
     folder = tmp_path / "config" / "small"
     folder.mkdir(parents=True)
     for suffix in (".urdf", ".srdf"):
         (folder / f"small{suffix}").write_bytes(hand.urdf.path.with_suffix(suffix).read_bytes())
     (folder / "hand.yaml").write_text("name: small\nurdf: small.urdf\nsrdf: small.srdf\n")
+    return folder
+
+
+def test_completion(
+    served: Served, hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = configured(hand, tmp_path)
     (tmp_path / "actions").rename(folder / "actions")
     monkeypatch.chdir(tmp_path)
     assert _common.complete_running("sm") == ["small"]
