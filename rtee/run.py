@@ -7,7 +7,7 @@ import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import anyio
 
 from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
+from rtee.drivers.homing import homing_allowed
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, LoopError, RteeError
 from rtee.hand.config import HandConfig, read_document
@@ -47,6 +48,7 @@ class RunOptions:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Talk to emulators instead of the real devices.
         driver_options: Options for a driver that hand.yaml has no device for.
+        home: Home devices that need it at the start, whatever hand.yaml says; this moves them.
         rate: Ticks per second [Hz]; ``None``: as in hand.yaml.
         realtime: Ask for real-time scheduling whatever hand.yaml says.
         log: Folder of the recordings; ``None``: as in hand.yaml.
@@ -60,6 +62,7 @@ class RunOptions:
     driver: str | None = None
     emulated: bool = False
     driver_options: Mapping[str, object] = field(default_factory=dict)
+    home: bool = False
     rate: float | None = None
     realtime: bool = False
     log: Path | None = None
@@ -136,14 +139,20 @@ def prepare(name: str, options: RunOptions) -> PreparedHand:
         {device: document.line(("devices", device)) or 1 for device in config.devices},
         str(folder),
     )
+    devices = tuple(device_settings(hand, config, settings.rate, choice))
     return PreparedHand(
         hand=hand,
         config=config,
         folder=folder,
         library=ActionLibrary.load(hand, folder / "actions"),
         settings=settings,
-        devices=tuple(device_settings(hand, config, settings.rate, choice)),
+        devices=_homing(hand.name, devices) if options.home else devices,
     )
+
+
+def _homing(hand: str, devices: Sequence[DeviceSettings]) -> tuple[DeviceSettings, ...]:
+    specs = homing_allowed(hand, [device.spec for device in devices])
+    return tuple(replace(d, spec=spec) for d, spec in zip(devices, specs, strict=True))
 
 
 @dataclass

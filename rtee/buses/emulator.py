@@ -42,10 +42,12 @@ class Emulator(ABC):
         turnaround: Time between a request's last byte and the answer's first [s].
         period: How often `step` wants to be called without traffic [s]; 0: only with traffic.
         baudrate: Rate of its line [baud], for programs that ask for none.
+        BAUDRATES: Rates that its line can have [baud]; empty: any.
         faults: Faults injected at present.
     """
 
     FAULTS: ClassVar[frozenset[str]] = frozenset({"stuck", "wrong_device"})
+    BAUDRATES: ClassVar[frozenset[int]] = frozenset()
     turnaround: float = 0.0
     period: float = 0.0
     baudrate: int = 115200

@@ -90,6 +90,10 @@ def run(
     emulated: Annotated[
         bool, typer.Option("--emulated", help="Talk to emulators instead of the real devices.")
     ] = False,
+    home: Annotated[
+        bool,
+        typer.Option("--home", help="Home devices that need it, which moves them all the way."),
+    ] = False,
     rate: Annotated[float | None, typer.Option(help="Ticks per second, 1 to 2000.")] = None,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Ask for real-time scheduling.")
@@ -123,6 +127,7 @@ def run(
         driver=driver,
         emulated=emulated,
         driver_options=_options(option or []) | _scene(driver, object_, gravity),
+        home=home,
         rate=rate,
         realtime=realtime,
         log=log,

@@ -71,7 +71,8 @@ class Player:
         if baudrate is not None and can is None:
             options["baudrate"] = baudrate
         self.emulator: Emulator = make_emulator(name, options)
-        _check_wire(name, self.emulator, can is not None)
+        _check_wire(name, self.emulator, can is not None, link is not None)
+        _check_rate(name, self.emulator, baudrate if can is None else None)
         rate = baudrate or self.emulator.baudrate
         self.simulation: Simulation
         if isinstance(self.emulator, Serves):
@@ -166,15 +167,27 @@ class Player:
         return f"{text}\nfaults: {faults}".strip()
 
 
-def _check_wire(name: str, emulator: Emulator, can: bool) -> None:
+def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:
     """Refuse a device on a wire that is not its own."""
     kind = type(emulator)
+    if isinstance(emulator, Serves):
+        if can or link:
+            raise ConfigError(f"'{name}' is a server on the network: give --tcp PORT, or nothing")
+        return
     if kind.on_frame is not Emulator.on_frame and not can:
         raise ConfigError(f"'{name}' is a device on a CAN bus: give --can CHANNEL")
     if kind.feed is not Emulator.feed and can:
         raise ConfigError(f"'{name}' is no device on a CAN bus: give --link or --tcp, or neither")
     if kind.on_frame is Emulator.on_frame and kind.feed is Emulator.feed:
         raise ConfigError(
-            f"'{name}' can be played only to its own driver: rtee run HAND --driver devices "
-            "--emulated"
+            f"'{name}' is emulated without its wire, at the level of process data, so no other "
+            "program can reach it; its own driver can: rtee run HAND --driver devices --emulated"
         )
+
+
+def _check_rate(name: str, emulator: Emulator, baudrate: int | None) -> None:
+    """Refuse a rate that the device's line cannot have."""
+    rates = emulator.BAUDRATES
+    if baudrate is not None and rates and baudrate not in rates:
+        known = ", ".join(str(rate) for rate in sorted(rates))
+        raise ConfigError(f"'{name}' has no line at {baudrate} baud; possible: {known}")

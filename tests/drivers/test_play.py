@@ -84,10 +84,14 @@ def test_mistakes_are_named() -> None:
         Player("allegro")
     with pytest.raises(ConfigError, match="'qb_softhand' is no device on a CAN bus"):
         Player("qb_softhand", can="x")
-    with pytest.raises(ConfigError, match="only to its own driver"):
+    with pytest.raises(ConfigError, match="its own driver can"):
         Player("heri_ethercat")
     with pytest.raises(ConfigError, match="give one of"):
         Player("robotiq_2f", tcp=0, can="x")
+    with pytest.raises(ConfigError, match="'xbot2' is a server on the network: give --tcp PORT"):
+        Player("xbot2", link=Path("there"))
+    with pytest.raises(ConfigError, match="no line at 115200 baud; possible: 921600"):
+        Player("schunk_svh", baudrate=115200)
 
 
 def test_a_zeromq_server_has_three_ports_side_by_side() -> None:

@@ -138,7 +138,7 @@ class Cia402Driver(Cia402Cycle):
                 self.spec.name,
                 _NOT_HOMED,
                 f"not homed: {', '.join(d.name for d in needy)}",
-                hint="`rtee recover` homes it, which moves it; or set `home: on_connect`",
+                hint="`rtee recover`, or `rtee run --home`, homes it, which moves it",
             )
         for drive in self.drives:
             drive.stand(self._measured(drive))

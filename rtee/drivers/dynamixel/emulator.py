@@ -66,6 +66,8 @@ class DynamixelEmulator(Emulator):
 
     baudrate = 57_600
 
+    BAUDRATES = frozenset(table.BAUD_RATES)
+
     def __init__(self, properties: LineProperties | None = None) -> None:
         super().__init__()
         self.properties = properties or LineProperties()

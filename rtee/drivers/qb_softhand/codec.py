@@ -10,6 +10,8 @@ from operator import xor
 from typing import ClassVar, Self
 
 BAUDRATE = 2_000_000
+BAUDRATES = (BAUDRATE, 460_800)
+"""Rates that a hand can be set to [baud]."""
 HEADER = b"\x3a\x3a"
 BROADCAST = 0
 LONGEST = 128

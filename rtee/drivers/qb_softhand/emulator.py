@@ -82,6 +82,8 @@ class QbSoftHandEmulator(Emulator):
 
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "low_supply"}
 
+    BAUDRATES = frozenset(codec.BAUDRATES)
+
     def __init__(self, options: QbOptions | None = None) -> None:
         super().__init__()
         self.options = options or QbOptions()

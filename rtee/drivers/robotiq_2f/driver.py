@@ -49,8 +49,8 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
     MODEL: ClassVar[str] = "Robotiq 2-finger gripper"
     FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
     HINT: ClassVar[str] = (
-        "`rtee recover` activates it: the fingers close and open once, so nothing may be between "
-        "them; or set `home: on_connect`"
+        "`rtee recover`, or `rtee run --home`, activates it: the fingers close and open once, so "
+        "nothing may be between them"
     )
     COUNT: ClassVar[int] = COUNT
     RESET: ClassVar[Sequence[int]] = Command().to_registers()

@@ -47,8 +47,8 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
     MODEL: ClassVar[str] = "Robotiq 3-Finger"
     FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
     HINT: ClassVar[str] = (
-        "`rtee recover` activates it: all fingers and the scissor then move, so nothing may be "
-        "between them; or set `home: on_connect`"
+        "`rtee recover`, or `rtee run --home`, activates it: all fingers and the scissor then "
+        "move, so nothing may be between them"
     )
     COUNT: ClassVar[int] = COUNT
     RESET: ClassVar[Sequence[int]] = Command().to_registers()[:_SIMPLE]

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 
 _HOMING = (
-    "`rtee recover` homes it: every finger moves to its open stop, so nothing may be in the way; "
-    "or set `home: on_connect`"
+    "`rtee recover`, or `rtee run --home`, homes it: every finger moves to its open stop, so "
+    "nothing may be in the way"
 )
 
 

@@ -78,6 +78,7 @@ class SchunkSvhEmulator(Emulator):
         "driver_fault", "over_temperature", "silent",
     }  # fmt: skip
 
+    BAUDRATES = frozenset({codec.BAUDRATE})
     baudrate = codec.BAUDRATE
 
     def __init__(self, options: SvhOptions | None = None) -> None:

@@ -85,9 +85,17 @@ async def home(
         stop = await _seek(link, device, channel, current, timeout)
         await _settle(link, device, channel, channel.idle(stop), timeout)
     finally:
-        await asyncio.shield(disable(link))
+        ending = asyncio.ensure_future(disable(link))
+        ending.add_done_callback(_ended)
+        await asyncio.shield(ending)
     await link.set_position_settings(channel.index, position)
     return stop
+
+
+def _ended(task: asyncio.Future[None]) -> None:
+    """Take the error of switching off when nobody waits for it any more."""
+    if not task.cancelled():
+        task.exception()
 
 
 async def _seek(
