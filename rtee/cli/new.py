@@ -38,10 +38,12 @@ def _print(made: NewHand) -> None:
     for finger, reason in zip(hand.fingers, made.reasons, strict=True):
         print(f"\nfinger {reason}\n  tip: {finger.tip or 'none'}")
         print(f"  moved by: {', '.join(finger.actuators) or 'nothing'}")
+    # By its name a hand is found in ./config only.
+    known = hand.name if made.folder.parent == Path("config") else str(made.folder)
     print()
     for note in made.notes:
         print(f"note: {note}")
     print(
         f"{len(made.pairs)} pairs of links are never checked for collision; {hand.name}.srdf says "
-        f"why.\nNext: rtee extract {hand.name}"
+        f"why.\nNext: rtee extract {known}"
     )

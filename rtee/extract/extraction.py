@@ -6,6 +6,9 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
+from typing import Final
+
+import numpy as np
 
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.evidence import Inspector, posture_of
@@ -15,6 +18,9 @@ from rtee.extract.multi import Pinches, find_multi
 from rtee.extract.pinch import Sight, pinch_search
 from rtee.extract.ranking import Found, Rank
 from rtee.hand.model import Hand
+
+_LARGE: Final = 5.0
+"""Links of hands are smaller than this [m]."""
 
 
 @dataclass(frozen=True)
@@ -124,8 +130,16 @@ def _primitive(hand: Hand, found: Found) -> Primitive:
 
 
 def _notes(inspector: Inspector) -> tuple[str, ...]:
+    notes = []
+    extents = {s.link: float(np.ptp(s.box, axis=0).max()) for s in inspector.scene.shapes}
+    largest = max(extents, key=extents.__getitem__, default="")
+    if largest and extents[largest] > _LARGE:
+        notes.append(
+            f"link '{largest}' is {extents[largest]:.3g} m large; meshes drawn in millimetres need "
+            'scale="0.001 0.001 0.001" in the URDF'
+        )
     pairs = inspector.collisions.at_rest
-    if not pairs:
-        return ()
-    named = ", ".join(f"{a} and {b}" for a, b in pairs)
-    return (f"these links touch at rest and are not checked against each other: {named}",)
+    if pairs:
+        named = ", ".join(f"{a} and {b}" for a, b in pairs)
+        notes.append(f"these links touch at rest and are not checked against each other: {named}")
+    return tuple(notes)

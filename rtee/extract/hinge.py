@@ -20,6 +20,9 @@ OUTER: Final = 0.5
 _EDGE: Final = 0.006
 """Longest edge of the triangles along which a mesh is cut [m]."""
 
+_PARTS: Final = 64
+"""Where a shape is larger than this many such edges, they are longer."""
+
 _HALVINGS: Final = 8
 
 
@@ -90,7 +93,9 @@ class Jaw:
         vertices, faces = self.shape.triangles
         outside = (self.arms(vertices) > limit)[faces]
         whole = outside.all(axis=1)
-        pieces = halved(vertices[faces[~whole]], _EDGE)
+        low, high = self.shape.box
+        edge = max(_EDGE, float((high - low).max()) / _PARTS)
+        pieces = halved(vertices[faces[~whole]], edge)
         kept = pieces[(self.arms(pieces) > limit).all(axis=1)]
         return np.concatenate([vertices[faces[whole]], kept])
 

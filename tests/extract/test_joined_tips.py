@@ -73,3 +73,16 @@ def test_dagana_pinches_when_it_closes() -> None:
 def test_the_real_dagana_does_too(shared: Path) -> None:
     folder = shared / "hands" / "dagana"
     check_dagana(load_model(folder / "dagana.urdf", folder / "dagana.srdf"))
+
+
+def test_meshes_without_their_scale_are_noted_and_cost_no_more(
+    shared: Path, tmp_path: Path
+) -> None:
+    folder = shared / "hands" / "dagana"
+    text = (folder / "dagana.urdf").read_text()
+    assert 'scale="0.001 0.001 0.001"' in text
+    (tmp_path / "dagana.urdf").write_text(text.replace('scale="0.001 0.001 0.001"', ""))
+    hand = load_model(tmp_path / "dagana.urdf", folder / "dagana.srdf", package_dirs=[folder])
+    found = extract(hand)
+    assert 'is 105 m large; meshes drawn in millimetres need scale="0.001' in found.notes[0]
+    assert {p.name for p in found.primitives} == {"Trig", "PinchTight"}
