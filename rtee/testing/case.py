@@ -66,6 +66,8 @@ class DeviceCase:
         max_efforts: Effort limits to try that with, within the device's range.
         fault: A fault of the emulator that the driver must report as `DeviceFault`.
         homes: A power cycle costs the device what only homing brings back.
+        wire: It hangs on a wire with its emulator at the other end; without one, what needs either
+            is skipped.
         checksums: Frames carry checksums, so corrupted ones are noticed.
         wire_faults: Faults that its wire can have; by default all. Whole frames (CAN) or messages
             cannot be split, and no noise comes between them.
@@ -88,6 +90,7 @@ class DeviceCase:
     max_efforts: Sequence[float] | None = None
     fault: str | None = None
     homes: bool = True
+    wire: bool = True
     checksums: bool = True
     wire_faults: frozenset[str] | None = None
     cycles: int = field(default_factory=cycles)

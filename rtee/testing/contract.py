@@ -52,6 +52,11 @@ class DriverContract:
             pytest.skip(f"the case gives no '{name}'")
         return value
 
+    def wired(self) -> None:
+        """Skip the test where there is no wire."""
+        if not self.case.wire:
+            pytest.skip("this driver has no wire")
+
     # --- connecting --------------------------------------------------------------------------
 
     def test_connecting_identifies_and_moves_nothing(self) -> None:
@@ -72,6 +77,7 @@ class DriverContract:
 
     def test_a_wrong_device_is_refused(self) -> None:
         """Another device at the address is named instead of being driven."""
+        self.wired()
 
         async def test() -> None:
             async with self.session() as session:
@@ -85,6 +91,7 @@ class DriverContract:
 
     def test_no_device_is_a_clear_error(self) -> None:
         """A vanished port and a silent device are errors with a sentence, not a hang."""
+        self.wired()
 
         async def test() -> None:
             async with self.session() as session:
@@ -212,6 +219,7 @@ class DriverContract:
 
     def test_stop_and_release_never_raise(self) -> None:
         """Neither before connecting, nor with the cable pulled, nor after closing."""
+        self.wired()
 
         async def test() -> None:
             async with self.session() as session:
@@ -227,6 +235,7 @@ class DriverContract:
 
     def test_a_stuck_device_is_measured_where_it_is(self) -> None:
         """A position that does not follow is reported, not made up."""
+        self.wired()
 
         async def test() -> None:
             near, far = self.case.between()
@@ -287,6 +296,7 @@ class DriverContract:
 
     def test_a_power_cycle_is_noticed_or_harmless(self) -> None:
         """After its supply came back the device is in fault, or where it was, but never jumps."""
+        self.wired()
 
         async def test() -> None:
             near, _ = self.case.between()
@@ -313,6 +323,7 @@ class DriverContract:
     @pytest.mark.timeout(600)
     def test_a_faulty_wire_is_survived(self, fault: str) -> None:
         """At 5 % faults nothing but timeouts and bad frames is raised, and no value is wrong."""
+        self.wired()
         if fault in NEEDS_CHECKSUMS and not self.case.checksums:
             pytest.skip("frames of this device carry no checksum")
         if self.case.wire_faults is not None and fault not in self.case.wire_faults:
@@ -361,6 +372,7 @@ class DriverContract:
 
     def test_a_cancelled_exchange_leaves_the_driver_usable(self) -> None:
         """Cancelling at any moment is cancelling, and the next exchange works."""
+        self.wired()
 
         async def test() -> None:
             near, _ = self.case.between()
@@ -386,6 +398,7 @@ class DriverContract:
     @pytest.mark.timeout(300)
     def test_unplugging_a_hundred_times_leaks_nothing(self) -> None:
         """Pulled and put back a hundred times: no file, no task and no thread stays behind."""
+        self.wired()
 
         async def test() -> None:
             async with self.session() as session:
@@ -419,6 +432,7 @@ class DriverContract:
 
     def test_a_slow_device_leaves_a_fast_one_its_rate(self) -> None:
         """While one device takes 0.1 s per exchange, another one goes on exchanging."""
+        self.wired()
 
         async def test() -> None:
             async with self.session() as fast, self.session(name="slow") as slow:

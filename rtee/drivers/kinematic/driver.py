@@ -13,7 +13,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.kinematic.options import KinematicOptions
 from rtee.drivers.kinematic.plant import Plant
 from rtee.drivers.options import read_options
-from rtee.errors import BusBroken, ConfigError, DeviceFault, suggestion
+from rtee.errors import BusBroken, ConfigError, DeviceFault, NotConnected, suggestion
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference, readonly
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ class KinematicDriver(Driver):
         self._last: float | None = None
         self._powered = False
         self._plugged = True
+        self._closed = False
         self._fault = ""
         measures = _MEASURES | ({"temperature"} if self._options.temperatures else set())
         self.capabilities = Capabilities(
@@ -117,6 +118,8 @@ class KinematicDriver(Driver):
     def _check(self) -> None:
         if not self._plugged:
             raise BusBroken("kinematic", "unplugged")
+        if self._closed:
+            raise NotConnected(self.spec.name, "is not connected")
         if self._fault:
             raise DeviceFault(self.spec.name, 1, self._fault, hint="`rtee recover` clears it")
 
@@ -126,6 +129,7 @@ class KinematicDriver(Driver):
         """See `Driver.configure`."""
         if not self._plugged:
             raise BusBroken("kinematic", "unplugged")
+        self._closed = False
         self._last = self.now()
 
     async def activate(self) -> None:
@@ -193,6 +197,11 @@ class KinematicDriver(Driver):
 
     async def deactivate(self) -> None:
         """See `Driver.deactivate`."""
+        self._powered = False
+
+    async def close(self) -> None:
+        """See `Driver.close`."""
+        self._closed = self._last is not None
         self._powered = False
 
     def _advance(self) -> float:
