@@ -1,27 +1,159 @@
-"""The same object picked up by a 2F-85, a qb SoftHand and a 3FG15, by primitives only."""
+"""The same object picked and placed by a 2F-85, a qb SoftHand and a 3FG15, by primitives only.
+
+First in dynamics, then each with its real driver against its device emulated on the wire.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
-from experiments.common import Outcome, hold, main
-from rtee.trials.trial import Trial
+import anyio
+import numpy as np
 
-OBJECT = "cylinder:0.025x0.12"
-GRASPS = (
-    ("robotiq_2f_85", "SingleJointMultipleTips_2", "finger_joint"),
-    ("qb_softhand", "SingleJointMultipleTips_5", "qbhand_synergy_joint"),
-    ("onrobot_3fg15", "SingleJointMultipleTips_3", "robot_onrobot_3fg15_finger_joint1"),
+from experiments.common import Outcome, main, plot_of, recording, strip
+from experiments.wires import on_the_wire
+from rtee.drivers.axis import VirtualObject
+from rtee.log import read
+from rtee.log.recording import outcome_of
+from rtee.loop.plan import OPEN
+from rtee.trials.sweep import bench
+from rtee.trials.transfer import OFF, TILT, Transfer, run_transfer
+from rtee.types import Goal
+
+RADIUS = 0.025
+OBJECT = f"cylinder:{RADIUS:g}x0.14"
+HOLD = 2.0
+
+
+def _in_2f_85(emulator: Any) -> None:
+    least, most = 3.0, 230.0
+    emulator.axis.obstacle = VirtualObject(most - (most - least) * 2.0 * RADIUS / 0.085, 20.0)
+
+
+def _in_softhand(emulator: Any) -> None:
+    emulator.hold(0.6)
+
+
+def _in_3fg15(emulator: Any) -> None:
+    emulator.axis.obstacle = VirtualObject(2.0 * RADIUS, 1e6, closing=-1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Gripper:
+    """One of the three devices.
+
+    Attributes:
+        name: The hand.
+        action: The primitive that grasps.
+        actuator: Its element.
+        reach: From where the hand comes.
+        put: Puts the object between the fingers of its emulator.
+    """
+
+    name: str
+    action: str
+    actuator: str
+    reach: Literal["down", "level"]
+    put: Callable[[Any], None]
+
+
+GRIPPERS = (
+    Gripper("robotiq_2f_85", "SingleJointMultipleTips_2", "finger_joint", "level", _in_2f_85),
+    Gripper(
+        "qb_softhand", "SingleJointMultipleTips_5", "qbhand_synergy_joint", "level", _in_softhand
+    ),
+    Gripper(
+        "onrobot_3fg15",
+        "SingleJointMultipleTips_3",
+        "robot_onrobot_3fg15_finger_joint1",
+        "down",
+        _in_3fg15,
+    ),
 )
 
 
 def run(folder: Path, *, pictures: bool = True) -> Outcome:
-    """Grasp, lift, hold for 2 s and shake the same object with each of the devices."""
-    outcome = Outcome("the same object is lifted, held for 2 s and shaken by each device")
-    for name, action, actuator in GRASPS:
-        trial = Trial(action, (actuator,), OBJECT, places=5)
-        hold(name, trial, folder, outcome, pictures=pictures)
+    """Pick and place the object with each device in dynamics; grasp and let go on the wires."""
+    outcome = Outcome(
+        f"in dynamics, each device lifts the object, holds it for {HOLD:g} s, carries it, and "
+        f"leaves it standing within {OFF * 1e2:g} cm of its target, upright within "
+        f"{np.degrees(TILT):g} degrees; on its emulated wire, each grasps it, holds it for "
+        f"{HOLD:g} s and lets go"
+    )
+    for gripper in GRIPPERS:
+        in_dynamics(gripper, folder, outcome, pictures=pictures)
+    on_wires(GRIPPERS, folder / "wires", outcome)
     return outcome
+
+
+def in_dynamics(gripper: Gripper, folder: Path, outcome: Outcome, *, pictures: bool = True) -> None:
+    """Pick the object up, carry it, set it down, let go and retreat, in simulation."""
+    ready = bench(gripper.name)
+    transfer = Transfer(gripper.action, (gripper.actuator,), OBJECT, reach=gripper.reach)
+    stills: list[tuple[str, bytes]] = []
+    watch = None
+    if pictures:
+        from rtee.trials.pictures import transfer_camera
+
+        take = transfer_camera(ready.hand)
+
+        def watch(moment: str, headless: object) -> None:
+            if moment == "start":
+                stills.clear()
+            stills.append((moment, take(headless)))
+
+    with recording(ready, folder, outcome) as recorder:
+        result = run_transfer(
+            ready.hand, ready.library, ready.settings, transfer, observers=[recorder], watch=watch
+        )
+    said = result.reason or (
+        f"{result.off * 1e3:.1f} mm from its target, leaning by {np.degrees(result.tilt):.1f} "
+        f"degrees, slipped by {result.slip * 1e3:.1f} mm in the hand"
+    )
+    outcome.check(result.placed, f"{gripper.name}: {said}")
+    if stills:
+        strip(folder / f"{gripper.name}_pick_and_place.png", stills, outcome, columns=4)
+
+
+def on_wires(grippers: Sequence[Gripper], folder: Path, outcome: Outcome) -> None:
+    """Grasp, hold and let go with the real drivers, all devices at the same time."""
+    before = set(folder.glob("*.mcap"))
+
+    async def together() -> None:
+        async with anyio.create_task_group() as group:
+            for gripper in grippers:
+                group.start_soon(_on_wire, gripper, folder, outcome)
+
+    anyio.run(together)
+    for path in sorted(set(folder.glob("*.mcap")) - before):
+        spans = [(span.name.split()[0], span.outcome) for span in read(path).spans]
+        outcome.check(
+            [name for name, _ in spans[-2:]] == [_action_of(grippers, path), OPEN],
+            f"{path.name}: {', '.join(' '.join(span) for span in spans)}",
+        )
+        outcome.files += [path, plot_of(path)]
+
+
+def _action_of(grippers: Sequence[Gripper], path: Path) -> str:
+    return next(g.action for g in grippers if path.name.startswith(g.name))
+
+
+async def _on_wire(gripper: Gripper, folder: Path, outcome: Outcome) -> None:
+    async with on_the_wire(gripper.name, folder, gripper.put) as wired:
+        grasp = await wired.do(Goal(gripper.action, (gripper.actuator,), goal_id="grasp"))
+        at = wired.loop.snapshot().position
+        await anyio.sleep(HOLD)
+        moved = float(np.abs(wired.loop.snapshot().position - at).max())
+        kept = "grasp_lost" not in wired.events
+        opened = await wired.do(Goal(OPEN, goal_id="open"))
+    outcome.check(
+        grasp.grasped and kept and moved < 0.02 and opened.reached,
+        f"{gripper.name} on its wire: {outcome_of(grasp)} at {float(at[0]):.3f}, moved by "
+        f"{moved:.4f} in {HOLD:g} s; open: {outcome_of(opened)}",
+    )
 
 
 if __name__ == "__main__":

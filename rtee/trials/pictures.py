@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.scene import TABLE
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.drivers.mujoco.surroundings import TABLE
 from rtee.errors import ConfigError
 from rtee.extract.report_camera import fitted, view
 from rtee.extract.report_image import linear, picture_file
@@ -33,6 +33,9 @@ _TABLE_COLOUR = "#c9ccd1"
 _CAPTION = 26
 _REACH = np.array([[0.0, 0.0, -0.03], [0.0, 0.0, 0.04]])
 """Ways of the hand in a trial, from where it starts."""
+
+_FAR = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, 0.14], [0.16, 0.1, 0.14], [0.24, 0.12, 0.0]])
+"""Ways of the hand in a transfer."""
 
 
 class Camera:
@@ -181,12 +184,21 @@ def write_strip(
 
 def trial_camera(hand: Hand) -> Callable[[HeadlessHand[Simulation]], bytes]:
     """Return what takes pictures of a trial; all pictures of one trial show the same section."""
+    return _taker(hand, _REACH)
+
+
+def transfer_camera(hand: Hand) -> Callable[[HeadlessHand[Simulation]], bytes]:
+    """Return what takes pictures of a transfer; all show the same, wider section."""
+    return _taker(hand, _FAR)
+
+
+def _taker(hand: Hand, reach: FloatArray) -> Callable[[HeadlessHand[Simulation]], bytes]:
     cameras: list[tuple[Simulation, Camera]] = []
 
     def take(headless: HeadlessHand[Simulation]) -> bytes:
         simulation = headless.simulation
         if not cameras or cameras[-1][0] is not simulation:
-            cameras.append((simulation, Camera(simulation, hand, _REACH)))
+            cameras.append((simulation, Camera(simulation, hand, reach)))
         return cameras[-1][1].picture()
 
     return take

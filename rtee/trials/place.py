@@ -17,7 +17,8 @@ from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
 _STEPS = 21
-_OUTWARD = (0.0, 0.01, 0.02, 0.035, 0.05, -0.02, -0.04)
+_TURNS = 3
+_OUTWARD = (0.0, 0.01, 0.02, 0.035, 0.05, 0.065, -0.02, -0.04)
 _ACROSS = (0.0, 0.015, 0.03, 0.045)
 _TOUCH = 2e-4
 _APART = 0.015
@@ -109,18 +110,18 @@ class Places:
             ((o, a) for o in _OUTWARD for a in _ACROSS), key=lambda way: abs(way[0]) + way[1]
         )
         for along, aside in ways:
+            missing = set(range(_TURNS))
             for intensity in np.linspace(1.0, 0.0, _STEPS):
                 centres = self._tips(float(intensity))
                 middle = weights @ centres + self._shift
                 middle = middle + along * outward + aside * across
-                fitting = [
-                    pose
-                    for pose in self._poses(middle, centres, axis, outward)
-                    if self._clear(pose, float(intensity)) and self._clear(pose, 0.0)
-                ]
-                if fitting:
-                    for pose in fitting:
+                poses = self._poses(middle, centres, axis, outward)
+                for turn in sorted(missing):
+                    pose = poses[turn]
+                    if self._clear(pose, float(intensity)) and self._clear(pose, 0.0):
+                        missing.discard(turn)
                         yield Place(pose, float(intensity), np.zeros(3))
+                if not missing:
                     break
 
     def _curl(self, outward: FloatArray) -> FloatArray:

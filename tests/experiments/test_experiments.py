@@ -11,7 +11,15 @@ pytest.importorskip("mujoco")
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from experiments import dagana_gui, drill, heri_objects, svh, variants
+from experiments import (
+    dagana_gui,
+    drill,
+    heri_objects,
+    same_object,
+    svh,
+    variants,
+    wide_grasp,
+)
 from experiments.common import Outcome, hold
 from rtee.errors import ConfigError
 from rtee.log import read
@@ -80,3 +88,28 @@ def test_the_variants_have_the_stated_primitives(variant: int, tmp_path: Path) -
 
     found = Counter(p.name for p in extract(variants.hand(variant, tmp_path)).primitives)
     assert found == variants.EXPECTED[variant]
+
+
+@pytest.mark.parametrize("gripper", same_object.GRIPPERS, ids=lambda gripper: gripper.name)
+def test_the_same_object_is_picked_and_placed(gripper: same_object.Gripper, tmp_path: Path) -> None:
+    outcome = Outcome("placed")
+    same_object.in_dynamics(gripper, tmp_path, outcome, pictures=False)
+    assert passed(outcome)
+    names = [span.name for span in read(next(tmp_path.glob("*.mcap"))).spans]
+    assert names[-1] == "open"
+
+
+def test_the_same_object_is_grasped_on_all_wires(tmp_path: Path) -> None:
+    outcome = Outcome("grasped, held and let go")
+    same_object.on_wires(same_object.GRIPPERS, tmp_path, outcome)
+    assert passed(outcome)
+    assert len(outcome.files) == 6
+
+
+@pytest.mark.parametrize(("name", "trial"), wide_grasp.TRIALS)
+def test_a_wide_grasp_holds(name: str, trial: Trial, tmp_path: Path) -> None:
+    outcome = Outcome("held")
+    hold(name, trial, tmp_path, outcome, pictures=False)
+    assert passed(outcome)
+    (span,) = read(sorted(tmp_path.glob("*.mcap"))[-1]).spans
+    assert span.name == trial.action

@@ -11,15 +11,12 @@ from rtee.drivers.mujoco.model import CARRIER, Built, build
 from rtee.drivers.mujoco.objects import add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.drivers.mujoco.surroundings import AXES
+from rtee.drivers.mujoco.surroundings import AXES, TABLE
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
 from rtee.hand.touching import touch_at_rest
 from rtee.types import FloatArray
-
-TABLE = "table"
-"""Name of the table's geom."""
 
 _INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)
 _STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)
@@ -90,12 +87,11 @@ def downward(hand: Hand) -> FloatArray:
     return turn
 
 
-def add_carrier(spec: mujoco.MjSpec, hand: Hand, options: SimOptions) -> None:
-    """Let the carrier reach down and move as the options say; a fixed one stays as it is."""
+def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> None:
+    """Turn the carrier and let it move as the options say; a fixed one stays as it is."""
     if options.carrier == "fixed":
         return
     mount = spec.body(CARRIER)
-    turn = downward(hand)
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, turn.ravel())
     mount.quat = quat
@@ -133,6 +129,7 @@ def make_simulation(
     period: float,
     *,
     place: FloatArray | None = None,
+    mount: FloatArray | None = None,
 ) -> Simulation:
     """Build, compile and start the simulation that the options describe.
 
@@ -143,18 +140,19 @@ def make_simulation(
         period: Time between exchanges [s].
         place: Pose ``(4, 4)`` of the object in the hand's base frame; its middle is where the
             fingertips meet unless given.
+        mount: How a carried hand is turned ``(3, 3)`` in the world; it reaches down unless given.
 
     Raises:
         ModelError: if the hand cannot be simulated.
         ConfigError: if the object is none.
     """
     built = build_hand(hand, options)
-    add_carrier(built.spec, hand, options)
+    pose = np.eye(4)
+    if options.carrier != "fixed":
+        pose[:3, :3] = downward(hand) if mount is None else mount
+    add_carrier(built.spec, pose[:3, :3], options)
     if options.object:
         shape = parse_object(options.object)
-        pose = np.eye(4)
-        if options.carrier != "fixed":
-            pose[:3, :3] = downward(hand)
         if place is None:
             inside = np.eye(4)
             inside[:3, 3] = grasp_centre(hand)

@@ -14,6 +14,9 @@ from rtee.types import FloatArray
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 """The motions a carrier may have, in the order of its script's values."""
 
+TABLE = "table"
+"""Name of the table's geom."""
+
 _DRAG = 4.0
 _TURN_DRAG = 0.01
 _CONFIRM = 0.3
@@ -53,6 +56,7 @@ class Surroundings:
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, OBJECT)
         self.has_object = joint >= 0
         self.released = not self.has_object or options.support == "table"
+        self._table = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, TABLE)
         self._motors = [
             mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{CARRIER}/{axis}")
             for axis in AXES
@@ -109,6 +113,30 @@ class Surroundings:
         self._touched = self._touched + elapsed if len(self.touching()) >= _LINKS else 0.0
         if self._touched >= _CONFIRM:
             self.release()
+
+    @property
+    def on_table(self) -> bool:
+        """Whether the object touches the table."""
+        if self._table < 0 or not self.has_object:
+            return False
+        geoms = self._data.contact.geom
+        other = geoms[(geoms == self._table).any(axis=1)].sum(axis=1) - self._table
+        return bool(np.isin(self._model.geom_bodyid[other], self._parts).any())
+
+    @property
+    def speed(self) -> float:
+        """Speed of the object's origin [m/s]."""
+        return float(np.linalg.norm(self._data.qvel[self._dof : self._dof + 3]))
+
+    @property
+    def object_frame(self) -> FloatArray:
+        """Pose ``(4, 4)`` of the object in the world."""
+        frame = np.eye(4)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, self.pose[3:])
+        frame[:3, :3] = turn.reshape(3, 3)
+        frame[:3, 3] = self.pose[:3]
+        return frame
 
     def touching(self) -> tuple[str, ...]:
         """Return the names of the links that touch the object, sorted."""
