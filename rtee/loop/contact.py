@@ -45,6 +45,8 @@ class _Watched:
     blocked_at: float = math.nan
     grasping: bool = False
     own_word: bool = False
+    old_word: bool = False
+    new: bool = True
     hold_position: float = math.nan
     losing_since: float = math.nan
 
@@ -55,7 +57,8 @@ class ContactWatch:
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
     or its device says that it holds something. A blocked one *grasps* when its effort is above a
     threshold, or by its device's own word; that word doesn't count at the end of the range, where
-    devices report the mechanical stop.
+    devices report the mechanical stop. A word that stands since before the motion counts only once
+    the actuator has stalled: it may be about the grip that is being opened.
 
     Args:
         actuators: The hand's actuators.
@@ -141,13 +144,19 @@ class ContactWatch:
             slow = self._stall.speed * self._actuators[i].velocity * self._stall.time
             # Pushed the other way (a grip that is being opened), it has not come to its motion yet.
             ahead = 1.0 if watched.target >= position else -1.0
-            behind = (reference[i] - position) * ahead > watched.tolerance
-            if not abs(position - watched.anchor) <= slow or not behind:
+            lead = (reference[i] - position) * ahead
+            behind = lead > watched.tolerance
+            # A device that has a word of its own says it when its target stands still.
+            arriving = word == 0 and abs(reference[i] - watched.target) > watched.tolerance
+            if not abs(position - watched.anchor) <= slow or not behind or arriving:
                 watched.anchor, watched.since = position, stamp
                 watched.blocked_at = math.nan
                 watched.grasping = False
             stalled = behind and stamp - watched.since >= self._stall.time
+            watched.old_word = word == 1 and (watched.old_word or lead <= 0.0 or watched.new)
+            watched.new = False
             own_word = word == 1 and not self._at_end(i, position, watched)
+            own_word = own_word and (stalled or not watched.old_word)
             if not (stalled or own_word):
                 continue
             if math.isnan(watched.blocked_at):
@@ -168,8 +177,8 @@ class ContactWatch:
     ) -> list[int]:
         """Return the actuators that have just lost what they held.
 
-        Either the device takes back its word, or the actuator moves on towards its target and its
-        effort is gone.
+        Either the device takes back its word while its target stands still, or the actuator moves
+        on towards its target and its effort is gone.
         """
         found: list[int] = []
         for i, watched in self._watched.items():
@@ -189,7 +198,7 @@ class ContactWatch:
         self, i: int, watched: _Watched, measured: Measured, reference: float, limit: float
     ) -> bool:
         if watched.own_word:
-            return measured.grasped[i] == 0
+            return measured.grasped[i] == 0 and abs(reference - watched.target) <= watched.tolerance
         push = reference - watched.hold_position
         moved = (measured.position[i] - watched.hold_position) * (1.0 if push >= 0.0 else -1.0)
         spec = self._actuators[i]

@@ -178,8 +178,8 @@ async def test_the_devices_own_word_counts_short_of_the_end(hand: Hand) -> None:
         result = await rig.result()
         assert result.grasped
         assert result.duration < 0.45
-        driver.word = 0
-        await rig.run(0.2)
+        driver.word = 0  # which means nothing while its target still moves
+        await rig.run(0.8)
         assert "grasp_lost" in rig.watcher.kinds()
 
 
@@ -190,6 +190,21 @@ async def test_the_devices_own_word_does_not_count_at_the_end_of_the_range(hand:
         rig.loop.submit(Goal("Trig", ("index",)))
         await rig.run(0.9)
         driver.word = 1
+        result = await rig.result()
+        assert (result.reached, result.grasped) == (True, False)
+
+
+async def test_opening_a_grip_is_no_grasp_by_a_word_that_still_stands(hand: Hand) -> None:
+    one = device(hand, objects={"index": 0.4})
+    driver = OwnWord(one.spec, BusPool())
+    async with running(hand, None, [(one, driver)]) as rig:
+        rig.loop.submit(Goal("Trig", ("index",)))
+        await rig.run(0.35)
+        driver.word = 1
+        assert (await rig.result()).grasped
+        rig.loop.submit(Goal("open"))
+        await rig.run(0.1)
+        driver.word = 0
         result = await rig.result()
         assert (result.reached, result.grasped) == (True, False)
 
