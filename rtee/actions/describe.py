@@ -26,7 +26,7 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
     Args:
         hand: The hand.
         actions: Its actions.
-        seconds: How long the extraction took [s], if this is told.
+        seconds: How long it took to find or read them [s], if this is told.
 
     Returns:
         ``hand``, ``fingers``, ``actuators``, ``primitives``, ``composed``, ``timed``, ``generic``

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
@@ -25,9 +26,11 @@ def actions(hand: Hand, as_json: JsonOption = False) -> None:
     """List the grasping actions of a hand."""
     from rtee.actions.describe import describe
 
+    begun = time.perf_counter()
     library = actions_of(hand)
     if as_json:
-        print(json.dumps(describe(library.hand, library), indent=2))
+        seconds = time.perf_counter() - begun
+        print(json.dumps(describe(library.hand, library, seconds), indent=2))
         return
     _show(library.hand.name, list(library), library.hand.actuator_names)
 

@@ -45,7 +45,7 @@ def stored(home: Path) -> ActionLibrary:
 def test_actions_as_json(home: Path) -> None:
     found = json.loads(run(actions, "small", "--json"))
     assert list(found) == [
-        "hand", "fingers", "actuators", "primitives", "composed", "timed", "generic",
+        "hand", "fingers", "actuators", "primitives", "composed", "timed", "generic", "seconds",
     ]  # fmt: skip
     assert found["fingers"]["index"] == {"tip": "index_tip", "actuators": ["spread", "index_joint"]}
     assert found["actuators"]["thumb_joint"] == {"lower": 0.2, "upper": 1.0, "rest": 0.2}
