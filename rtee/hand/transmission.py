@@ -76,6 +76,10 @@ class Coupling:
         return q, slope
 
 
+def _value(coupling: Coupling, q: float) -> float:
+    return coupling.value(q) if math.isfinite(q) else math.nan
+
+
 class Transmission:
     """The map from actuator positions ``u`` to joint positions ``q``.
 
@@ -113,24 +117,52 @@ class Transmission:
             if coupling.actuator is not None and not coupling.linear
         ]
         self.linear = not self._curved
+        # A joint follows one actuator at most. Looked up instead of multiplied with the matrix, one
+        # that is not measured leaves the joints of all others alone: 0 · NaN would be NaN.
+        follows = [coupling.actuator or 0 for coupling in self.couplings]
+        self._follows = np.array(follows, dtype=np.intp)
+        self._factor = matrix[np.arange(self.n_joints), self._follows]
+        self._still = np.flatnonzero([coupling.actuator is None for coupling in self.couplings])
 
     def joints(self, u: FloatArray) -> FloatArray:
         """Return joint positions.
 
         Args:
-            u: Actuator positions ``(n,)`` or ``(k, n)`` [rad | m].
+            u: Actuator positions ``(n,)`` or ``(k, n)`` [rad | m]; ``NaN``: not measured.
 
         Returns:
-            Joint positions ``(m,)`` or ``(k, m)`` [rad | m].
+            Joint positions ``(m,)`` or ``(k, m)`` [rad | m]; ``NaN`` for the joints that follow
+            an actuator that is not measured, and for no others.
         """
         u = np.asarray(u, dtype=np.float64)
-        q: FloatArray = u @ self.matrix.T + self.offset
+        q: FloatArray = u[..., self._follows] * self._factor + self.offset
+        if self._still.size:
+            q[..., self._still] = self.offset[self._still]
         for row, actuator, coupling in self._curved:
             if u.ndim == 1:
-                q[row] = coupling.value(float(u[actuator]))
+                q[row] = _value(coupling, float(u[actuator]))
             else:
-                q[:, row] = [coupling.value(v) for v in u[:, actuator].tolist()]
+                q[:, row] = [_value(coupling, v) for v in u[:, actuator].tolist()]
         return q
+
+    def velocities(self, u: FloatArray, rates: FloatArray) -> FloatArray:
+        """Return joint velocities.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m]; ``NaN``: not measured.
+            rates: Actuator velocities ``(n,)`` [rad/s | m/s]; ``NaN``: not measured.
+
+        Returns:
+            Joint velocities ``(m,)`` [rad/s | m/s]; ``NaN`` as in `joints`.
+        """
+        v: FloatArray = rates[self._follows] * self._factor
+        if self._still.size:
+            v[self._still] = 0.0
+        for row, actuator, coupling in self._curved:
+            q = float(u[actuator])
+            slope = coupling.dual(q)[1] if math.isfinite(q) else math.nan
+            v[row] = slope * rates[actuator]
+        return v
 
     def jacobian(self, u: FloatArray) -> FloatArray:
         """Return the derivative of the joint positions by the actuator positions.

@@ -37,49 +37,6 @@ class TickChannels:
     reference: int
 
 
-class Followers:
-    """Positions and velocities of the joints that are no actuators.
-
-    Computed joint by joint: other than in a product with the transmission's matrix, an actuator
-    that is not measured (``NaN``) leaves the joints of the others alone.
-
-    Args:
-        transmission: From actuators to joints.
-        rows: Which of its joints.
-    """
-
-    def __init__(self, transmission: Transmission, rows: Sequence[int]) -> None:
-        couplings = [transmission.couplings[row] for row in rows]
-        follows = [0 if c.actuator is None else c.actuator for c in couplings]
-        self._follows = np.array(follows, dtype=np.intp)
-        self._factor = transmission.matrix[list(rows), follows]
-        self._offset = transmission.offset[list(rows)]
-        self._standing = np.flatnonzero([c.actuator is None for c in couplings])
-        self._curved = [
-            (index, coupling.actuator, coupling)
-            for index, coupling in enumerate(couplings)
-            if coupling.actuator is not None and not coupling.linear
-        ]
-
-    def position(self, actuators: FloatArray) -> FloatArray:
-        """Return the positions [rad | m] at actuator positions ``(n,)`` [rad | m]."""
-        position: FloatArray = actuators[self._follows] * self._factor + self._offset
-        if self._standing.size:
-            position[self._standing] = self._offset[self._standing]
-        for index, actuator, coupling in self._curved:
-            position[index] = coupling.value(float(actuators[actuator]))
-        return position
-
-    def velocity(self, actuators: FloatArray, rates: FloatArray) -> FloatArray:
-        """Return the velocities [rad/s | m/s] at positions and velocities ``(n,)``."""
-        velocity: FloatArray = rates[self._follows] * self._factor
-        if self._standing.size:
-            velocity[self._standing] = 0.0
-        for index, actuator, coupling in self._curved:
-            velocity[index] = coupling.dual(float(actuators[actuator]))[1] * rates[actuator]
-        return velocity
-
-
 class TickEncoder:
     """Encodes what was known at a tick into message records.
 
@@ -105,7 +62,8 @@ class TickEncoder:
         channels: TickChannels,
     ) -> None:
         following = [row for row, name in enumerate(joints) if name not in actuators]
-        self._followers = Followers(transmission, following)
+        self._transmission = transmission
+        self._following = np.array(following, dtype=np.intp)
         joints = [*actuators, *(joints[row] for row in following)]
         self._sequence = 0
         messages = (
@@ -150,8 +108,8 @@ class TickEncoder:
         position = record.position.tobytes()
         velocity = record.velocity.tobytes()
         effort = record.effort.tobytes()
-        followed = self._followers.position(record.position)
-        moved = self._followers.velocity(record.position, record.velocity)
+        followed = self._transmission.joints(record.position)[self._following]
+        moved = self._transmission.velocities(record.position, record.velocity)[self._following]
         parts[joints["position"]] = position + _rounded(followed)
         parts[joints["velocity"]] = velocity + _rounded(moved)
         parts[joints["effort"]] = effort + self._no_effort

@@ -19,7 +19,6 @@ from rtee.messages import JointStateEncoder, network_key
 from rtee.messages.requests import STATES
 from rtee.messages.state import State, StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE
-from rtee.remote.joints import Joints
 from rtee.remote.session import direct
 from rtee.remote.worker import Worker
 
@@ -31,7 +30,7 @@ class StateMessages:
     """Encodes the records of ticks."""
 
     def __init__(self, hand: Hand) -> None:
-        self._joints = Joints(hand.transmission)
+        self._transmission = hand.transmission
         self._names, self._joint_names = hand.actuator_names, hand.joint_names
         self._state = StateEncoder(self._names, self._joint_names)
         self._joint_state = JointStateEncoder(self._joint_names)
@@ -60,14 +59,14 @@ class StateMessages:
             reference_velocity=record.reference_velocity,
             reference_effort=record.reference_effort,
             joint_names=self._joint_names,
-            joint_position=self._joints.positions(record.position),
+            joint_position=self._transmission.joints(record.position),
             channels=record.extras,
         )
 
     def joint_state(self, record: TickRecord) -> bytes:
         """Return a ``sensor_msgs/JointState`` of all joints; efforts of joints are not known."""
-        position = self._joints.positions(record.position)
-        velocity = self._joints.velocities(record.position, record.velocity)
+        position = self._transmission.joints(record.position)
+        velocity = self._transmission.velocities(record.position, record.velocity)
         return self._joint_state.encode(record.wall_ns, position, velocity, position * float("nan"))
 
     def reference(self, record: TickRecord) -> bytes:

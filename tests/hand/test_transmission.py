@@ -179,3 +179,24 @@ def _renumbered(joints: list[str]) -> list[str]:
     """Return a chain of mimics such that each follows the next one when reversed."""
     last = len(joints) - 1
     return [joints[0], *(f'<mimic joint="j{last - i}"/>' for i, _ in pairwise(range(last + 1)))]
+
+
+def test_an_actuator_that_is_not_measured_leaves_the_joints_of_others_alone(
+    real_hand: Hand,
+) -> None:
+    transmission = real_hand.transmission
+    u = 0.4 * real_hand.lower + 0.6 * real_hand.upper
+    rates = np.linspace(-1.0, 1.0, len(u))
+    known = transmission.joints(u)
+    moving = transmission.velocities(u, rates)
+    np.testing.assert_allclose(moving, transmission.jacobian(u) @ rates, atol=1e-12)
+    for lost in range(len(u)):
+        holed, slowed = u.copy(), rates.copy()
+        holed[lost] = slowed[lost] = np.nan
+        follows = [coupling.actuator == lost for coupling in transmission.couplings]
+        expected = np.where(follows, np.nan, known)
+        np.testing.assert_array_equal(transmission.joints(holed), expected)
+        np.testing.assert_array_equal(transmission.joints(np.stack([holed, u]))[0], expected)
+        np.testing.assert_array_equal(
+            transmission.velocities(holed, slowed), np.where(follows, np.nan, moving)
+        )

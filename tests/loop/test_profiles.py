@@ -166,17 +166,87 @@ def test_a_seed_in_mid_motion_stands_and_the_others_go_on(kind: ProfileKind) -> 
     assert profile.position[1] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_filter_answers_as_a_critically_damped_second_order() -> None:
-    rate, bandwidth = 1000.0, 2.0
-    wide = replace(LIMITS, velocity=(1e6,) * 4, acceleration=(1e9,) * 4)
+def unlimited_filter(rate: float, bandwidth: float) -> Filter:
+    wide = replace(
+        LIMITS,
+        lower=(-1e3,) * SIZE,
+        upper=(1e3,) * SIZE,
+        velocity=(1e6,) * SIZE,
+        acceleration=(1e9,) * SIZE,
+    )
     profile = Filter(wide, 1 / rate, bandwidth)
     profile.seed(dict.fromkeys(range(SIZE), 0.0))
+    return profile
+
+
+def test_filter_answers_as_a_critically_damped_second_order_to_a_smoothed_target() -> None:
+    rate, bandwidth = 1000.0, 2.0
+    profile = unlimited_filter(rate, bandwidth)
     profile.go({0: 1.0})
     omega = 2 * math.pi * bandwidth
+    pole = 5 * omega
+    # Partial fractions of ω²·p / (s·(s + ω)²·(s + p)).
+    fast = omega**2 / (pole - omega) ** 2
     for tick in range(1, 600):
         profile.advance()
         t = tick / rate
-        assert profile.position[0] == pytest.approx(1 - (1 + omega * t) * math.exp(-omega * t))
+        slow = (1 - fast) + omega * pole / (pole - omega) * t
+        exact = 1 - slow * math.exp(-omega * t) - fast * math.exp(-pole * t)
+        assert profile.position[0] == pytest.approx(exact, abs=0.25 * omega / rate)
+
+
+def test_filter_is_nearly_the_plain_second_order() -> None:
+    profile = unlimited_filter(1000.0, 2.0)
+    profile.go({0: 1.0})
+    omega = 4 * math.pi
+    behind = 1 / (5 * omega)
+    for tick in range(1, 1000):
+        profile.advance()
+        t = max(0.0, tick / 1000.0 - behind)
+        plain = 1 - (1 + omega * t) * math.exp(-omega * t)
+        assert profile.position[0] == pytest.approx(plain, abs=0.015)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from([200.0, 500.0, 1000.0, 2000.0]),
+    st.lists(
+        st.tuples(st.floats(-1, 1), st.integers(0, 300), st.booleans()), min_size=1, max_size=8
+    ),
+)
+def test_filter_preempts_without_a_jump_in_acceleration(
+    rate: float, steps: list[tuple[float, int, bool]]
+) -> None:
+    profile = unlimited_filter(rate, 2.0)
+    omega, dt = 4 * math.pi, 1 / rate
+    # Of a bounded third derivative: |x‴| ≤ ω²·(|s′| + |x′|) + 2·ω·|x″|, |s′| ≤ 5·ω·span.
+    span = 3.0
+    speed, acceleration = omega * span, omega**2 * span
+    jerk = omega**2 * (5 * omega * span + speed) + 2 * omega * acceleration
+    velocities = [0.0, 0.0]
+    for target, ticks, brake in steps:
+        profile.go({} if brake else {0: target}, brake=[0] if brake else [])
+        for _ in range(ticks):
+            profile.advance()
+            velocities.append(profile.velocity[0])
+    accelerations = np.diff(velocities) / dt
+    assert np.all(np.abs(np.diff(accelerations)) <= jerk * dt)
+
+
+def test_filter_brakes_to_rest_ahead_and_does_not_come_back() -> None:
+    profile = unlimited_filter(1000.0, 2.0)
+    profile.go({0: 1.0})
+    for _ in range(150):
+        profile.advance()
+    begin = profile.position[0]
+    profile.go({}, brake=[0])
+    way = [begin]
+    while profile.moving:
+        profile.advance()
+        way.append(profile.position[0])
+    assert begin < profile.position[0] < 1.0
+    assert profile.position[0] == profile.target[0]
+    assert profile.velocity[0] == 0.0
 
 
 def test_what_ruckig_cannot_plan_is_done_without_jerk_limits(

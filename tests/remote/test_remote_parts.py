@@ -19,7 +19,6 @@ from rtee.messages.requests import REQUESTS
 from rtee.messages.schema import message_type
 from rtee.remote.actions import action_fields, action_of
 from rtee.remote.directory import announced, running, runtime_folder
-from rtee.remote.joints import Joints
 from rtee.remote.lease import JOGGING, Lease
 from rtee.remote.planner import info_fields, info_of, tip_pose_and_jacobian
 
@@ -198,25 +197,6 @@ def test_hand_information_survives_the_network(hand: Hand) -> None:
     for value in (9.0, float("nan")):
         with pytest.raises(GoalRejected, match="outside its limits"):
             info_fields(hand, {"near": value})
-
-
-def test_joints_follow_their_actuators_only(hand: Hand) -> None:
-    joints = Joints(hand.transmission)
-    u = np.array([0.4, -0.2, 0.01])
-    np.testing.assert_allclose(joints.positions(u), hand.transmission.joints(u))
-    np.testing.assert_allclose(joints.velocities(u, u), hand.transmission.matrix @ u)
-    u[hand.actuator_index("near")] = np.nan
-    unknown = {n for n, q in zip(hand.joint_names, joints.positions(u), strict=True) if q != q}
-    assert unknown == {"near", "far"}
-
-
-def test_joints_of_a_hand_with_curved_couplings(shared: Path) -> None:
-    folder = shared / "hands" / "heri_II"
-    hand = load_model(folder / "heri_II.urdf", folder / "heri_II.srdf")
-    joints, u = Joints(hand.transmission), 0.5 * (hand.lower + hand.upper)
-    np.testing.assert_allclose(joints.positions(u), hand.transmission.joints(u))
-    slope = hand.transmission.jacobian(u)
-    np.testing.assert_allclose(joints.velocities(u, u), slope @ u)
 
 
 # --- actions as messages

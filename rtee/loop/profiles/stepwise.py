@@ -91,11 +91,19 @@ class Step(Stepwise):
         return approach(self.position[i], self.target[i], self.limits.acceleration[i], self.period)
 
 
+_AHEAD = 5.0
+"""The target is smoothed this many times faster than the filter answers."""
+
+_NEAR = 1e-6
+
+
 class Filter(Stepwise):
     """A second-order low-pass with damping 1, as in ROS End-Effector, inside all limits.
 
-    The response to a target x is that of x″ = ω²·(target − x) − 2·ω·x′, solved exactly for each
-    period. Its acceleration jumps with the target; position and velocity don't.
+    The response to an input s is that of x″ = ω²·(s − x) − 2·ω·x′, solved exactly for each period.
+    The input is not the target itself, with which the acceleration would jump, but follows it
+    as s′ = 5·ω·(target − s): position, velocity and acceleration are continuous whatever the
+    targets do. To brake, an actuator goes to where it comes to rest by itself, without a jump, too.
 
     Args:
         limits: Limits of the actuators.
@@ -107,20 +115,37 @@ class Filter(Stepwise):
         super().__init__(limits, period)
         self._omega = 2.0 * math.pi * bandwidth
         self._decay = math.exp(-self._omega * period)
+        self._lag = math.exp(-_AHEAD * self._omega * period)
+        self._input = [0.0] * self.size
         self._slope = [0.0] * self.size
         self._next = [0.0] * self.size
 
     def _seeded(self, positions: Collection[int]) -> None:
         super()._seeded(positions)
         for index in positions:
+            self._input[index] = self.position[index]
             self._slope[index] = 0.0
 
+    def go(
+        self,
+        targets: Mapping[int, float],
+        *,
+        brake: Collection[int] = (),
+        velocity: Mapping[int, float] | None = None,
+    ) -> None:
+        """See `Profile.go`."""
+        rest = {i: self.position[i] + self.velocity[i] / self._omega for i in brake}
+        super().go({**targets, **rest}, velocity=velocity)
+
     def _wanted(self, i: int) -> float:
-        error = self.position[i] - self.target[i]
-        dt = self.period
-        if abs(error) < 1e-6 and abs(self.velocity[i]) < 1e-3 * self.limits.acceleration[i] * dt:
-            self._next[i] = 0.0
-            return -error / dt
+        target, dt = self.target[i], self.period
+        ahead = self._input[i] = target + (self._input[i] - target) * self._lag
+        left = self.position[i] - target
+        slow = abs(self.velocity[i]) < 1e-3 * self.limits.acceleration[i] * dt
+        if slow and abs(left) < _NEAR and abs(ahead - target) < _NEAR:
+            self._input[i], self._next[i] = target, 0.0
+            return -left / dt
+        error = self.position[i] - ahead
         impulse = self._slope[i] + self._omega * error
         after = (error + impulse * dt) * self._decay
         self._next[i] = (self._slope[i] - self._omega * impulse * dt) * self._decay
