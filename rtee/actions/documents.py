@@ -11,7 +11,7 @@ from typing import Any
 from rtee.actions.yamltext import read_canonical
 from rtee.errors import ActionError, suggestion
 from rtee.hand.files import read_bytes
-from rtee.hand.yamlfile import yaml_reader
+from rtee.hand.yamlfile import too_deep, yaml_reader
 
 Key = str | int | tuple[str, ...]
 Keys = tuple[Key, ...]
@@ -214,6 +214,9 @@ def parse(text: str, path: Path) -> Any:
     """
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
+    deep = too_deep(text)
+    if deep is not None:
+        raise ActionError("is nested too deeply", path=path, line=deep)
     try:
         data = yaml_reader().load(text)
     except MarkedYAMLError as error:

@@ -11,6 +11,8 @@ from typing import Any, Final
 from rtee.errors import ConfigError
 from rtee.hand.files import read_bytes
 
+_DEEPEST: Final = 64
+
 MAX_SIZE: Final = 1_000_000
 
 Location = tuple[str | int, ...]
@@ -86,6 +88,19 @@ def yaml_reader(*, keep_comments: bool = False) -> Any:
     return yaml
 
 
+def too_deep(text: str) -> int | None:
+    """Return the line from which on a text opens too many brackets, which take long to parse.
+
+    Brackets in quotes and comments count, too; nobody leaves so many of them open there.
+    """
+    depth = 0
+    for number, row in enumerate(text.splitlines(), 1):
+        depth += row.count("[") + row.count("{") - row.count("]") - row.count("}")
+        if depth > _DEEPEST:
+            return number
+    return None
+
+
 def parse_yaml(text: str, path: Path, what: str) -> YamlDocument:
     """Parse the text of a YAML file; see `read_yaml`."""
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -93,6 +108,9 @@ def parse_yaml(text: str, path: Path, what: str) -> YamlDocument:
     for number, row in enumerate(text.splitlines(), 1):
         if "\t" in row[: len(row) - len(row.lstrip())]:
             raise ConfigError("a tab in the indentation; use blanks", path=path, line=number)
+    deep = too_deep(text)
+    if deep is not None:
+        raise ConfigError(f"{what} is nested too deeply", path=path, line=deep)
     try:
         node = yaml_reader().compose(text)
     except MarkedYAMLError as error:
@@ -103,7 +121,8 @@ def parse_yaml(text: str, path: Path, what: str) -> YamlDocument:
             line=mark.line + 1 if mark else None,
         ) from None
     except (YAMLError, RecursionError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
+        deep = isinstance(error, RecursionError)
+        reason = "nested too deeply" if deep else str(error).splitlines()[0]
         raise ConfigError(f"{what} is not YAML: {reason[:200]}", path=path) from None
     if node is None:
         raise ConfigError(f"{what} is empty", path=path)
