@@ -59,7 +59,6 @@ class Patience:
         leaps: How often it is improved by its allowances.
         creeps: How often it is improved within its walls.
         ways: How often blocked ways are learned from.
-        retreat: Whether to go back on the way where pushing out fails.
     """
 
     pool: int = 6
@@ -68,7 +67,6 @@ class Patience:
     leaps: int = 4
     creeps: int = 6
     ways: int = 3
-    retreat: bool = True
 
 
 @dataclass(slots=True)
@@ -151,7 +149,7 @@ class ClearSearch:
                     break
                 behind.append(y)
                 self._learn_way(blocked, y)
-                nearer = self._go_back(y, blocked) if self._patience.retreat else None
+                nearer = self._go_back(y, blocked)
                 if nearer is not None:
                     free.append(nearer)
             if not found or any(y is found[0] for y in free):
@@ -218,7 +216,7 @@ class ClearSearch:
             y = self._descend(y, _EVALUATIONS).y
             if not self._reached(y):
                 break
-        blocked = self._blocked(start) if self._patience.retreat else None
+        blocked = self._blocked(start)
         return None if blocked is None else self._creep(self._leap(self._before(start, blocked)))
 
     def _before(self, y: FloatArray, blocked: Blocked) -> FloatArray:

@@ -18,6 +18,8 @@ _PRIMITIVES: Final = (coal.Box, coal.Sphere, coal.Cylinder)
 _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
 _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
 
+_place, _measure = pin.updateGeometryPlacements, pin.computeDistances
+
 
 class Forms:
     """The shapes of two links in one of their two forms, convex or exact.
@@ -30,12 +32,12 @@ class Forms:
 
     Attributes:
         couples: Indices of the couples' shapes in the scene.
-        stamp: Number of the placement that was taken over last.
         results: Coal's last distance result of every couple.
     """
 
     def __init__(
         self,
+        robot: tuple[pin.Model, pin.Data],
         shapes: Sequence[Shape],
         first: Sequence[int],
         second: Sequence[int],
@@ -45,13 +47,14 @@ class Forms:
         """Prepare the couples of two links.
 
         Args:
+            robot: The hand and where its joints are.
             shapes: All shapes.
             first: Indices of those of the first link.
             second: Indices of those of the second link.
             convex: Take the convex parts instead of the geometry as given.
         """
         self.couples = tuple((i, j) for i in first for j in second)
-        self.stamp = -1
+        self._robot, self._joints = robot
         self._model = pin.GeometryModel()
         number = {}
         self._guided = False
@@ -75,39 +78,36 @@ class Forms:
         self._distances = list(self._data.distanceRequests)
         self._collisions = list(self._data.collisionRequests)
         self.results: Any = self._data.distanceResults
-        self._least: tuple[float, int] | None = None
+        self._measured = self._placed = -1
+        self._least = (0.0, 0)
 
-    def place(self, model: pin.Model, data: pin.Data, stamp: int) -> None:
-        """Take over the placements of the joints.
-
-        Args:
-            model: The hand.
-            data: Where its joints are.
-            stamp: Number of the placement.
-        """
-        pin.updateGeometryPlacements(model, data, self._model, self._data)
-        self.stamp = stamp
-        self._least = None
-
-    def least(self) -> tuple[float, int]:
+    def least(self, stamp: int) -> tuple[float, int]:
         """Return the least distance of a couple and its number.
 
         The distance is negative where convex shapes overlap [m].
+
+        Args:
+            stamp: Number of the joints' placement, another one after each.
         """
-        if self._least is None:
+        if stamp != self._measured:
+            _place(self._robot, self._joints, self._model, self._data)
             if self._guided:
                 for request in self._distances:
                     _forget(request)
-            k = pin.computeDistances(self._model, self._data)
+            k = _measure(self._model, self._data)
             self._least = self.results[k].min_distance, k
+            self._measured = self._placed = stamp
         return self._least
 
-    def collide(self, couple: int) -> bool:
+    def collide(self, couple: int, stamp: int) -> bool:
         """Return whether the surfaces of a couple meet; primitives are solid.
 
         They meet where they are closer than 10 nm: where a triangle lies symmetrically in a
         primitive, Coal finds a distance of the order of rounding errors instead of a collision.
         """
+        if stamp != self._placed:
+            _place(self._robot, self._joints, self._model, self._data)
+            self._placed = stamp
         if self._guided:
             _forget(self._collisions[couple])
         return bool(pin.computeCollision(self._model, self._data, couple))

@@ -23,11 +23,8 @@ from rtee.types import FloatArray
 
 _MOST_TREES: Final = 4
 
-_HOPELESS: Final = 6
-"""When more pairs of links collide at the deepest posture, no clear one is looked for."""
-
-_THREE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=1, retreat=False)
-_MORE: Final = Patience(pool=2, tries=1, rounds=3, leaps=1, creeps=3, ways=1, retreat=False)
+_THREE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=2)
+_MORE: Final = Patience(pool=2, tries=1, rounds=3, leaps=1, creeps=3, ways=2)
 
 Pinches = Mapping[frozenset[str], FloatArray]
 """Of the fingers that pinch tightly, two by two, the deepest posture ``(n,)``."""
@@ -73,9 +70,7 @@ class MultiSearch:
             return Candidate(u, self.inspector.multi_pinch(u, names, links, watch))
 
         candidates = [candidate(touching[0])]
-        if not candidates[0].usable and (
-            space.size == 1 or len(candidates[0].evidence.colliding) <= _HOPELESS
-        ):
+        if not candidates[0].usable:
             patience = _THREE if len(self.fingers) == 3 else _MORE
             clear = clear_postures(self.inspector, goal, space, watch, found, patience)
             candidates += [candidate(u) for u in clear[:1]]

@@ -188,7 +188,7 @@ class Scene:
 
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
-        return self._convex_of(pair).least()[0]
+        return (self._convex.get(pair.number) or self._convex_of(pair)).least(self._stamp)[0]
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return the derivative of the distance of two links.
@@ -201,7 +201,7 @@ class Scene:
             The derivative by the coordinates of the space ``(k,)`` [m].
         """
         forms = self._convex_of(pair)
-        result = forms.results[forms.least()[1]]
+        result = forms.results[forms.least(self._stamp)[1]]
         normal = -result.normal if pair.turned else result.normal
         return self._derivative(normal, result.getNearestPoint1(), pair, space)
 
@@ -253,7 +253,7 @@ class Scene:
 
     def witness(self, pair: LinkPair) -> Witness:
         """Return where two links' convex parts are closest or deepest in each other."""
-        return _witness(pair, self._convex_of(pair))
+        return _witness(pair, self._convex_of(pair), self._stamp)
 
     def touching(self, pair: LinkPair) -> bool:
         """Return whether two links touch: their geometry as given, meshes not convexified.
@@ -261,7 +261,7 @@ class Scene:
         Meshes touch where their surfaces meet or one lies within the other; primitives are solid.
         """
         convex = self._convex_of(pair)
-        if convex.least()[0] > TOUCH:
+        if convex.least(self._stamp)[0] > TOUCH:
             return False
         results = convex.results
         return any(
@@ -276,7 +276,7 @@ class Scene:
         a, b = self.shapes[i], self.shapes[j]
         if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
             return True
-        if self._exact_of(pair).collide(k):
+        if self._exact_of(pair).collide(k, self._stamp):
             return True
         overlap = -self._convex_of(pair).results[k].min_distance
         if overlap < min(a.least_width, b.least_width):
@@ -288,11 +288,11 @@ class Scene:
         """Return the distance of two links' geometry as given, 0 where they touch [m]."""
         if self.touching(pair):
             return 0.0
-        return max(0.0, self._exact_of(pair).least()[0])
+        return max(0.0, self._exact_of(pair).least(self._stamp)[0])
 
     def exact_witness(self, pair: LinkPair) -> Witness:
         """Return where two links that do not touch are closest, in their geometry as given."""
-        found = _witness(pair, self._exact_of(pair))
+        found = _witness(pair, self._exact_of(pair), self._stamp)
         gap = found.second - found.first
         length = float(np.linalg.norm(gap))
         return found if length == 0.0 else replace(found, normal=gap / length)
@@ -329,25 +329,21 @@ class Scene:
         forms = self._convex.get(pair.number)
         if forms is None:
             forms = self._convex[pair.number] = self._forms(pair, convex=True)
-        if forms.stamp != self._stamp:
-            forms.place(self._model, self._data, self._stamp)
         return forms
 
     def _exact_of(self, pair: LinkPair) -> Forms:
         forms = self._exact.get(pair.number)
         if forms is None:
             forms = self._exact[pair.number] = self._forms(pair, convex=False)
-        if forms.stamp != self._stamp:
-            forms.place(self._model, self._data, self._stamp)
         return forms
 
     def _forms(self, pair: LinkPair, *, convex: bool) -> Forms:
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
-        return Forms(self.shapes, first, second, convex=convex)
+        return Forms((self._model, self._data), self.shapes, first, second, convex=convex)
 
 
-def _witness(pair: LinkPair, forms: Forms) -> Witness:
-    least, k = forms.least()
+def _witness(pair: LinkPair, forms: Forms, stamp: int) -> Witness:
+    least, k = forms.least(stamp)
     result = forms.results[k]
     points = [np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())]
     normal = np.array(result.normal)
