@@ -15,6 +15,10 @@ from rtee.buses.link import split_address
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 
 
+_MASTERS = frozenset({"/dev/ptmx", "/dev/pts/ptmx"})
+"""What a program has open that makes pseudo-terminals."""
+
+
 async def check_address(address: str, root: Path = Path("/")) -> list[Check]:
     """Return what was found about a tty or a network address, up to the first obstacle.
 
@@ -100,23 +104,30 @@ def _owner(path: Path, root: Path) -> Check:
 
 
 def port_users(path: Path, root: Path = Path("/")) -> list[tuple[int, str]]:
-    """Return process numbers and names of those that have a file open, as far as one may see."""
+    """Return process numbers and names of those that have a port open, as far as one may see.
+
+    The program at the other end of a pseudo-terminal, such as `rtee emulate`, does not count.
+    """
     target = str(path.resolve())
+    pty = target.startswith("/dev/pts/")
     found = []
     for folder in (root / "proc").glob("[0-9]*"):
         try:
             links = list((folder / "fd").iterdir())
         except OSError:
             continue
-        for link in links:
-            try:
-                held = os.readlink(link)
-            except OSError:
-                continue
-            if held == target:
-                found.append((int(folder.name), _name(folder)))
-                break
+        held = {_target(link) for link in links}
+        plays = pty and not held.isdisjoint(_MASTERS)
+        if target in held and not plays:
+            found.append((int(folder.name), _name(folder)))
     return sorted(found)
+
+
+def _target(link: Path) -> str:
+    try:
+        return os.readlink(link)
+    except OSError:
+        return ""
 
 
 def _name(process: Path) -> str:

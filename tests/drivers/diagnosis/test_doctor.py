@@ -90,6 +90,15 @@ async def test_a_port_in_use_names_the_program(tmp_path: Path) -> None:
     assert check.remedy == "end it: kill 4242"
 
 
+async def test_who_plays_a_port_does_not_use_it(tmp_path: Path) -> None:
+    process = tmp_path / "proc" / "4242"
+    (process / "fd").mkdir(parents=True)
+    (process / "fd" / "3").symlink_to("/dev/ptmx")
+    with SimulatedLine([]) as line:
+        (process / "fd" / "4").symlink_to(real(line))
+        assert port_users(Path(line.address), tmp_path) == []
+
+
 @pytest.mark.parametrize(("timer", "verdict"), [(16, Verdict.WARNING), (1, Verdict.OK)])
 async def test_the_latency_timer(tmp_path: Path, timer: int, verdict: Verdict) -> None:
     with SimulatedLine([]) as line:
