@@ -14,7 +14,7 @@ import anyio
 import numpy as np
 
 from experiments.common import Outcome, main, plot_of, recording, strip
-from experiments.wires import on_the_wire
+from experiments.wires import on_the_wire, wired
 from rtee.drivers.axis import VirtualObject
 from rtee.log import read
 from rtee.log.recording import outcome_of
@@ -142,13 +142,13 @@ def _action_of(grippers: Sequence[Gripper], path: Path) -> str:
 
 
 async def _on_wire(gripper: Gripper, folder: Path, outcome: Outcome) -> None:
-    async with on_the_wire(gripper.name, folder, gripper.put) as wired:
-        grasp = await wired.do(Goal(gripper.action, (gripper.actuator,), goal_id="grasp"))
-        at = wired.loop.snapshot().position
+    async with on_the_wire(wired(gripper.name), folder, gripper.put) as hand:
+        grasp = await hand.do(Goal(gripper.action, (gripper.actuator,), goal_id="grasp"))
+        at = hand.loop.snapshot().position
         await anyio.sleep(HOLD)
-        moved = float(np.abs(wired.loop.snapshot().position - at).max())
-        kept = "grasp_lost" not in wired.events
-        opened = await wired.do(Goal(OPEN, goal_id="open"))
+        moved = float(np.abs(hand.loop.snapshot().position - at).max())
+        kept = "grasp_lost" not in hand.events
+        opened = await hand.do(Goal(OPEN, goal_id="open"))
     outcome.check(
         grasp.grasped and kept and moved < 0.02 and opened.reached,
         f"{gripper.name} on its wire: {outcome_of(grasp)} at {float(at[0]):.3f}, moved by "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import anyio
@@ -12,6 +12,7 @@ from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
 from rtee.drivers.emulators import owner_of
 from rtee.drivers.registry import find_driver
+from rtee.errors import RteeError
 from rtee.hand.files import make_folder
 from rtee.log import Recorder, RecorderSettings
 from rtee.loop.clock import Clock
@@ -22,6 +23,7 @@ from rtee.run import PreparedHand, RunOptions, prepare
 from rtee.types import Event, Goal, Lifecycle, Result
 
 _PATIENCE = 30.0
+_STEADY = 5
 
 
 class WiredHand(Observer):
@@ -73,32 +75,40 @@ class WiredHand(Observer):
         return self._results[goal.goal_id]
 
 
+def wired(name: str, rate: float | None = None) -> PreparedHand:
+    """Read a hand that is to run against its emulated devices, at a rate [Hz] or its own."""
+    return prepare(name, RunOptions(emulated=True, rate=rate))
+
+
 async def _activate(loop: HandLoop) -> None:
     """Have all devices activated; those that home do it only when asked.
 
     Raises:
         TimeoutError: if they do not get active.
     """
+    since = 0
     with anyio.fail_after(_PATIENCE):
-        await loop.recover()
-        while True:
+        while since < _STEADY:
             if all(status.lifecycle is Lifecycle.ACTIVE for status in loop.statuses()):
-                return
+                since += 1
+            else:
+                since = 0
+                with suppress(RteeError):  # an answer that came too late is asked for again
+                    await loop.recover()
             await anyio.sleep(0.05)
 
 
 @asynccontextmanager
 async def on_the_wire(
-    name: str, folder: Path, put: Callable[[Emulator], None] = lambda _: None
+    prepared: PreparedHand, folder: Path | None, put: Callable[[Emulator], None] = lambda _: None
 ) -> AsyncIterator[WiredHand]:
     """Run a hand against its emulated devices for as long as the context lasts, recorded.
 
     Args:
-        name: The hand.
-        folder: Where the recording goes.
+        prepared: The hand with its emulated devices; see `wired`.
+        folder: Where the recording goes; ``None``: nowhere.
         put: Prepares the emulator once the hand is active: an object between the fingers.
     """
-    prepared = prepare(name, RunOptions(emulated=True))
     async with BusPool() as pool:
         devices = [
             (device, find_driver(device.spec.driver)(device.spec, pool))
@@ -107,20 +117,24 @@ async def on_the_wire(
         loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
         recorder = Recorder(
             prepared.hand,
-            RecorderSettings(make_folder(folder), flight_recorder=0.0),
+            RecorderSettings(
+                Path() if folder is None else make_folder(folder),
+                enabled=folder is not None,
+                flight_recorder=0.0,
+            ),
             rate=prepared.settings.rate,
             loop=prepared.settings,
             attachments=prepared.attachments(),
             metadata={"drivers": " ".join(device.spec.driver for device in prepared.devices)},
         )
-        wired = WiredHand(prepared, loop, pool)
+        hand = WiredHand(prepared, loop, pool)
         async with recorder:
             loop.add_observer(recorder)
-            loop.add_observer(wired)
+            loop.add_observer(hand)
             async with loop, anyio.create_task_group() as group:
                 await loop.ready()
                 group.start_soon(drive, [loop], Clock(prepared.settings.rate))
                 await _activate(loop)
-                put(wired.emulator)
-                yield wired
+                put(hand.emulator)
+                yield hand
                 group.cancel_scope.cancel()
