@@ -1,11 +1,19 @@
-"""The extraction measured beside random sampling on the same geometry; prints Markdown.
+"""The extraction measured beside random sampling and a search of many starts; prints Markdown.
 
-    python benchmarks/extract.py [--hands schunk_svh robotiq_3f …] [--runs 3] [--jobs 0]
+    python benchmarks/extract.py [--hands schunk_svh some/hand.urdf …] [--runs 3] [--jobs 0]
+                                 [--starts 256] [--no-sampling]
 
-Extraction: the whole process `rtee extract HAND --json`, cold; median wall time and peak memory.
-Beside it the reference implementation's procedure, in this process: 5,000 uniformly random postures
-for tight pinches, 5,000 with widened limits, 5,000 for distances and 3,000 per number of fingers,
-with the signed distance of the tips' convex parts. A pair counts as found where it is negative.
+A hand is named, or given by its URDF; an SRDF of the same name beside it is taken along.
+
+Extraction: the whole process `rtee extract HAND --json`, cold; median wall and processor time and
+peak memory. Beside it the reference implementation's procedure, in this process: 5,000 uniformly
+random postures for tight pinches, 5,000 with widened limits, 5,000 for distances and 3,000 per
+number of fingers, with the signed distance of the tips' convex parts. A pair counts as found where
+it is negative.
+
+With `--starts N`, a second table: per pinch, the depth that is stored as a share of the depth that
+descents from the first N points of a low-discrepancy sequence find on the same geometry, the best
+eight of them polished.
 """
 
 from __future__ import annotations
@@ -17,28 +25,68 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
+from rtee.extract.descent import descend
 from rtee.extract.evidence import Inspector
-from rtee.extract.space import real_limits, widened_limits
-from rtee.hand.load import load_hand
+from rtee.extract.goals import Pinch, Placed
+from rtee.extract.polish import polish
+from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.search import distinct
+from rtee.extract.space import halton, make_space, real_limits, widened_limits
+from rtee.hand.load import load_hand, load_model
+from rtee.hand.model import Hand
 
 HANDS = ("robotiq_2f_85", "robotiq_3f", "dagana", "qb_softhand", "heri_ii", "schunk_svh")
 TIGHT = WIDE = DISTANCE = 5000
 SEVERAL = 3000
+POLISHED = 8
+
+Pair = frozenset[str]
 
 
-def extracted(hand: str, runs: int, jobs: int) -> tuple[float, float, dict[frozenset[str], float]]:
-    """Return the median wall time [s], the peak memory [MB] and the depths of the pairs [m]."""
+@dataclass
+class Measured:
+    """What runs of the extraction cost, and the depths of the pairs they found [m]."""
+
+    wall: float
+    cpu: float
+    peak: float
+    depths: dict[Pair, float]
+
+
+def files(hand: str) -> tuple[Path, Path | None] | None:
+    """Return the URDF and the SRDF of a hand that is given by its URDF."""
+    if not hand.endswith(".urdf"):
+        return None
+    srdf = Path(hand).with_suffix(".srdf")
+    return Path(hand), srdf if srdf.exists() else None
+
+
+def loaded(hand: str) -> Hand:
+    """Return a hand."""
+    given = files(hand)
+    return load_hand(hand) if given is None else load_model(*given)
+
+
+def extracted(hand: str, runs: int, jobs: int) -> Measured:
+    """Run the extraction several times; medians of times [s], the peak memory [MB]."""
     rtee = str(Path(sys.executable).with_name("rtee"))
-    walls, peaks, output = [], [], b""
+    given = files(hand)
+    if given is None:
+        source = [hand]
+    else:
+        source = ["--urdf", str(given[0]), *(["--srdf", str(given[1])] if given[1] else [])]
+    walls, cpus, peaks, output = [], [], [], b""
     for _ in range(runs):
         start = time.perf_counter()
         process = subprocess.Popen(
-            [rtee, "extract", hand, "--json", "--jobs", str(jobs)],
+            [rtee, "extract", *source, "--json", "--jobs", str(jobs)],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
@@ -46,6 +94,7 @@ def extracted(hand: str, runs: int, jobs: int) -> tuple[float, float, dict[froze
         output = process.stdout.read()
         _, status, usage = os.wait4(process.pid, 0)
         walls.append(time.perf_counter() - start)
+        cpus.append(usage.ru_utime + usage.ru_stime)
         peaks.append(usage.ru_maxrss / 1024)
         assert status == 0
     depths = {
@@ -55,24 +104,29 @@ def extracted(hand: str, runs: int, jobs: int) -> tuple[float, float, dict[froze
         for p in json.loads(output)["primitives"]
         if p["kind"] == "PinchTight"
     }
-    return statistics.median(walls), max(peaks), depths
+    return Measured(statistics.median(walls), statistics.median(cpus), max(peaks), depths)
 
 
-def sampled(name: str, seed: int = 0) -> tuple[float, dict[frozenset[str], float]]:
-    """Return the time [s] random sampling takes and the depths of the pairs it finds [m]."""
-    hand = load_hand(name)
-    scene = Inspector.of(hand).scene
-    random = np.random.default_rng(seed)
-    start = time.perf_counter()
-    depths: dict[frozenset[str], float] = {}
-    tipped = [f for f in hand.fingers if f.tip]
-    pairs = {
+def tip_pairs(scene: Scene) -> dict[Pair, LinkPair]:
+    """Return the pairs of fingertips by the names of their fingers."""
+    tipped = [f for f in scene.hand.fingers if f.tip]
+    return {
         frozenset((a.name, b.name)): scene.tips[str(a.tip), str(b.tip)]
         for a, b in combinations(tipped, 2)
         if (str(a.tip), str(b.tip)) in scene.tips
     }
+
+
+def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Pair, float]]:
+    """Return the time [s] random sampling takes and the depths of the pairs it finds [m]."""
+    scene = Inspector.of(hand).scene
+    random = np.random.default_rng(seed)
+    start = time.perf_counter()
+    depths: dict[Pair, float] = {}
+    pairs = tip_pairs(scene)
+    tips = sum(finger.tip is not None for finger in hand.fingers)
     rounds = [(real_limits(hand), TIGHT + DISTANCE), (widened_limits(hand), WIDE)]
-    rounds += [(real_limits(hand), SEVERAL)] * max(0, len(tipped) - 2)
+    rounds += [(real_limits(hand), SEVERAL)] * max(0, tips - 2)
     for index, ((lower, upper), count) in enumerate(rounds):
         for u in random.uniform(lower, upper, (count, len(lower))):
             scene.place(u)
@@ -83,26 +137,68 @@ def sampled(name: str, seed: int = 0) -> tuple[float, dict[frozenset[str], float
     return time.perf_counter() - start, depths
 
 
+def deepest(scene: Scene, tips: LinkPair, starts: int) -> float:
+    """Return the depth [m] at which two tips touch that descents from many starts find."""
+    space = make_space(scene.hand, sorted(tips.actuators), real_limits(scene.hand))
+    function = Placed(scene, Pinch(scene, tips), space)
+    found = [descend(function, y, evaluations=60) for y in halton(space.size, starts)]
+    best = distinct(found)[:POLISHED]
+    ends = [*best, *(polish(function, m.y, evaluations=60) for m in best)]
+    for end in sorted(ends, key=lambda m: m.value):
+        scene.place(space.posture(end.y))
+        if end.value < 0.0 and scene.touching(tips):
+            return -end.value
+    return 0.0
+
+
+def compare_speed(hands: Sequence[str], runs: int, jobs: int, *, sampling: bool) -> None:
+    print("| hand | wall [s] | CPU [s] | memory [MB] | pairs | deepest, sum [mm] ", end="")
+    print("| sampling [s] | pairs | deepest, sum [mm] |" if sampling else "|")
+    print("| --- " * (9 if sampling else 6) + "|")
+    for hand in hands:
+        measured = extracted(hand, runs, jobs)
+        print(
+            f"| {Path(hand).stem} | {measured.wall:.2f} | {measured.cpu:.2f} | {measured.peak:.0f} "
+            f"| {len(measured.depths)} | {1e3 * sum(measured.depths.values()):.1f} |",
+            end="",
+        )
+        if sampling:
+            seconds, found = sampled(loaded(hand))
+            print(f" {seconds:.2f} | {len(found)} | {1e3 * sum(found.values()):.1f} |", end="")
+        print(flush=True)
+
+
+def compare_depth(hands: Sequence[str], jobs: int, starts: int) -> None:
+    print(f"| hand | pinch | stored [mm] | {starts} starts [mm] | share |")
+    print("| --- " * 5 + "|")
+    for hand in hands:
+        name, depths = Path(hand).stem, extracted(hand, 1, jobs).depths
+        scene = Scene(loaded(hand))
+        shares = []
+        for names, tips in tip_pairs(scene).items():
+            known, depth = deepest(scene, tips, starts), depths.get(names, 0.0)
+            if known or depth:
+                shares.append(depth / known if known else 1.0)
+                print(
+                    f"| {name} | {', '.join(sorted(names))} | {1e3 * depth:.3f} "
+                    f"| {1e3 * known:.3f} | {shares[-1]:.2%} |"
+                )
+        worst = f"{min(shares):.2%}" if shares else "no pinch"
+        print(f"| {name} | **worst** | | | **{worst}** |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hands", nargs="+", default=list(HANDS))
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=0)
+    parser.add_argument("--starts", type=int, default=0)
+    parser.add_argument("--no-sampling", dest="sampling", action="store_false")
     arguments = parser.parse_args()
-    print(
-        "| hand | extract [s] | memory [MB] | pairs | deepest, sum [mm] | sampling [s] | pairs "
-        "| deepest, sum [mm] |"
-    )
-    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
-    for hand in arguments.hands:
-        wall, peak, depths = extracted(hand, arguments.runs, arguments.jobs)
-        seconds, found = sampled(hand)
-        print(
-            f"| {hand} | {wall:.2f} | {peak:.0f} "
-            f"| {len(depths)} | {1e3 * sum(depths.values()):.1f} "
-            f"| {seconds:.2f} | {len(found)} | {1e3 * sum(found.values()):.1f} |",
-            flush=True,
-        )
+    compare_speed(arguments.hands, arguments.runs, arguments.jobs, sampling=arguments.sampling)
+    if arguments.starts:
+        print()
+        compare_depth(arguments.hands, arguments.jobs, arguments.starts)
 
 
 if __name__ == "__main__":
