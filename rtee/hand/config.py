@@ -69,7 +69,8 @@ class Profile(_Section):
 
     kind: Literal["jerk_limited", "filter", "step"] = "jerk_limited"
     """``jerk_limited``: within velocity, acceleration and jerk limits, all actuators arriving
-    together; ``filter``: critically damped second order; ``step``: at once."""
+    together; ``filter``: critically damped second order after a
+    smoothed target; ``step``: at once."""
     bandwidth: Positive = 2.0
     """Bandwidth of ``filter`` [Hz]."""
 
@@ -149,9 +150,18 @@ class Thermal(_Section):
     """From here on the effort limit falls, to nothing at ``release``."""
     release: float = 80.0
     """From here on the actuator is released."""
+    nominal_current: dict[str, Positive] = {}
+    """Current by actuator that it may be given for ever [A]; ``defaults``: of all others. Where no
+    temperature is measured, it is estimated from the measured current."""
+    time_constant: Positive = 30.0
+    """Time in which an estimated temperature comes within 37 % of its final value [s]."""
+    ambient: float = 25.0
+    """Temperature of the surroundings, where estimates begin; below ``warn``."""
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
+        if self.nominal_current and not self.ambient < self.warn:
+            raise ValueError("should rise: ambient < warn")
         if not self.warn <= self.derate <= self.release:
             raise ValueError("should rise: warn <= derate <= release")
         return self

@@ -179,6 +179,7 @@ def _measured(recording: Recording) -> Iterator[Measured]:
         measured.position = states.position[row].tolist()
         measured.effort = states.effort[row].tolist()
         measured.temperature = states.temperature[row].tolist()
+        measured.current = states.current[row].tolist()
         measured.fresh = states.fresh[row].tolist()
         measured.grasped = states.grasped[row].tolist()
         yield measured

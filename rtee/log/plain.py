@@ -54,6 +54,8 @@ def _made(value: Any, kind: Any) -> Any:
         if value is None:
             return None
         return _made(value, next(each for each in arguments if each is not type(None)))
+    if origin is Mapping:
+        return {key: _made(item, arguments[1]) for key, item in value.items()}
     if origin is tuple:
         return tuple(_made(item, arguments[0]) for item in value)
     if dataclasses.is_dataclass(kind):

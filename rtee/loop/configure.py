@@ -56,7 +56,14 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
             on_error=Behaviour(safety.on_error),
             max_step=safety.max_step,
         ),
-        thermal=ThermalSettings(thermal.warn, thermal.derate, thermal.release),
+        thermal=ThermalSettings(
+            thermal.warn,
+            thermal.derate,
+            thermal.release,
+            dict(thermal.nominal_current),
+            thermal.time_constant,
+            thermal.ambient,
+        ),
     )
 
 

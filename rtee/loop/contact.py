@@ -26,6 +26,7 @@ class Measured:
         temperature: Measured temperatures [°C].
         fresh: Whether the measurement is newer than at the tick before.
         grasped: The device's own word: 1 holding, 0 not, -1 none.
+        current: Measured currents [A]; empty: none at all.
     """
 
     position: Sequence[float]
@@ -33,6 +34,7 @@ class Measured:
     temperature: Sequence[float]
     fresh: Sequence[bool]
     grasped: Sequence[int]
+    current: Sequence[float] = ()
 
 
 @dataclass(slots=True)

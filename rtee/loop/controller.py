@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.executor import Executor
+from rtee.loop.heat import CurrentHeat
 from rtee.loop.limiter import Limiter
 from rtee.loop.motion import Limits
 from rtee.loop.plan import Plan
@@ -73,6 +74,7 @@ class Controller:
         self._limiter = Limiter(limits, settings.period, settings.safety.max_step)
         self._contact = ContactWatch(hand.actuators, settings.stall, settings.grasp)
         self._thermal = Thermal(settings.thermal, n)
+        self._heat = CurrentHeat(settings.thermal, hand.actuator_names)
         self.outbox = Outbox()
         told = self.outbox.items.append
         self._executor = Executor(hand, settings, self._profile, self._contact, told, told)
@@ -304,9 +306,11 @@ class Controller:
     def _watch_temperature(self, stamp: float, measured: Measured) -> None:
         self._thermal_due = stamp + _THERMAL_EVERY
         derating = any(factor != 1.0 for factor in self._thermal.factor)
-        for change in self._thermal.step(stamp, measured.temperature):
+        found = self._heat.step(stamp, measured.temperature, measured.current)
+        for change in self._thermal.step(stamp, found):
             name = self.hand.actuators[change.index].name
-            self.outbox.items.append(change.event(name, stamp))
+            estimated = math.isnan(measured.temperature[change.index])
+            self.outbox.items.append(change.event(name, stamp, estimated=estimated))
             if change.level is Level.RELEASE:
                 self.outbox.release.add(change.index)
         if derating or any(factor != 1.0 for factor in self._thermal.factor):

@@ -114,6 +114,7 @@ class Gather:
         measured.position = self.position.tolist()
         measured.effort = self.effort.tolist()
         measured.temperature = self.temperature.tolist()
+        measured.current = self.current.tolist()
         if state.grasped is not None:
             grasped = self.grasped.copy()
             grasped[self._indices[k]] = [_WORDS[word] for word in state.grasped]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -100,17 +101,24 @@ class SafetySettings:
 
 @dataclass(frozen=True, slots=True)
 class ThermalSettings:
-    """Thresholds of actuator temperature [°C].
+    """Thresholds of actuator temperature [°C], and how it is estimated where it isn't measured.
 
     Attributes:
         warn: An event is raised.
         derate: The effort limit falls linearly from here, to nothing at `release`.
         release: The device is released.
+        nominal_current: Current by actuator that it may be given for ever [A]; with it, the
+            temperature is estimated from the measured current. ``defaults``: of all others.
+        time_constant: Time in which it comes within 37 % of its final temperature [s].
+        ambient: Temperature of the surroundings [°C].
     """
 
     warn: float = 60.0
     derate: float = 70.0
     release: float = 80.0
+    nominal_current: Mapping[str, float] = field(default_factory=dict)
+    time_constant: float = 30.0
+    ambient: float = 25.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +164,7 @@ class LoopSettings:
         stall: Stall detection.
         grasp: Grasp detection and holding effort.
         safety: What happens when something ends or breaks.
-        thermal: Thresholds of temperature.
+        thermal: Temperatures.
         feedback_rate: Feedback is given at most this often [Hz].
         statistics_window: Device status and loop statistics are given this often [s].
 

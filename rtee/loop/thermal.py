@@ -57,15 +57,18 @@ class ThermalChange:
     level: Level
     temperature: float
 
-    def event(self, name: str, stamp: float) -> Event:
+    def event(self, name: str, stamp: float, *, estimated: bool = False) -> Event:
         """Return the event that tells of it.
 
         Args:
             name: The actuator's name.
             stamp: Now [s].
+            estimated: The temperature was not measured.
         """
         text, severity = _SAYING[self.level]
-        return Event("thermal", name, f"{name} {text} {self.temperature:.0f} °C", stamp, severity)
+        text = f"{name} {text} {self.temperature:.0f} °C"
+        text += ", estimated from its current" if estimated else ""
+        return Event("thermal", name, text, stamp, severity)
 
 
 class Thermal:

@@ -36,7 +36,14 @@ def test_everything_is_taken_over() -> None:
             "grasp": {"effort": 0.3, "holding_effort": 0.5, "holding_after": 1.5},
         },
         safety={"on_exit": "open", "on_client_lost": "release", "max_step": 0.01},
-        thermal={"warn": 50.0, "derate": 55.0, "release": 65.0},
+        thermal={
+            "warn": 50.0,
+            "derate": 55.0,
+            "release": 65.0,
+            "nominal_current": {"defaults": 0.4},
+            "time_constant": 12.0,
+            "ambient": 20.0,
+        },
         realtime={"enabled": True, "priority": 60, "cpus": [1], "lock_memory": False},
     )
     settings = loop_settings(given, rate=250.0)
@@ -51,6 +58,8 @@ def test_everything_is_taken_over() -> None:
     assert settings.safety.on_client_lost is Behaviour.RELEASE
     assert settings.safety.max_step == 0.01
     assert (settings.thermal.warn, settings.thermal.release) == (50.0, 65.0)
+    assert settings.thermal.nominal_current == {"defaults": 0.4}
+    assert (settings.thermal.time_constant, settings.thermal.ambient) == (12.0, 20.0)
     realtime = realtime_settings(given)
     assert (realtime.enabled, realtime.priority, realtime.cpus) == (True, 60, (1,))
     assert not realtime.lock_memory
