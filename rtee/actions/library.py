@@ -10,6 +10,7 @@ from pathlib import Path
 from rtee.actions.build import StepPlan, check_custom_name, compose, sequence, uses_of, warnings_of
 from rtee.actions.index import Index
 from rtee.actions.naming import normalise
+from rtee.actions.shelf import Shelf
 from rtee.actions.types import (
     Action,
     ActionKind,
@@ -49,11 +50,9 @@ class ActionLibrary:
         self, hand: Hand, actions: Iterable[Action] = (), folder: Path | None = None
     ) -> None:
         self.hand = hand
-        self.folder = folder
         self.version = 0
         self._index = Index(hand, tuple(actions))
-        self._stored: dict[str, str] = {}
-        self._seen: dict[Path, int] = {}
+        self._shelf = Shelf(hand, folder)
         for action in self._index.custom.values():
             for use in uses_of(action):
                 self.find(use.action, use.elements)
@@ -70,20 +69,16 @@ class ActionLibrary:
         return library
 
     def _read(self, keep: Sequence[Action] = ()) -> None:
-        from rtee.actions.store import read_actions, stamps
-
-        if self.folder is None:
-            return
-        seen = stamps(self.folder)
-        actions = read_actions(self.hand, self.folder)
-        custom = [action for action in actions if not isinstance(action, Primitive)]
-        self._index = Index(self.hand, (*actions, *keep))
-        self._stored = {normalise(action.name): action.name for action in custom}
-        self._seen = seen
+        self._index = self._shelf.read(keep)
         self.version += 1
-        for action in custom:
-            for warning in warnings_of(action):
+        for action in self._index.custom.values():
+            for warning in warnings_of(action) if self.is_stored(action.name) else ():
                 log.warning("%s", warning)
+
+    @property
+    def folder(self) -> Path | None:
+        """Where the actions are stored; ``None`` if they are kept in memory."""
+        return self._shelf.folder
 
     def __len__(self) -> int:
         return len(self._index.primitives) + len(self._index.custom)
@@ -152,7 +147,7 @@ class ActionLibrary:
 
     def is_stored(self, name: str) -> bool:
         """Return whether a composed, timed or generic action is stored in a file."""
-        return normalise(name) in self._stored
+        return self._shelf.holds(name)
 
     def compose(
         self,
@@ -195,7 +190,7 @@ class ActionLibrary:
             index.find(use.action, use.elements, None)
         index = index.rebuilt() if replace_same else index
         if store:
-            self._write(index, action)
+            self._shelf.write(index, action)
         self._index = index
         self.version += 1
 
@@ -206,36 +201,8 @@ class ActionLibrary:
             ActionError: if the library has no folder.
             ConfigError: if the file cannot be written.
         """
-        self._write(self._index, self.find(name, elements))
+        self._shelf.write(self._index, self.find(name, elements))
         self.version += 1
-
-    def _write(self, index: Index, action: Action) -> None:
-        from rtee.actions.store import write_custom, write_primitives
-
-        folder = self._home()
-        if isinstance(action, Primitive):
-            write_primitives(folder, self.hand, index.primitives)
-            return
-        for use in uses_of(action):
-            inner = index.find(use.action, use.elements, None)
-            if not isinstance(inner, Primitive) and not self.is_stored(inner.name):
-                raise ActionError(
-                    f"'{action.name}' uses '{inner.name}', which is not stored itself"
-                )
-        write_custom(folder, action)
-        self._stored[normalise(action.name)] = action.name
-        self._note()
-
-    def _home(self) -> Path:
-        if self.folder is None:
-            raise ActionError("these actions have no folder to be stored in")
-        return self.folder
-
-    def _note(self) -> None:
-        from rtee.actions.store import stamps
-
-        if self.folder is not None:
-            self._seen = stamps(self.folder)
 
     def remove(self, name: str) -> None:
         """Remove a composed, timed or generic action, and its file.
@@ -250,12 +217,7 @@ class ActionLibrary:
         users = self._index.users(action)
         if users:
             raise ActionError(f"'{action.name}' is used by {', '.join(users)}; remove that first")
-        if self.is_stored(action.name):
-            from rtee.actions.store import delete_custom
-
-            delete_custom(self._home(), action)
-            del self._stored[normalise(action.name)]
-            self._note()
+        self._shelf.delete(action)
         self._index = Index(self.hand, self._index.without(action))
         self.version += 1
 
@@ -266,8 +228,6 @@ class ActionLibrary:
             UnknownAction: if there is none.
             ActionError: if the new name is taken or not good; or if it is a primitive.
         """
-        from rtee.actions.store import delete_custom, write_custom
-
         action = self.find(name)
         if isinstance(action, Primitive):
             raise ActionError(f"'{action.name}' is a primitive; its name cannot change")
@@ -285,15 +245,7 @@ class ActionLibrary:
             else:
                 kept.append(other)
         index = Index(self.hand, (*kept, *changed))
-        if old in self._stored:
-            for other in changed:
-                if normalise(other.name) == new or self.is_stored(other.name):
-                    write_custom(self._home(), other)
-            if new != old:
-                delete_custom(self._home(), action)
-            del self._stored[old]
-            self._stored[new] = new_name
-            self._note()
+        self._shelf.rename(action, new_name, changed)
         self._index = index
         self.version += 1
 
@@ -307,23 +259,14 @@ class ActionLibrary:
             ActionError: if there is no folder.
             ConfigError: if a file cannot be written.
         """
-        from rtee.actions.store import write_custom, write_primitives
-
         if folder is not None:
-            self.folder = folder
-        home = self._home()
-        write_primitives(home, self.hand, self._index.primitives)
-        for action in self._index.custom.values():
-            write_custom(home, action)
-            self._stored[normalise(action.name)] = action.name
+            self._shelf.folder = folder
+        self._shelf.write_all(self._index)
         self.version += 1
-        self._note()
 
     def changed(self) -> bool:
         """Return whether a file was changed, added or removed since it was read or written."""
-        from rtee.actions.store import stamps
-
-        return self.folder is not None and stamps(self.folder) != self._seen
+        return self._shelf.changed()
 
     def reload(self, *, force: bool = False) -> bool:
         """Read the files again if they changed; actions that are only in memory stay.

@@ -1,0 +1,148 @@
+"""The files of a library: what is stored in them, and whether somebody changed them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rtee.actions.build import uses_of
+from rtee.actions.index import Index
+from rtee.actions.naming import normalise
+from rtee.actions.types import Action, Primitive
+from rtee.errors import ActionError
+from rtee.hand.model import Hand
+
+
+class Shelf:
+    """Where the actions of one hand are stored.
+
+    Args:
+        hand: The hand.
+        folder: The folder, or ``None`` if they are kept in memory.
+
+    Attributes:
+        folder: The folder.
+    """
+
+    def __init__(self, hand: Hand, folder: Path | None) -> None:
+        self.hand = hand
+        self.folder = folder
+        self._stored: dict[str, str] = {}
+        self._seen: dict[Path, int] = {}
+
+    def read(self, keep: Sequence[Action] = ()) -> Index:
+        """Return the actions in the files.
+
+        Args:
+            keep: Further actions, which are in memory only.
+
+        Raises:
+            ActionError: for every mistake in the files, with file and line.
+        """
+        from rtee.actions.store import read_actions, stamps
+
+        folder = self._home()
+        seen = stamps(folder)
+        actions = read_actions(self.hand, folder)
+        index = Index(self.hand, (*actions, *keep))
+        custom = (action.name for action in actions if not isinstance(action, Primitive))
+        self._stored = {normalise(name): name for name in custom}
+        self._seen = seen
+        return index
+
+    def changed(self) -> bool:
+        """Return whether a file was changed, added or removed since it was read or written."""
+        from rtee.actions.store import stamps
+
+        return self.folder is not None and stamps(self.folder) != self._seen
+
+    def holds(self, name: str) -> bool:
+        """Return whether a composed, timed or generic action is stored in a file."""
+        return normalise(name) in self._stored
+
+    def write(self, index: Index, action: Action) -> None:
+        """Write one action to its file; of primitives all.
+
+        Raises:
+            ActionError: if there is no folder, or it uses an action that is not stored.
+            ConfigError: if the file cannot be written.
+        """
+        from rtee.actions.store import write_primitives
+
+        if isinstance(action, Primitive):
+            write_primitives(self._home(), self.hand, index.primitives)
+            return
+        for use in uses_of(action):
+            inner = index.find(use.action, use.elements, None)
+            if not isinstance(inner, Primitive) and not self.holds(inner.name):
+                raise ActionError(
+                    f"'{action.name}' uses '{inner.name}', which is not stored itself"
+                )
+        self._write_custom([action])
+
+    def write_all(self, index: Index) -> None:
+        """Write all actions to their files, each atomically; nothing is written that is equal.
+
+        Raises:
+            ActionError: if there is no folder.
+            ConfigError: if a file cannot be written.
+        """
+        from rtee.actions.store import write_primitives
+
+        write_primitives(self._home(), self.hand, index.primitives)
+        self._write_custom(index.custom.values())
+
+    def delete(self, action: Action) -> None:
+        """Delete an action's file, if it has one.
+
+        Raises:
+            ConfigError: if it cannot be deleted.
+        """
+        from rtee.actions.store import delete_custom
+
+        if self.holds(action.name):
+            delete_custom(self._home(), action)
+            del self._stored[normalise(action.name)]
+            self._note()
+
+    def rename(self, action: Action, new_name: str, changed: Sequence[Action]) -> None:
+        """Store an action under another name, if it is stored, and what uses it.
+
+        Args:
+            action: The action, as it was called.
+            new_name: What it is called now.
+            changed: The action and those that use it, as they are now.
+
+        Raises:
+            ConfigError: if a file cannot be written.
+        """
+        from rtee.actions.store import delete_custom
+
+        old, new = normalise(action.name), normalise(new_name)
+        if old not in self._stored:
+            return
+        self._write_custom(
+            [other for other in changed if normalise(other.name) == new or self.holds(other.name)]
+        )
+        if new != old:
+            delete_custom(self._home(), action)
+            del self._stored[old]
+            self._note()
+
+    def _write_custom(self, actions: Iterable[Action]) -> None:
+        from rtee.actions.store import write_custom
+
+        for action in actions:
+            write_custom(self._home(), action)
+            self._stored[normalise(action.name)] = action.name
+        self._note()
+
+    def _home(self) -> Path:
+        if self.folder is None:
+            raise ActionError("these actions have no folder to be stored in")
+        return self.folder
+
+    def _note(self) -> None:
+        from rtee.actions.store import stamps
+
+        self._seen = stamps(self._home())
