@@ -14,7 +14,6 @@ from pathlib import Path
 from rtee.buses.link import split_address
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 
-
 _MASTERS = frozenset({"/dev/ptmx", "/dev/pts/ptmx"})
 """What a program has open that makes pseudo-terminals."""
 
