@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from rtee.actions.types import Primitive
     from rtee.extract.extraction import Extraction
+    from rtee.extract.report_trials import Tried
     from rtee.hand.model import Hand as HandModel
 
 app = typer.Typer()
@@ -114,7 +115,24 @@ def _report(path: Path, hand: HandModel, found: Extraction, folder: Path | None,
 
     custom = ActionLibrary.load(hand, folder / "actions") if folder is not None else None
     with _progress("taking pictures") as progress:
-        write_report(path, hand, found, custom, jobs=jobs, progress=progress)
+        write_report(path, hand, found, custom, trials=_tried(folder), jobs=jobs, progress=progress)
+
+
+def _tried(folder: Path | None) -> list[Tried]:
+    """Return what `rtee try --all` found, for the report."""
+    from rtee.extract.report_trials import Tried
+    from rtee.trials.store import FILE_NAME, read_results
+
+    results = {} if folder is None else read_results(folder / FILE_NAME)
+    return [
+        Tried(
+            " ".join((result.trial.action, *result.trial.elements)),
+            result.trial.object,
+            result.held,
+            f"slip {result.slip * 1e3:.1f} mm" if result.held else result.reason,
+        )
+        for result in results.values()
+    ]
 
 
 def _load(

@@ -24,6 +24,7 @@ from rtee.extract.jobs import processors, spread
 from rtee.extract.report_image import Contact
 from rtee.extract.report_page import Card, Section, Shot, page
 from rtee.extract.report_pictures import SIZE, Studio
+from rtee.extract.report_trials import Tried, section
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
@@ -61,6 +62,7 @@ def write_report(
     extraction: Extraction,
     actions: Iterable[Action] | None = None,
     *,
+    trials: Iterable[Tried] = (),
     size: tuple[int, int] = SIZE,
     jobs: int = 0,
     progress: Callable[[int, int], None] | None = None,
@@ -72,6 +74,7 @@ def write_report(
         hand: The hand.
         extraction: What was extracted from it.
         actions: Its actions (a library is some), for the composed, timed and generic ones.
+        trials: What became of its actions when they were tried in simulation.
         size: Width and height of the pictures of the whole hand [pixels].
         jobs: Processes that take pictures; 0 for one per processor.
         progress: Called with the pictures taken and those there are.
@@ -114,7 +117,7 @@ def write_report(
         for title, plans in sections.items()
     ]
     notes = (*hand.notes, *extraction.notes)
-    text = page(hand, shots[0].image, cards, notes, extraction.seconds)
+    text = page(hand, shots[0].image, cards, notes, extraction.seconds, section(trials))
     write_atomically(path, text)
 
 

@@ -85,7 +85,12 @@ class Section:
 
 
 def page(
-    hand: Hand, picture: bytes, sections: Iterable[Section], notes: Sequence[str], seconds: float
+    hand: Hand,
+    picture: bytes,
+    sections: Iterable[Section],
+    notes: Sequence[str],
+    seconds: float,
+    trials: str = "",
 ) -> str:
     """Return the page.
 
@@ -95,6 +100,7 @@ def page(
         sections: The actions by kind.
         notes: What was noticed, one sentence each.
         seconds: How long the extraction took [s].
+        trials: The section on trials, as HTML.
     """
     title = escape(hand.description or hand.name)
     found = tuple(sections)
@@ -112,6 +118,7 @@ in {seconds:.2f} s</div>
 <h2>What moves what</h2><div class="panel">{tables.moves(hand)}</div>
 {_folded("Joints that follow an actuator", tables.couplings(hand))}
 {_folded("Notes on the model", _list(notes))}
+{trials}
 {body}
 <footer>Angles in degrees, lengths in millimetres, positions in the frame of
 <code>{escape(hand.base)}</code>. In the bars the black tick is the rest posture.</footer>

@@ -27,6 +27,7 @@ from rtee.extract.report import write_report
 from rtee.extract.report_camera import farthest, fitted, view
 from rtee.extract.report_mesh import smooth_normals
 from rtee.extract.report_pictures import Studio, render
+from rtee.extract.report_trials import Tried
 from rtee.hand.colours import PALETTE, finger_colours, finger_of_link
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_model
@@ -265,3 +266,20 @@ def test_report_is_one_page_with_a_picture_of_every_action(hand: Hand, tmp_path:
 def test_report_into_a_folder_that_is_not_there(hand: Hand, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be written"):
         write_report(tmp_path / "none" / "r.html", hand, Extraction((), 0.0))
+
+
+def test_report_tells_what_trials_found(hand: Hand, tmp_path: Path) -> None:
+    tried = [
+        Tried("Grasp <all>", "sphere:0.03", True, "slip 1.5 mm"),
+        Tried("Grasp <all>", "drill", False, "it fell while it was lifted"),
+        Tried("Trig left", "sphere:0.03", False),
+    ]
+    file = tmp_path / "report.html"
+    write_report(file, hand, Extraction((), 0.0), trials=tried, size=(100, 100))
+    page = Page()
+    page.feed(file.read_text())
+    assert not page.open
+    assert "trials" in page.targets
+    for words in ("Does it hold?", "(1 of 3)", "Grasp <all>", "sphere:0.03", "1 of 2", "0 of 1"):
+        assert words in page.text
+    assert 'title="lost; it fell while it was lifted"' in file.read_text()

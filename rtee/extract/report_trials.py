@@ -1,0 +1,67 @@
+"""The table of the report that tells which objects each action held when it was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from rtee.extract import report_tables as tables
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """How one action did with one object.
+
+    Attributes:
+        action: The action with its elements, in words.
+        object: The object, as on the command line.
+        held: It was lifted, held and shaken, and stayed in the hand.
+        note: What else there is to say: how far it slipped, or why it was lost.
+    """
+
+    action: str
+    object: str
+    held: bool
+    note: str = ""
+
+
+def section(tried: Iterable[Tried]) -> str:
+    """Return the section with the table, as HTML; empty if nothing was tried."""
+    found = list(tried)
+    if not found:
+        return ""
+    held = sum(one.held for one in found)
+    return (
+        f'<h2 id="trials">Does it hold? <span class="soft">({held} of {len(found)})</span></h2>'
+        '<p class="soft">Each action was tried on each object in simulation: approach, grasp, '
+        "lift, hold, shake. ● held, ○ lost; a pointer on a sign tells more.</p>"
+        f'<div class="panel">{_table(found)}</div>'
+    )
+
+
+def _table(found: Sequence[Tried]) -> str:
+    objects = list(dict.fromkeys(one.object for one in found))
+    rows: dict[str, dict[str, Tried]] = {}
+    for one in found:
+        rows.setdefault(one.action, {})[one.object] = one
+    return tables.table(
+        ["action", *objects, "held"],
+        (
+            [
+                escape(action),
+                *(_sign(row.get(name)) for name in objects),
+                f"{sum(one.held for one in row.values())} of {len(row)}",
+            ]
+            for action, row in rows.items()
+        ),
+        numbers=range(1, len(objects) + 2),
+    )
+
+
+def _sign(one: Tried | None) -> str:
+    if one is None:
+        return ""
+    word = "held" if one.held else "lost"
+    note = escape(f"{word}; {one.note}" if one.note else word)
+    return f'<span title="{note}">{"●" if one.held else "○"}</span>'
