@@ -8,10 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from rtee.extract.collisions import Blocked, Watch, bisect
+from rtee.extract.collisions import Blocked, Watch
+from rtee.extract.constraints import CLOSE, NEAR, WEIGHT, Constraints
 from rtee.extract.descent import Minimum, Objective, descend
 from rtee.extract.goals import Goal
-from rtee.extract.motion import Motion, Way
+from rtee.extract.motion import Motion
 from rtee.extract.polish import polish
 from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.search import distinct
@@ -26,26 +27,11 @@ _SMALLEST: Final = 0.002
 _EVALUATIONS: Final = 40
 _QUICK: Final = 25
 _POLISH: Final = 11
-_WEIGHT: Final = 5.0
-_SHRINK: Final = 0.2
-_STRENGTHEN: Final = 2.0
-_STRONGEST: Final = 40.0
-_GAIN: Final = 0.01
 _SAME: Final = 0.05
 _AT_LEAST: Final = 2
 _POOL: Final = 4
-_COARSE: Final = 0.01
-_SAFE: Final = 2e-5
-_MARGIN: Final = 1e-4
-_CLOSE: Final = 5e-5
-_NEAR: Final = 5e-3
-_SAMPLES: Final = 16
-_STATIONS: Final = 4
-_MOST_STATIONS: Final = 8
-_APART: Final = 0.02
 _SHORT: Final = 2e-3
 _FOLLOWED: Final = 1
-_POSE: Final = (1.0,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,23 +53,6 @@ class Patience:
     leaps: int = 4
     creeps: int = 6
     ways: int = 3
-
-
-@dataclass(slots=True)
-class Constraint:
-    """Two links that are to stay apart.
-
-    Attributes:
-        pair: The links.
-        times: Where on the way, as intensities; 1 is the pose itself.
-        allowance: How deep their convex parts may overlap there before they collide [m].
-        weight: Factor of the penalty.
-    """
-
-    pair: LinkPair
-    times: tuple[float, ...]
-    allowance: float
-    weight: float = _WEIGHT
 
 
 class ClearSearch:
@@ -116,15 +85,11 @@ class ClearSearch:
             patience: How much to try.
         """
         self._scene = scene
-        self._motion = motion
         self._goal = goal
         self._space = space
-        self._index = [int(i) for i in space.index]
-        self._varying = frozenset(self._index)
-        self._low, self._high = np.zeros(space.size), np.ones(space.size)
         self._watch = watch
         self._patience = patience
-        self._constraints: list[Constraint] = []
+        self._constraints = Constraints(scene, motion, goal, space, watch)
 
     def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
         """Return clear poses, the best one whose way is clear first, if there is any.
@@ -148,7 +113,7 @@ class ClearSearch:
                     free.append(y)
                     break
                 behind.append(y)
-                self._learn_way(blocked, y)
+                self._constraints.learn_way(blocked, y)
                 nearer = self._go_back(y, blocked)
                 if nearer is not None:
                     free.append(nearer)
@@ -163,7 +128,7 @@ class ClearSearch:
             again = self._blocked(y)
             if again is None:
                 return y if self._touches(y) else None
-            self._learn_way(again, y)
+            self._constraints.learn_way(again, y)
             blocked = again
         return None
 
@@ -193,7 +158,7 @@ class ClearSearch:
             if pose is not None and self._touches(pose):
                 found.append(pose)
                 best = min(best, self._value(pose))
-                self._calibrate(pose)
+                self._constraints.calibrate(pose)
         return sorted(found, key=self._value)
 
     def _push_out(self, start: FloatArray) -> FloatArray | None:
@@ -212,7 +177,7 @@ class ClearSearch:
                     return better
                 y = better
             for pair in hits:
-                self._learn(pair, y)
+                self._constraints.learn(pair, y)
             y = self._descend(y, _EVALUATIONS).y
             if not self._reached(y):
                 break
@@ -232,12 +197,12 @@ class ClearSearch:
         """
         best = self._value(y)
         for _ in range(self._patience.leaps):
-            self._calibrate(y)
+            self._constraints.calibrate(y)
             step = self._descend(y, _EVALUATIONS).y - y
             for share in (1.0, 0.5, 0.25, 0.125):
                 trial = y + share * step
                 value = self._value(trial)
-                if value < best - _CLOSE and not self._watch.near(self._posture(trial)):
+                if value < best - CLOSE and not self._watch.near(self._posture(trial)):
                     break
             else:
                 return y
@@ -253,14 +218,15 @@ class ClearSearch:
         is improved within these walls and a radius that shrinks when the pose found is not clear.
         """
         best, radius = self._value(y), _RADIUS
-        concerned = {c.pair.links: c.pair for c in self._constraints if c.times == _POSE}
+        concerned = self._constraints.concerned()
         walls = self._walls(y, concerned)
+        low, high = self._constraints.bounds
         for _ in range(self._patience.creeps):
-            bounds = (np.maximum(self._low, y - radius), np.minimum(self._high, y + radius))
+            bounds = (np.maximum(low, y - radius), np.minimum(high, y + radius))
             function = self._walled(y, walls)
             trial = polish(function, y, evaluations=_POLISH, bounds=bounds).y
             value = self._value(trial)
-            if value >= best - _CLOSE:
+            if value >= best - CLOSE:
                 radius *= _TIGHTER
             else:
                 hits = self._watch.near(self._posture(trial))
@@ -276,16 +242,6 @@ class ClearSearch:
                 break
         return y
 
-    def _calibrate(self, y: FloatArray) -> None:
-        """Allow at least the overlaps at which links would touch near a clear pose."""
-        self._scene.place(self._posture(y))
-        for c in self._constraints:
-            overlap = -self._scene.distance(c.pair)
-            if c.times == _POSE and overlap > -_NEAR:
-                gap = self._scene.exact_distance(c.pair)
-                c.allowance = max(c.allowance, overlap + gap - _CLOSE)
-                c.weight = _WEIGHT
-
     def _walls(
         self, y: FloatArray, concerned: dict[tuple[str, str], LinkPair]
     ) -> list[tuple[float, FloatArray]]:
@@ -294,20 +250,20 @@ class ClearSearch:
         return [
             self._scene.exact_slope(pair, self._space)
             for pair in concerned.values()
-            if self._scene.distance(pair) < _NEAR
+            if self._scene.distance(pair) < NEAR
         ]
 
     def _walled(self, at: FloatArray, walls: Sequence[tuple[float, FloatArray]]) -> Objective:
-        goal = self._objective(ways_only=True)
+        goal = self._constraints.penalised(ways_only=True)
 
         def function(y: FloatArray) -> tuple[float, FloatArray]:
             value, slope = goal(y)
             step = y - at
             for gap, rise in walls:
-                left = gap + float(rise @ step) - _CLOSE
+                left = gap + float(rise @ step) - CLOSE
                 if left < 0.0:
-                    value -= _WEIGHT * left
-                    slope = slope - _WEIGHT * rise
+                    value -= WEIGHT * left
+                    slope = slope - WEIGHT * rise
             return value, slope
 
         return function
@@ -317,70 +273,6 @@ class ClearSearch:
 
     def _blocked(self, y: FloatArray) -> Blocked | None:
         return self._watch.along(self._posture(y))
-
-    def _learn(self, pair: LinkPair, y: FloatArray) -> None:
-        """Learn from a collision at a pose."""
-        if self._bound(pair, y):
-            return
-        known = self._known(pair)
-        if known is not None:
-            self._tighten(known, self._overlap(pair, self._way(y), 1.0))
-            return
-        way = self._way(y)
-        at = bisect(self._scene, pair, way, 0.0, 1.0, _COARSE)
-        overlap = self._overlap(pair, way, max(0.0, at - _COARSE))
-        self._constraints.append(Constraint(pair, _POSE, overlap))
-
-    def _learn_way(self, blocked: Blocked, y: FloatArray) -> None:
-        """Learn from a collision on the way to a pose."""
-        if self._bound(blocked.pair, y):
-            return
-        way = self._way(y)
-        times = np.linspace(blocked.at, 1.0, _SAMPLES, endpoint=False).tolist()
-        overlaps = [self._overlap(blocked.pair, way, t) for t in times]
-        deepest = times[int(np.argmax(overlaps))]
-        known = self._known(blocked.pair, on_way=True)
-        if known is None:
-            few = (*times[:: _SAMPLES // _STATIONS], deepest)
-            self._constraints.append(Constraint(blocked.pair, few, overlaps[0]))
-        elif all(abs(t - deepest) > _APART for t in known.times):
-            known.times = (*known.times[-_MOST_STATIONS:], deepest)
-        else:
-            self._tighten(known, max(overlaps))
-
-    def _known(self, pair: LinkPair, *, on_way: bool = False) -> Constraint | None:
-        of_pair = (c for c in self._constraints if c.pair is pair)
-        return next((c for c in of_pair if (c.times != _POSE) is on_way), None)
-
-    def _tighten(self, constraint: Constraint, overlap: float) -> None:
-        """Allow less than an overlap at which the links do collide."""
-        least = min(constraint.allowance, overlap)
-        constraint.allowance = least - max(_CLOSE, _SHRINK * least)
-        constraint.weight = min(_STRONGEST, constraint.weight * _STRENGTHEN)
-
-    def _bound(self, pair: LinkPair, y: FloatArray) -> bool:
-        """Bound an actuator that alone moves two links, where they first collide on its way."""
-        moving = pair.actuators & self._varying
-        if len(moving) != 1:
-            return False
-        (actuator,) = moving
-        goal = self._scene.hand.rest.copy()
-        goal[actuator] = self._space.posture(y)[actuator]
-        blocked = self._watch.first(self._motion.way(goal), [pair])
-        if blocked is None:
-            return False
-        share = max(0.0, blocked.at - _SAFE)
-        goal[actuator] = goal[actuator] * share + self._scene.hand.rest[actuator] * (1.0 - share)
-        i = self._index.index(actuator)
-        limit, rest = self._space.coordinates(goal)[i], self._space.rest[i]
-        if limit >= rest and y[i] > rest:
-            self._high[i] = min(self._high[i], limit)
-        else:
-            self._low[i] = max(self._low[i], limit)
-        return True
-
-    def _way(self, y: FloatArray) -> Way:
-        return self._motion.way(self._space.posture(y))
 
     def _touches(self, y: FloatArray) -> bool:
         self._scene.place(self._posture(y))
@@ -394,43 +286,6 @@ class ClearSearch:
         self._scene.place(self._space.posture(y))
         return self._goal.reached()
 
-    def _overlap(self, pair: LinkPair, way: Way, at: float) -> float:
-        self._scene.place(way.at(at))
-        return max(0.0, -self._scene.distance(pair) - _MARGIN)
-
     def _descend(self, y: FloatArray, evaluations: int) -> Minimum:
-        bounds = (self._low, self._high)
-        return descend(self._objective(), y, evaluations=evaluations, bounds=bounds)
-
-    def _polish(self, y: FloatArray) -> Minimum:
-        bounds = (self._low, self._high)
-        return polish(self._objective(), y, evaluations=_POLISH, bounds=bounds)
-
-    def _objective(self, *, ways_only: bool = False) -> Objective:
-        """Return the goal with a penalty for overlaps beyond the allowances."""
-        scene, space, goal, rest = self._scene, self._space, self._goal, self._scene.hand.rest
-        here = [c for c in self._constraints if c.times == _POSE and not ways_only]
-        before = [c for c in self._constraints if c.times != _POSE]
-
-        def function(y: FloatArray) -> tuple[float, FloatArray]:
-            u = space.posture(y)
-            scene.place(u)
-            value, slope = goal.slope(space)
-            for c in here:
-                gap = scene.distance(c.pair)
-                if gap < -c.allowance:
-                    value -= c.weight * (gap + c.allowance)
-                    slope = slope - c.weight * scene.derivative(c.pair, space)
-            for c in before:
-                least, rise = np.inf, slope
-                for t in c.times:
-                    scene.place(rest + t * (u - rest))
-                    gap = scene.distance(c.pair)
-                    if gap < min(least, -c.allowance):
-                        least, rise = gap, t * scene.derivative(c.pair, space)
-                if least < -c.allowance:
-                    value -= c.weight * (least + c.allowance)
-                    slope = slope - c.weight * rise
-            return value, slope
-
-        return function
+        function, bounds = self._constraints.penalised(), self._constraints.bounds
+        return descend(function, y, evaluations=evaluations, bounds=bounds)
