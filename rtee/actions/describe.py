@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from typing import Any
 
 from rtee.actions.build import warnings_of
-from rtee.actions.schema import evidence_document
 from rtee.actions.types import (
     Action,
     ActionReference,
@@ -17,6 +16,7 @@ from rtee.actions.types import (
     Primitive,
     Timed,
 )
+from rtee.actions.writing import evidence_document
 from rtee.hand.model import Hand
 
 

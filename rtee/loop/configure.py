@@ -23,7 +23,8 @@ from rtee.loop.settings import (
 from rtee.types import DeviceSpec
 
 if TYPE_CHECKING:
-    from rtee.hand.config import Device, HandConfig
+    from rtee.hand.config import HandConfig
+    from rtee.hand.sections import Device
 
 KINEMATIC = "kinematic"
 """The driver that needs no device."""
