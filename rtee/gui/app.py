@@ -100,6 +100,16 @@ class App:
 
     async def run(self) -> None:
         """Show hands until cancelled."""
+        async with anyio.create_task_group() as group:
+            group.start_soon(self._keep_offering)
+            await self._keep_showing()
+
+    async def _keep_offering(self) -> None:
+        while True:
+            self._offer()
+            await anyio.sleep(_LOOK_AGAIN)
+
+    async def _keep_showing(self) -> None:
         while True:
             self._offer()
             with self._scope() as leave:

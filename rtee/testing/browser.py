@@ -42,12 +42,13 @@ def find_browser() -> str | None:
 
 
 @contextlib.contextmanager
-def browser(width: int = 800, height: int = 600) -> Iterator[BrowserContext]:
+def browser(width: int = 800, height: int = 600, *, scale: float = 1.0) -> Iterator[BrowserContext]:
     """Start a headless browser with a fresh profile for as long as the context lasts.
 
     Args:
         width: Of the windows [px].
         height: Of the windows [px].
+        scale: Pixels drawn per such pixel; fewer cost a computer without a graphics card less.
 
     Raises:
         ConfigError: if there is no Chromium, or Playwright is not installed.
@@ -69,6 +70,7 @@ def browser(width: int = 800, height: int = 600) -> Iterator[BrowserContext]:
             headless=True,
             args=list(_ARGUMENTS),
             viewport={"width": width, "height": height},
+            device_scale_factor=scale,
         )
         context.set_default_timeout(_PATIENCE)
         try:

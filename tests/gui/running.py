@@ -12,6 +12,9 @@ import sys
 import threading
 from pathlib import Path
 
+GRIPPER, SQUEEZER, MANY = "robotiq_2f_85", "squeezer", "many"
+"""The hands of the tests in a browser: kinematic, simulated with a ball, and with 24 actuators."""
+
 COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
 
 
@@ -70,8 +73,11 @@ class Program:
             self.process.stdout.close()
 
 
-def copy_of(repository: Path, folder: Path, hand: str) -> Path:
+def copy_of(repository: Path, folder: Path, hand: str, name: str | None = None) -> Path:
     """Copy a hand, so that actions made in a test are stored in the copy."""
-    target = folder / "config" / hand
+    target = folder / "config" / (name or hand)
     shutil.copytree(repository / "config" / hand, target)
+    if name is not None:
+        file = target / "hand.yaml"
+        file.write_text(re.sub(r"(?m)^name: .*$", f"name: {name}", file.read_text()))
     return target

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import viser
 
-from rtee.errors import RequestRejected
+from rtee.errors import RemoteError
 from rtee.gui.bridge import Bridge
 from rtee.gui.labels import short_names
 from rtee.hand.model import Hand
@@ -54,7 +54,7 @@ class JogPanel:
     async def _take_or_give(self) -> None:
         try:
             await (self._remote.take() if self._hold.value else self._remote.release())
-        except RequestRejected:
+        except RemoteError:
             self._hold.value = False
             raise
         finally:

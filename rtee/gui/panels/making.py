@@ -60,8 +60,9 @@ class EditPanel:
 
     async def _rename(self) -> None:
         if self._which.value in self._custom:
-            name = str(self._name.value).strip()
-            await self._remote.rename_action(str(self._which.value), name)
+            old, name = str(self._which.value), str(self._name.value).strip()
+            await self._remote.rename_action(old, name)
+            self._bridge.tell("Renamed", f"'{old}' is now '{name}'", "green")
 
     async def _delete(self) -> None:
         action = self._custom.get(str(self._which.value))
@@ -95,6 +96,7 @@ class EditPanel:
                     action.name, points, description=action.description, store=True
                 )
         self._deleted.pop()
+        self._bridge.tell("Undone", f"action '{action.name}' is there again", "green")
 
 
 class MakingPanel:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rtee.errors import RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.remote.client import RemoteHand
 from rtee.remote.views import HandStatus
@@ -19,6 +20,7 @@ class TuningPanel:
         self._remote = remote
         self._gains: dict[str, tuple[str, str]] = {}
         self._set_before: dict[str, float] = {}
+        self._typed = False
         self._quiet = False
         self._holding = gui.add_slider(
             "Holding effort [%]",
@@ -39,6 +41,7 @@ class TuningPanel:
         self._set = gui.add_button("Set gain", hint="Change it now; needs the hand", visible=False)
         self._holding.on_update(lambda _: self._hold())
         self._which.on_update(lambda _: self._recall())
+        self._value.on_update(lambda _: self._type())
         self._set.on_click(lambda _: bridge.call(self._change))
 
     def _hold(self) -> None:
@@ -46,11 +49,17 @@ class TuningPanel:
             share = self._holding.value / 100.0
             self._bridge.call(lambda: self._remote.set_gains({"holding_effort": share}))
 
+    def _type(self) -> None:
+        self._typed = True
+
     def _recall(self) -> None:
         self._value.value = self._set_before.get(str(self._which.value), 0.0)
+        self._typed = False
 
     async def _change(self) -> None:
         label, value = str(self._which.value), float(self._value.value)
+        if not self._typed:
+            raise RequestRejected("the device does not tell what the gain is; type a value first")
         if label in self._gains:
             device, gain = self._gains[label]
             await self._remote.set_gains({gain: value}, device)
@@ -74,5 +83,6 @@ class TuningPanel:
         self._gains = gains
         self._which.options = tuple(gains) or (_NONE,)
         self._which.value = self._which.options[0]
+        self._recall()
         for control in (self._which, self._value, self._set):
             control.visible = bool(gains)

@@ -1,0 +1,123 @@
+"""One GUI, one browser and several hands for all tests in a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import rtee
+from rtee.remote.blocking import BlockingHand
+from rtee.testing.browser import browser
+from rtee.trials.result import Trial, TrialResult
+from rtee.trials.store import write_results
+
+from .many import make_many
+from .running import GRIPPER, MANY, SQUEEZER, Program, copy_of
+from .window import Window
+
+if TYPE_CHECKING:
+    from playwright.sync_api import BrowserContext
+
+DRIVERS = {
+    GRIPPER: ("--driver", "kinematic", "--rate", "200"),
+    SQUEEZER: ("--driver", "mujoco", "--object", "sphere:0.03", "--rate", "100", "--no-log"),
+    MANY: ("--driver", "kinematic", "--rate", "100", "--no-log"),
+}
+
+
+@pytest.fixture(scope="package")
+def place(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the hands, of their configuration and recordings."""
+    folder = tmp_path_factory.mktemp("gui")
+    copy_of(repository, folder, "robotiq_2f_85")
+    squeezer = copy_of(repository, folder, "robotiq_2f_85", SQUEEZER)
+    make_many(folder / "config" / MANY)
+    results = [
+        TrialResult(Trial("Grasp", (), "sphere:0.03"), True),
+        TrialResult(Trial("Grasp", (), "sphere:0.05"), False, reason="too wide for it"),
+    ]
+    write_results(squeezer / "trials.yaml", "0", results)
+    return folder
+
+
+class Hands:
+    """The running hands; each is started when it is first asked for."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+        self.programs: list[Program] = []
+        self._running: dict[str, Program] = {}
+
+    def __getitem__(self, hand: str) -> Program:
+        """Return a hand's process."""
+        if hand not in self._running:
+            logs = () if "--no-log" in DRIVERS[hand] else ("--log", str(self.place / "logs"))
+            program = Program(self.place, "run", hand, *DRIVERS[hand], *logs)
+            self.programs.append(program)
+            self._running[hand] = program
+            program.line(rf"{hand}: .* active")
+        return self._running[hand]
+
+    def kill(self, hand: str) -> None:
+        """Kill a hand's process; the next one who asks gets a new one."""
+        self._running.pop(hand).kill()
+
+
+@pytest.fixture(scope="package")
+def hands(place: Path) -> Iterator[Hands]:
+    found = Hands(place)
+    yield found
+    for program in found.programs:
+        program.end()
+
+
+@pytest.fixture(scope="package")
+def gui(place: Path, hands: Hands) -> Iterator[Program]:
+    assert hands[GRIPPER].process.poll() is None
+    program = Program(place, "gui", GRIPPER, "--port", "0")
+    yield program
+    program.end()
+
+
+@pytest.fixture(scope="package")
+def context() -> Iterator[BrowserContext]:
+    with browser(900, 700, scale=0.5) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="package")
+def only_window(context: BrowserContext, gui: Program) -> Window:
+    window = Window(context.pages[0], gui.line(r"rtee: GUI at (http://\S+)")[1])
+    window.open(GRIPPER)
+    return window
+
+
+@pytest.fixture
+def any_window(only_window: Window) -> Iterator[Window]:
+    """The window, showing whichever hand; nothing goes wrong in the page."""
+    wrong: list[str] = []
+    note = lambda error: wrong.append(str(error))  # noqa: E731
+    only_window.page.on("pageerror", note)
+    only_window.forget()
+    yield only_window
+    only_window.page.remove_listener("pageerror", note)
+    assert wrong == []
+
+
+@pytest.fixture
+def window(any_window: Window) -> Window:
+    """The window, showing the gripper's actions."""
+    any_window.show(GRIPPER)
+    return any_window
+
+
+@pytest.fixture
+def other(place: Path, hands: Hands, monkeypatch: pytest.MonkeyPatch) -> Iterator[BlockingHand]:
+    """Another client of the gripper."""
+    assert hands[GRIPPER].process.poll() is None
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
+    with rtee.connect_blocking(GRIPPER, client="other") as hand:
+        yield hand

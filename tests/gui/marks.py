@@ -1,0 +1,15 @@
+"""What tests in a browser have in common."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import pytest
+
+from rtee.testing.browser import find_browser
+
+in_a_browser: Final = [
+    pytest.mark.browser,
+    pytest.mark.timeout(300),
+    pytest.mark.skipif(find_browser() is None, reason="no Chromium was found"),
+]

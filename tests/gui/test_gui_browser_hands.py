@@ -1,0 +1,109 @@
+"""Other hands in the same page: a simulated one that feels, and one with 24 actuators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import rtee
+
+from .conftest import Hands
+from .marks import in_a_browser
+from .running import GRIPPER, MANY, SQUEEZER
+from .window import Picture, Window
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Locator
+
+pytestmark = in_a_browser
+
+
+@pytest.fixture
+def squeezer(any_window: Window, hands: Hands) -> Window:
+    """The window, showing a simulated gripper with a ball between its fingers."""
+    pytest.importorskip("mujoco")
+    assert hands[SQUEEZER].process.poll() is None
+    any_window.show(SQUEEZER)
+    return any_window
+
+
+def _toggled(window: Window, box: Locator, before: Picture) -> Picture:
+    box.click()
+    return window.pictured_anew(before)
+
+
+def test_effort_and_pressure_are_seen(squeezer: Window) -> None:
+    window = squeezer
+    card = window.folder("Grasp")
+    window.button("Do", card).click()
+    window.says("grasped with finger_1, finger_2", card)
+    window.tab("View")
+    with_both = window.picture()
+    without = _toggled(window, window.field("Pressure"), with_both)
+    plain = _toggled(window, window.field("Effort"), without)
+    _toggled(window, window.field("Effort"), plain)
+    window.field("Pressure").click()
+    window.button("Open").click()
+
+
+def test_what_trials_found_is_on_the_card(squeezer: Window) -> None:
+    window = squeezer
+    card = window.folder("Grasp")
+    window.says("held 1 of 2 objects", card).click()
+    window.says("sphere:0.05", card)
+    window.says("too wide for it", card)
+
+
+def test_gains_and_the_holding_effort_are_tuned(
+    squeezer: Window, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = squeezer
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
+    window.tab("Make")
+    panel = window.folder("Tune", unfold=True)
+    window.choose("Gain", "mujoco: kd.finger_joint", panel)
+    window.button("Set gain", panel).click()
+    window.says("type a value first")
+    window.type("Value", "0.5", panel)
+    window.button("Set gain", panel).click()
+    window.says("kd.finger_joint is 0.5")
+    window.type("Holding effort [%]", "70", panel)
+    with rtee.connect_blocking(SQUEEZER) as hand:
+        window.until(lambda: hand.status().holding_effort == 0.7)
+
+
+def test_24_actuators_stay_usable(any_window: Window, hands: Hands) -> None:
+    window = any_window
+    assert hands[MANY].process.poll() is None
+    window.show(MANY)
+    window.type("Search", "finger_4")
+    window.page.get_by_text("wave", exact=True).first.wait_for(state="hidden")
+    window.type("Search", "wave")
+    window.says("moves f0_joint0")
+    window.page.get_by_text("Trig", exact=True).first.wait_for(state="hidden")
+    window.type("Search", "")
+    window.tab("Make")
+    assert not window.page.locator("label:visible", has_text="f5_joint3").count(), "not folded"
+    window.folder("Actuators", unfold=True)
+    window.says(["f5_joint3", "[rad]"][0])
+    window.tab("Joints")
+    rows = window.page.locator("tr:visible")
+    assert rows.count() >= 24
+    window.tab("Plots")
+
+
+def test_hands_one_after_the_other_leave_nothing_behind(any_window: Window, hands: Hands) -> None:
+    window = any_window
+    for hand in (SQUEEZER, MANY, GRIPPER):
+        assert hands[hand].process.poll() is None
+        window.show(hand)
+    window.page.evaluate("document.activeElement.blur()")
+    window.page.keyboard.press("Control+k")
+    window.page.get_by_placeholder("Search commands...").fill("Do ")
+    window.says("Do PinchTight")
+    offered = window.page.locator("[data-action], .mantine-Spotlight-action").all_inner_texts()
+    window.page.keyboard.press("Escape")
+    assert not [text for text in offered if "fist" in text or "wave" in text]
+    assert len([text for text in offered if text.startswith("Do Grasp")]) == 1

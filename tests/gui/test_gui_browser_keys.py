@@ -1,0 +1,83 @@
+"""The GUI without a mouse."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtee.remote.blocking import BlockingHand
+
+from .marks import in_a_browser
+from .window import Window
+
+pytestmark = in_a_browser
+
+FOCUSED = "document.activeElement.innerText || document.activeElement.value"
+
+
+def _leave_fields(window: Window) -> None:
+    window.page.evaluate("document.activeElement.blur()")
+
+
+def test_keys_open_cancel_and_stop(window: Window, other: BlockingHand) -> None:
+    keys = window.page.keyboard
+    other.do("PinchTight", "finger_1", "finger_2")
+    window.forget()
+    _leave_fields(window)
+    keys.press("o")
+    window.until(lambda: other.state().position[0] <= 0.02)
+    card = window.folder("PinchTight", unfold=True)
+    more = window.folder("More", unfold=True)
+    window.type("Speed [%]", "5", more)
+    window.button("Do", card).click()
+    window.status("running PinchTight")
+    _leave_fields(window)
+    keys.press("c")
+    window.says("cancelled", card)
+    window.type("Speed [%]", "100", more)
+    _leave_fields(window)
+    keys.press("s")
+    window.says("confirmed by")
+
+
+def test_a_key_typed_into_a_field_is_text(window: Window, other: BlockingHand) -> None:
+    other.do("PinchTight", "finger_1", "finger_2", intensity=0.5)
+    before = other.state().position[0]
+    window.field("Search").press_sequentially("sos co")
+    assert window.field("Search").input_value() == "sos co"
+    window.type("Search", "")
+    assert other.state().position[0] == pytest.approx(before, abs=0.01)
+    assert not window.page.get_by_text("confirmed by").count()
+
+
+def test_the_palette_finds_actions_of_this_hand(window: Window, other: BlockingHand) -> None:
+    other.open()
+    _leave_fields(window)
+    window.page.keyboard.press("Control+k")
+    search = window.page.get_by_placeholder("Search commands...")
+    search.wait_for()
+    search.fill("do pinchtight")
+    window.says("Do PinchTight")
+    window.page.keyboard.press("ArrowDown")
+    window.page.keyboard.press("Enter")
+    window.until(lambda: other.state().position[0] >= 0.5)
+
+
+def test_tab_goes_from_stop_through_the_controls_and_is_seen(window: Window) -> None:
+    page = window.page
+    window.button("STOP").focus()
+    seen = []
+    for _ in range(8):
+        page.keyboard.press("Tab")
+        seen.append(str(page.evaluate(FOCUSED)).strip())
+        ring = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+        shape = page.evaluate("getComputedStyle(document.activeElement).borderStyle")
+        assert ring != "none" or shape != "none", f"where the focus is cannot be seen: {seen}"
+    assert seen[0] == "Open"
+    assert seen[1] == "Actions"
+
+
+def test_open_by_enter(window: Window, other: BlockingHand) -> None:
+    other.do("PinchTight", "finger_1", "finger_2", intensity=0.5)
+    window.button("Open").focus()
+    window.page.keyboard.press("Enter")
+    window.until(lambda: other.state().position[0] <= 0.02)

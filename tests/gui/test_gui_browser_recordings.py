@@ -1,0 +1,62 @@
+"""Recording, and looking at a recording, in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rtee.remote.blocking import BlockingHand
+
+from .marks import in_a_browser
+from .window import Window
+
+pytestmark = in_a_browser
+
+
+def _position(window: Window) -> float:
+    """Return the position that the table of actuators shows."""
+    row = window.page.locator("tr:visible", has_text="finger_joint").first
+    return float(row.locator("td").nth(1).inner_text())
+
+
+def test_a_recording_is_marked_ended_and_looked_at(
+    window: Window, other: BlockingHand, place: Path
+) -> None:
+    other.record("stop")
+    window.status("held by nobody")
+    window.tab("Log")
+    window.says("○ off")
+    window.button("Start").click()
+    window.says("a recording begins")
+    window.page.locator("div:visible", has_text="recording to").first.wait_for()
+    other.do("PinchTight", "finger_1", "finger_2")
+    window.type("Mark", "it is closed")
+    window.button("Set mark").click()
+    window.says("it is closed")
+    closed = other.state().position[0]
+    other.open()
+    window.button("Stop").click()
+    window.says("○ off")
+    newest = max((place / "logs").glob("*.mcap"))
+
+    panel = window.folder("Look at a recording", unfold=True)
+    window.button("Refresh", panel).click()
+    window.field("File", panel).click()
+    window.page.get_by_role("option").filter(has_text=newest.stem).click()
+    window.button("Open", panel).click()
+    line = panel.get_by_label("actions over time")
+    line.wait_for()
+    said = line.locator("title").all_text_contents()
+    assert any(text.startswith("PinchTight") and "reached" in text for text in said), said
+    assert "it is closed" in said
+    window.tab("Joints")
+    window.field("Go to", panel).click()
+    window.page.get_by_role("option").filter(has_text="it is closed").click()
+    window.until(lambda: abs(_position(window) - closed) <= 0.02)
+    window.type("Time [s]", "0", panel)
+    window.until(lambda: _position(window) <= 0.05)
+    window.field("Play", panel).click()
+    window.until(lambda: _position(window) >= 0.1)
+    window.button("Live", panel).click()
+    line.wait_for(state="detached")
+    window.until(lambda: abs(_position(window) - other.state().position[0]) <= 0.02)
+    window.tab("Plots")

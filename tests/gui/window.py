@@ -1,0 +1,122 @@
+"""The GUI's page as a person sees it: controls by what they are called."""
+
+from __future__ import annotations
+
+import io
+import re
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Locator, Page
+
+Picture = NDArray[np.int16]
+
+CLEAR, SHARE = 25, 0.004
+"""Pictures differ where this share of the pixels differs by more than this, of 255."""
+
+ROW = "xpath=ancestor::div[contains(@class, 'mantine-Flex-root')][1]"
+
+
+class Window:
+    """A browser's window on the GUI."""
+
+    def __init__(self, page: Page, address: str) -> None:
+        self.page = page
+        self.address = address
+
+    def open(self, hand: str) -> None:
+        """Open the page and wait for a hand."""
+        self.page.goto(self.address)
+        self.page.get_by_text(f"{hand}: connected").wait_for()
+        self.button("Do").first.wait_for()
+        self.page.locator(".mantine-Notification-closeButton").first.click()
+
+    def show(self, hand: str) -> None:
+        """Choose a hand and its actions, unless they are shown."""
+        if self.field("Shown").input_value() != hand:
+            self.choose("Shown", hand)
+        self.page.get_by_text(f"{hand}: connected").wait_for()
+        self.tab("Actions")
+        self.button("Do").first.wait_for()
+        if self.field("Search").input_value():
+            self.field("Search").fill("")
+
+    def tab(self, name: str) -> None:
+        """Choose a tab."""
+        self.page.get_by_role("tab", name=name).click()
+
+    def folder(self, name: str, *, unfold: bool = False) -> Locator:
+        """Return a folder with what is in it."""
+        label = self.page.locator("div.mantine-Paper-root > div.mantine-Paper-root")
+        label = label.filter(has_text=re.compile(f"^{re.escape(name)}$")).first
+        folder = label.locator("xpath=..")
+        if unfold and not folder.locator("label:visible, button:visible").count():
+            label.click()
+            folder.locator("label:visible, button:visible").first.wait_for()
+        return folder
+
+    def button(self, name: str, within: Locator | None = None) -> Locator:
+        """Return the visible buttons of a name."""
+        return (within or self.page).get_by_role("button", name=name, exact=True)
+
+    def field(self, label: str, within: Locator | None = None) -> Locator:
+        """Return the first visible field with a label."""
+        found = (within or self.page).locator("label:visible").filter(has_text=label).first
+        return found.locator(ROW).locator("input:not([type=hidden])").last
+
+    def type(self, label: str, text: str, within: Locator | None = None) -> None:
+        """Type something into a field."""
+        self.field(label, within).fill(text)
+
+    def choose(self, label: str, option: str, within: Locator | None = None) -> None:
+        """Choose an option of a dropdown."""
+        self.field(label, within).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def says(self, text: str | re.Pattern[str], within: Locator | None = None) -> Locator:
+        """Wait until something is said; returns where."""
+        found = (within or self.page).get_by_text(text).locator("visible=true").first
+        found.wait_for()
+        return found
+
+    def until(self, true: Callable[[], bool], within: float = 60.0) -> None:
+        """Wait until something is true."""
+        end = time.monotonic() + within
+        while not true():
+            assert time.monotonic() < end, "it never came true"
+            self.page.wait_for_timeout(50)
+
+    def status(self, text: str) -> None:
+        """Wait until the lines below Stop and Open say something."""
+        self.page.locator("[role=status]").filter(has_text=text).first.wait_for()
+
+    def wait(self, control: Locator, condition: str) -> None:
+        """Wait until something is true of a control: a JavaScript function of it."""
+        self.page.wait_for_function(condition, arg=control.element_handle())
+
+    def forget(self) -> None:
+        """Close the notifications, and wait until they have gone."""
+        close = "document.querySelectorAll('.mantine-Notification-closeButton')"
+        self.page.wait_for_function(f"[...{close}].map(each => each.click()).length === 0")
+
+    def picture(self) -> Picture:
+        """Return what the middle of the 3D view shows ``(h, w, 3)``."""
+        area = {"x": 380.0, "y": 260.0, "width": 160.0, "height": 240.0}
+        data = self.page.screenshot(clip=area)  # type: ignore[arg-type]
+        with Image.open(io.BytesIO(data)) as image:
+            return np.asarray(image.convert("RGB"), dtype=np.int16)
+
+    def pictured_anew(self, before: Picture) -> Picture:
+        """Wait until the 3D view shows something clearly different."""
+        for _ in range(100):
+            now = self.picture()
+            if (np.abs(now - before).max(axis=2) > CLEAR).mean() > SHARE:
+                return now
+            self.page.wait_for_timeout(100)
+        raise AssertionError("the 3D view shows the same as before")
