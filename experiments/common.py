@@ -80,9 +80,17 @@ def hold(
                 stills.clear()
             stills.append((moment, take(headless)))
 
+    # Once to find the place that holds, and again from there, to record nothing else.
+    first = run_trial(ready.hand, ready.library, ready.settings, trial)
     with recording(ready, folder, outcome) as recorder:
         result = run_trial(
-            ready.hand, ready.library, ready.settings, trial, observers=[recorder], watch=watch
+            ready.hand,
+            ready.library,
+            ready.settings,
+            trial,
+            observers=[recorder],
+            watch=watch,
+            skip=max(0, first.places - 1),
         )
     what = f"{name}: {' '.join((trial.action, *trial.elements))} on {trial.object}"
     outcome.check(result.held, f"{what}: {result.reason or f'slip {result.slip * 1e3:.1f} mm'}")

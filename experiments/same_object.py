@@ -105,9 +105,17 @@ def in_dynamics(gripper: Gripper, folder: Path, outcome: Outcome, *, pictures: b
                 stills.clear()
             stills.append((moment, take(headless)))
 
+    # Once to find the place that works, and again from there, to record nothing else.
+    first = run_transfer(ready.hand, ready.library, ready.settings, transfer)
     with recording(ready, folder, outcome) as recorder:
         result = run_transfer(
-            ready.hand, ready.library, ready.settings, transfer, observers=[recorder], watch=watch
+            ready.hand,
+            ready.library,
+            ready.settings,
+            transfer,
+            observers=[recorder],
+            watch=watch,
+            skip=max(0, first.places - 1),
         )
     said = result.reason or (
         f"{result.off * 1e3:.1f} mm from its target, leaning by {np.degrees(result.tilt):.1f} "

@@ -66,6 +66,7 @@ class HeadlessHand(Generic[P]):
         observers: Who is told everything.
         controller: The loop's pure core.
         time: Simulated time since the start [s].
+        ticks: Ticks since the start.
         results: How the goals ended, by their identifiers.
     """
 
@@ -76,6 +77,8 @@ class HeadlessHand(Generic[P]):
         settings: LoopSettings,
         simulation: P,
         observers: Sequence[LoopObserver] = (),
+        *,
+        ticks: int = 0,
     ) -> None:
         """Start with every actuator active and standing where it is.
 
@@ -85,15 +88,16 @@ class HeadlessHand(Generic[P]):
             settings: The loop's settings; their period must be the simulation's.
             simulation: The simulated hand.
             observers: Who is told everything, as in the loop.
+            ticks: How many ticks went before, so that one recording may hold several runs.
         """
         self.hand = hand
         self.simulation = simulation
         self.controller = Controller(hand, settings)
-        self.time = 0.0
+        self.time = ticks * settings.period
         self.library = library
         self._settings = settings
         self.observers = tuple(observers)
-        self._tick = 0
+        self.ticks = ticks
         self.results: dict[str, Result] = {}
         self._before: list[Callable[[float], None]] = []
         n = len(hand.actuators)
@@ -104,12 +108,17 @@ class HeadlessHand(Generic[P]):
         self._command("active", dict.fromkeys(hand.actuator_names, 1.0))
         self.tick()  # the controller starts from what is measured
 
+    @property
+    def period(self) -> float:
+        """Time of a tick [s]."""
+        return self._settings.period
+
     def before_tick(self, call: Callable[[float], None]) -> None:
         """Call something with the simulated time [s] before every tick: a carrier's script."""
         self._before.append(call)
 
     def _command(self, kind: str, values: dict[str, float]) -> None:
-        command = Command(kind, values=values, tick=self._tick, stamp=self.time)
+        command = Command(kind, values=values, tick=self.ticks, stamp=self.time)
         for observer in self.observers:
             observer.on_command(command)
         self.controller.apply(command)
@@ -153,8 +162,8 @@ class HeadlessHand(Generic[P]):
             call(self.time)
         simulation, controller = self.simulation, self.controller
         simulation.advance()
-        self._tick += 1
-        self.time = self._tick * self._settings.period
+        self.ticks += 1
+        self.time = self.ticks * self._settings.period
         position, effort = simulation.position, simulation.effort
         controller.step(self.time, self._measured(position, effort))
         reference = np.array(controller.reference_position)
@@ -178,7 +187,7 @@ class HeadlessHand(Generic[P]):
         if pose is not None:
             extras["simulation/object_pose"] = pose
         record = TickRecord(
-            tick=self._tick,
+            tick=self.ticks,
             stamp=self.time,
             wall_ns=round(self.time * 1e9),
             position=position,

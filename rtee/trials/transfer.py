@@ -113,6 +113,7 @@ def run_transfer(
     *,
     observers: Sequence[LoopObserver] = (),
     watch: Watch | None = None,
+    skip: int = 0,
 ) -> TransferResult:
     """Pick an object up and place it elsewhere, from one place in the hand or another.
 
@@ -123,6 +124,7 @@ def run_transfer(
         transfer: What is tried.
         observers: Told of every tick, as in the loop.
         watch: Told of the moments of the transfer.
+        skip: Places to leave out, because they are known to fail.
 
     Returns:
         The result with the first place that worked, or with the last one that was tried.
@@ -135,15 +137,19 @@ def run_transfer(
     action = library.find(transfer.action, transfer.elements)
     found = TransferResult(transfer, False, "the object fits nowhere between the fingers")
     ways = islice(_ways(hand, action, settings, transfer), transfer.places)
+    ticks = 0
     for number, (place, mount) in enumerate(ways, 1):
+        if number <= skip:
+            continue
         options = SimOptions(
             object=transfer.object, object_mass=transfer.mass, support="table", carrier="arm"
         )
         simulation = make_simulation(
             hand, options, hand.actuator_names, settings.period, place=place, mount=mount
         )
-        headless = HeadlessHand(hand, library, settings, simulation, observers)
+        headless = HeadlessHand(hand, library, settings, simulation, observers, ticks=ticks)
         found = _Run(headless, transfer, mount @ approach(hand), number, watch).result()
+        ticks = headless.ticks
         if found.placed:
             break
     return found
@@ -188,6 +194,7 @@ class _Run:
         self._script = CarrierScript(headless)
         self._outcome = ""
         self._slip = 0.0
+        self._began = headless.time - headless.period
 
     def result(self) -> TransferResult:
         headless, around, script = self._headless, self._around, self._script
@@ -269,7 +276,7 @@ class _Run:
             off,
             tilt,
             speed,
-            self._headless.time,
+            self._headless.time - self._began,
             self._number,
         )
 

@@ -43,6 +43,7 @@ def run_trial(
     *,
     observers: Sequence[LoopObserver] = (),
     watch: Watch | None = None,
+    skip: int = 0,
 ) -> TrialResult:
     """Try an action on an object at one place after the other until one is held.
 
@@ -53,6 +54,7 @@ def run_trial(
         trial: What is tried.
         observers: Told of every tick, as in the loop.
         watch: Told of the moments of the trial.
+        skip: Places to leave out, because they are known to fail.
 
     Returns:
         The result at the place where it was held, or else at the one with the least slip.
@@ -69,11 +71,13 @@ def run_trial(
     if not places:
         return TrialResult(trial, False, "the object fits nowhere between the fingers")
     tried: list[TrialResult] = []
-    for number, place in enumerate(places, 1):
+    ticks = 0
+    for number, place in enumerate(places[skip:], skip + 1):
         simulation.reset()
         simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
-        headless = HeadlessHand(hand, library, settings, simulation, observers)
+        headless = HeadlessHand(hand, library, settings, simulation, observers, ticks=ticks)
         result = _Run(headless, trial, place, number, watch).result()
+        ticks = headless.ticks
         if result.held:
             return result
         tried.append(result)
@@ -97,6 +101,7 @@ class _Run:
         self._around = headless.simulation.surroundings
         self._script = CarrierScript(headless)
         self._peak = 0.0
+        self._began = headless.time - headless.period
 
     def result(self) -> TrialResult:
         headless, around, trial = self._headless, self._around, self._trial
@@ -178,7 +183,7 @@ class _Run:
             round(slip, 6),
             forces,
             round(self._peak, 3),
-            round(self._headless.time, 3),
+            round(self._headless.time - self._began, 3),
             self._number,
             (x, y, z),
         )
