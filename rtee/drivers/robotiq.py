@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
@@ -12,6 +13,8 @@ from rtee.errors import BusTimeout
 
 ExchangeKind = Literal["auto", "combined", "separate"]
 
+PATIENT = 0.5
+"""What belongs to no cycle and must arrive may take so long [s]."""
 _TRIES = 3
 _REFRESH = 0.005
 """Robotiq's grippers refresh their registers every 5 ms."""
@@ -61,6 +64,15 @@ class Blocks:
     def combined(self) -> bool:
         """Whether function 23 is used."""
         return self._kind != "separate"
+
+    @contextlib.contextmanager
+    def unhurried(self) -> Iterator[None]:
+        """Give exchanges that belong to no cycle the time they may need on a busy computer."""
+        usual, self.deadline = self.deadline, PATIENT
+        try:
+            yield
+        finally:
+            self.deadline = usual
 
     async def read(self) -> tuple[int, ...]:
         """Return the input block; errors as for `rtee.buses.modbus.ModbusBus.read`."""

@@ -18,7 +18,7 @@ from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import owner_of
-from rtee.drivers.robotiq import Blocks, ExchangeKind
+from rtee.drivers.robotiq import PATIENT, Blocks, ExchangeKind
 from rtee.drivers.robotiq_faults import NOT_ACTIVATED, Fault
 from rtee.errors import (
     BusError,
@@ -29,9 +29,6 @@ from rtee.errors import (
     NotConnected,
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
-
-PATIENT = 0.5
-"""What is written once and must arrive may take so long [s]."""
 
 SAME = 2
 """A position this near to the measured one asks for no motion [counts]."""
@@ -224,7 +221,8 @@ class RobotiqDriver(Driver, Generic[S]):
 
     async def activate(self) -> None:
         """Attach to an active gripper; activate an inactive one where that was asked for."""
-        status = self._status = await self._read()
+        with self._open().unhurried():
+            status = self._status = await self._read()
         self._refuse(status)
         allowed = self._settings.home == "on_connect" or self._home_asked
         if not status.ready:
@@ -247,11 +245,10 @@ class RobotiqDriver(Driver, Generic[S]):
 
     async def _within(self, steps: Callable[[], Awaitable[None]]) -> None:
         """Do what moves the gripper by itself, in time; cancelling stops it."""
-        blocks = self._open()
-        usual, blocks.deadline = blocks.deadline, PATIENT
         try:
-            async with asyncio.timeout(self._settings.activation_timeout):
-                await steps()
+            with self._open().unhurried():
+                async with asyncio.timeout(self._settings.activation_timeout):
+                    await steps()
         except BusTimeout:
             raise
         except TimeoutError:
@@ -265,8 +262,6 @@ class RobotiqDriver(Driver, Generic[S]):
             with contextlib.suppress(BusError):
                 await self._write(self.RESET)
             raise
-        finally:
-            blocks.deadline = usual
 
     async def _until(self, done: Callable[[S], bool]) -> None:
         missed = 0
@@ -342,10 +337,11 @@ class RobotiqDriver(Driver, Generic[S]):
 
     async def recover(self) -> None:
         """Clear a fault; where that costs the activation, the next `activate` may move."""
-        status = self._status = await self._read()
-        fault = self.FAULTS.get(status.fault)
-        if fault is not None and fault.major:
-            await self._clear()
+        with self._open().unhurried():
+            status = self._status = await self._read()
+            fault = self.FAULTS.get(status.fault)
+            if fault is not None and fault.major:
+                await self._clear()
         self._refuse(self._status)
         self._home_asked = True
 

@@ -35,7 +35,7 @@ from rtee.drivers.onrobot_3fg.codec import (
 from rtee.drivers.onrobot_3fg.emulator import OnRobot3FGEmulator
 from rtee.drivers.onrobot_3fg.options import OnRobot3FGOptions
 from rtee.drivers.options import read_options
-from rtee.drivers.robotiq import Blocks
+from rtee.drivers.robotiq import PATIENT, Blocks
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -123,7 +123,7 @@ class OnRobot3FGDriver(Driver):
             output=TARGETS,
             source=STATUS,
             count=STATUS_COUNT,
-            deadline=0.5,
+            deadline=PATIENT,
             kind=options.exchange,
             refresh=0.0,
         )
@@ -189,7 +189,8 @@ class OnRobot3FGDriver(Driver):
 
     async def activate(self) -> None:
         """See that the calibration is valid; the gripper needs no activation and no homing."""
-        self._status = await self._read()
+        with self._open().unhurried():
+            self._status = await self._read()
         self._refuse(self._status)
         self._sent = None
         self._active = True
@@ -303,7 +304,8 @@ class OnRobot3FGDriver(Driver):
 
     async def recover(self) -> None:
         """Stop, and see that the calibration is valid again."""
-        self._status = await self._read()
+        with self._open().unhurried():
+            self._status = await self._read()
         self._refuse(self._status)
         await self.stop()
 

@@ -14,6 +14,7 @@ from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
+from rtee.drivers.robotiq import PATIENT
 from rtee.drivers.robotiq_2f.calibration import (
     EndStops,
     checked,
@@ -33,7 +34,7 @@ from rtee.drivers.robotiq_2f.codec import (
 )
 from rtee.drivers.robotiq_2f.emulator import Robotiq2FEmulator
 from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
-from rtee.drivers.robotiq_driver import PATIENT, SAME, RobotiqDriver
+from rtee.drivers.robotiq_driver import SAME, RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
 from rtee.errors import BusTimeout, CalibrationError, ConfigError
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference

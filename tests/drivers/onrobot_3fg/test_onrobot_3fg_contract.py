@@ -46,8 +46,10 @@ pytestmark = pytest.mark.anyio
 
 async def gripped(session: Session, goal: float, **limits: Any) -> Any:
     for _ in range(300):
-        state = await session.cycle(Reference.at([goal], **limits))
-        if state is not None and state.grasped == (True,) and not session.emulator.status().busy:
+        busy = session.emulator.status().busy
+        await session.cycle(Reference.at([goal], **limits))
+        state = await session.sense()
+        if state.grasped == (True,) and not busy:
             return state
         await asyncio.sleep(0.005)
     pytest.fail("it never gripped")
