@@ -46,6 +46,8 @@ HANDS = ("robotiq_2f_85", "robotiq_3f", "dagana", "qb_softhand", "heri_ii", "sch
 TIGHT = WIDE = DISTANCE = 5000
 SEVERAL = 3000
 POLISHED = 8
+NOTHING = 1e-7
+"""A smaller depth is a bare contact [m]."""
 
 Pair = frozenset[str]
 
@@ -178,7 +180,7 @@ def compare_depth(hands: Sequence[str], jobs: int, starts: int) -> None:
         for names, tips in tip_pairs(scene).items():
             known, depth = deepest(scene, tips, starts), depths.get(names, 0.0)
             if known or depth:
-                shares.append(depth / known if known else 1.0)
+                shares.append(depth / known if known > NOTHING else 1.0)
                 print(
                     f"| {name} | {', '.join(sorted(names))} | {1e3 * depth:.3f} "
                     f"| {1e3 * known:.3f} | {shares[-1]:.2%} |"

@@ -25,6 +25,7 @@ class Effort:
         quick: Most evaluations of these descents.
         kept: How many of their ends, distinct ones, are polished.
         polish: Most evaluations of the polishing of one.
+        again: How often the deepest end is polished again where that did not suffice.
     """
 
     screened: int = 192
@@ -32,12 +33,14 @@ class Effort:
     quick: int = 28
     kept: int = 3
     polish: int = 22
+    again: int = 3
 
 
 PAIR: Final = Effort()
-SEVERAL: Final = Effort(screened=64, starts=5, quick=20, kept=2, polish=22)
+SEVERAL: Final = Effort(screened=64, starts=5, quick=20, kept=2, polish=22, again=0)
 
 _SAME: Final = 0.02
+_LITTLE: Final = 0.002
 _LINE: Final = 257
 _LINE_PRECISION: Final = 1e-8
 
@@ -70,6 +73,14 @@ def minima(
     ]
     best = distinct(first)[: effort.kept]
     done = [polish(function, m.y, evaluations=effort.polish) for m in best]
+    deepest = min(done, key=lambda m: m.value)
+    for _ in range(effort.again):
+        if deepest.evaluations < effort.polish:
+            break
+        before, deepest = deepest, polish(function, deepest.y, evaluations=effort.polish)
+        done.append(deepest)
+        if before.value - deepest.value < _LITTLE * abs(deepest.value):
+            break
     return distinct([*done, *first])
 
 
