@@ -15,10 +15,12 @@ from rtee.cli.try_ import app
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError, UnknownAction
+from rtee.hand.catalog import hand_names
 from rtee.trials.place import Places
 from rtee.trials.recorded import recorder_for
-from rtee.trials.store import from_document, read_results, to_document, write_results
+from rtee.trials.store import FILE_NAME, from_document, read_results, to_document, write_results
 from rtee.trials.sweep import (
+    OBJECTS,
     all_trials,
     attempt,
     bench,
@@ -181,3 +183,13 @@ def test_the_recorder_drops_nothing(tmp_path: Path) -> None:
     with recorder_for(ready, tmp_path) as recorder:
         run_trial(ready.hand, ready.library, ready.settings, BALL, observers=[recorder])
     assert recorder.dropped == 0
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_shipped_results_can_be_read(name: str) -> None:
+    path = bench(name).folder / FILE_NAME
+    if not path.exists():
+        pytest.skip("this hand comes without results")
+    results = read_results(path)
+    assert any(result.held for result in results.values())
+    assert {result.trial.object for result in results.values()} <= set(OBJECTS)
