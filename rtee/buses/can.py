@@ -14,7 +14,7 @@ from rtee.buses.emulator import CanFrame
 from rtee.errors import BusBroken, BusTimeout
 
 if TYPE_CHECKING:
-    from rtee.buses.simulated import SimulatedCan
+    from rtee.buses.simulated_can import SimulatedCan
 
 _BUS_OFF = 0x40
 

@@ -11,7 +11,7 @@ from rtee.buses.worker import Worker
 from rtee.errors import BusBroken, BusTimeout
 
 if TYPE_CHECKING:
-    from rtee.buses.simulated import SimulatedCan
+    from rtee.buses.simulated_can import SimulatedCan
 
 T = TypeVar("T")
 

@@ -4,34 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import struct
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
-from pymodbus.client.base import ModbusBaseClient
 from pymodbus.exceptions import ModbusException
-from pymodbus.framer import FramerRTU, FramerSocket, FramerType
-from pymodbus.transport import CommParams, CommType
 
 from rtee.buses.bus import Bus
-from rtee.buses.link import Line, SerialTransport, open_link
+from rtee.buses.link import Line, open_link
+from rtee.buses.modbus_client import Client, Relay, Sender
 from rtee.buses.modbus_frames import (
     READ_HOLDING,
     READ_INPUT,
     READ_WRITE,
     WRITE_MANY,
     answer_head,
-    find_answer,
-    find_network_answer,
 )
 from rtee.buses.timing import Pause, silence, wire_time
 from rtee.errors import BusBroken, BusError, BusTimeout, FrameError
 
 # What pymodbus logs as errors is a retry here, counted and reported by this bus.
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
-
-_FOR_EVER = 3600.0
 
 
 class ModbusRefusal(BusError):
@@ -83,7 +76,7 @@ class ModbusBus(Bus):
         self._address = address or (lambda: name)
         self._lock = asyncio.Lock()
         self._pause = Pause()
-        self._client: _Client | None = None
+        self._client: Client | None = None
         self._last = 0.0
 
     async def read(
@@ -114,7 +107,7 @@ class ModbusBus(Bus):
             BusClosed: if the bus is closed.
         """
 
-        def request(client: _Client) -> Awaitable[Any]:
+        def request(client: Client) -> Awaitable[Any]:
             asked = client.read_input_registers if function == READ_INPUT else None
             return (asked or client.read_holding_registers)(address, count=count, device_id=unit)
 
@@ -126,7 +119,7 @@ class ModbusBus(Bus):
     ) -> None:
         """Set registers from ``address`` on, in one frame (function 16). Errors as for `read`."""
 
-        def request(client: _Client) -> Awaitable[Any]:
+        def request(client: Client) -> Awaitable[Any]:
             return client.write_registers(address, list(values), device_id=unit)
 
         head = answer_head(WRITE_MANY, address, len(values))
@@ -145,7 +138,7 @@ class ModbusBus(Bus):
     ) -> tuple[int, ...]:
         """Set registers, then return others, in one exchange (function 23). Errors: see `read`."""
 
-        def request(client: _Client) -> Awaitable[Any]:
+        def request(client: Client) -> Awaitable[Any]:
             return client.readwrite_registers(
                 read_address=read_address,
                 read_count=count,
@@ -172,7 +165,7 @@ class ModbusBus(Bus):
 
     async def _transact(
         self,
-        request: Callable[[_Client], Awaitable[Any]],
+        request: Callable[[Client], Awaitable[Any]],
         expected: tuple[int, int, bytes],
         count: int,
         deadline: float,
@@ -210,7 +203,7 @@ class ModbusBus(Bus):
 
     async def _attempt(
         self,
-        request: Callable[[_Client], Awaitable[Any]],
+        request: Callable[[Client], Awaitable[Any]],
         expected: tuple[int, int, bytes],
         share: float,
     ) -> tuple[int, ...] | None:
@@ -240,7 +233,7 @@ class ModbusBus(Bus):
             return None
         return tuple(int(v) for v in getattr(response, "registers", ())) if function != 16 else ()
 
-    def send(self, client: _Client, data: bytes) -> None:
+    def send(self, client: Client, data: bytes) -> None:
         """Write a request when the line has been silent long enough; called by the client."""
         due = self._last + self.gap
         if self.gap and due > time.monotonic():
@@ -257,13 +250,15 @@ class ModbusBus(Bus):
             self.trace(self.name, "tx", data, self._last)
         client.link.write(data)
 
-    def _received(self, data: bytes) -> None:
+    def received(self, data: bytes) -> None:
+        """Note what came in; called by the link."""
         self._last = time.monotonic()
         self.counters.bytes_received += len(data)
         if self.trace is not None:
             self.trace(self.name, "rx", data, self._last)
 
-    def _lost(self, client: _Client, error: Exception | None) -> None:
+    def lost(self, client: Client, error: Exception | None) -> None:
+        """End what waits on a link that broke; called by the link."""
         if client is self._client:
             self._client = None
             self._broke(str(error) if error else "")
@@ -271,14 +266,14 @@ class ModbusBus(Bus):
 
     async def _open(self) -> None:
         await self._close()
-        client = _Client(self)
+        client = Client(self)
         transport, _ = await open_link(
-            self._address(), self.line, lambda: _Relay(self, client), name=self.name
+            self._address(), self.line, lambda: Relay(self, client), name=self.name
         )
         if transport.is_closing():
             raise BusBroken(self.name, "the other end hung up at once")
         client.link = transport
-        client.ctx.transport = _Sender(self, client)  # type: ignore[assignment]
+        client.ctx.transport = Sender(self, client)  # type: ignore[assignment]
         self._client = client
 
     async def _close(self) -> None:
@@ -290,111 +285,3 @@ class ModbusBus(Bus):
             if client.link is not None:
                 client.link.abort()
             await asyncio.sleep(0)  # the transport closes its file descriptor in its next callback
-
-
-class _Client(ModbusBaseClient):
-    """pymodbus's client on a link of ours; it neither reconnects nor times out by itself."""
-
-    def __init__(self, bus: ModbusBus) -> None:
-        params = CommParams(
-            comm_type=CommType.SERIAL if bus.rtu else CommType.TCP,
-            comm_name=bus.name,
-            reconnect_delay=0.0,
-            timeout_connect=_FOR_EVER,
-        )
-        framer = FramerType.RTU if bus.rtu else FramerType.SOCKET
-        super().__init__(framer, 0, params, None, None, None)
-        decoder = self.ctx.framer.decoder
-        self.ctx.framer = _Framer(self, decoder) if bus.rtu else _NetworkFramer(self, decoder)
-        self.link: asyncio.Transport | None = None
-        self.wanted: tuple[int, int, bytes] | None = None
-        self.expected: tuple[int, int, bytes] | None = None
-
-    def discard(self) -> None:
-        """Throw away what the port has received and nobody has read."""
-        if isinstance(self.link, SerialTransport):
-            self.link.read_now()
-
-    def abandon(self, error: Exception) -> None:
-        """End the request that waits, if any."""
-        waiting = self.ctx.response_future
-        if not waiting.done() and self.ctx.request_dev_id:
-            waiting.set_exception(error)
-            waiting.exception()
-
-
-class _Sender:
-    """What pymodbus takes for its transport: it sends when the bus lets it."""
-
-    def __init__(self, bus: ModbusBus, client: _Client) -> None:
-        self._bus = bus
-        self._client = client
-
-    def write(self, data: bytes) -> None:
-        self._bus.send(self._client, data)
-
-    def close(self) -> None:
-        """The bus closes the link."""
-
-    def abort(self) -> None:
-        """The bus closes the link."""
-
-
-class _Framer(FramerRTU):
-    """pymodbus's RTU framer, but one that finds the answer to its request also behind noise."""
-
-    def __init__(self, client: _Client, decoder: Any) -> None:
-        super().__init__(decoder)
-        self._client = client
-
-    def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
-        """Return bytes used, unit, 0 and the PDU of the answer that is expected."""
-        expected = self._client.expected
-        start, end = (-1, -1) if expected is None else find_answer(data, *expected)
-        if start < 0:
-            return 0, 0, 0, self.EMPTY
-        return len(data), data[start], 0, data[start + 1 : end - 2]
-
-
-class _NetworkFramer(FramerSocket):
-    """pymodbus's TCP framer, but one that finds the answer to its request also behind garbage."""
-
-    def __init__(self, client: _Client, decoder: Any) -> None:
-        super().__init__(decoder)
-        self._client = client
-
-    def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
-        """Return bytes used, unit, transaction and the PDU of the answer that is expected."""
-        expected, transaction = self._client.expected, self._client.ctx.request_transaction_id
-        if expected is None:
-            return 0, 0, 0, self.EMPTY
-        start, end = find_network_answer(data, transaction, *expected)
-        if start < 0:
-            return 0, 0, 0, self.EMPTY
-        return len(data), data[start + 6], transaction, data[start + 7 : end]
-
-
-class _Relay(asyncio.Protocol):
-    """Between the link and pymodbus: counts, traces, and keeps bad frames from ending the link."""
-
-    def __init__(self, bus: ModbusBus, client: _Client) -> None:
-        self._bus = bus
-        self._client = client
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        sender: Any = _Sender(self._bus, self._client)
-        self._client.ctx.connection_made(sender)
-
-    def data_received(self, data: bytes) -> None:
-        self._bus._received(data)  # noqa: SLF001 - a part of the bus
-        if self._client.expected is None:
-            self._bus.counters.strays += len(data)
-            return
-        try:
-            self._client.ctx.data_received(data)
-        except (ModbusException, struct.error, IndexError, ValueError):
-            self._bus.counters.checksum_errors += 1
-            self._client.ctx.recv_buffer = b""
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._bus._lost(self._client, exc)  # noqa: SLF001 - a part of the bus

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from rtee.buses.ethercat import EthercatBus, Ring
     from rtee.buses.modbus import ModbusBus
     from rtee.buses.serial import SerialBus
-    from rtee.buses.simulated import SimulatedCan, Simulation
+    from rtee.buses.simulated import Simulation
+    from rtee.buses.simulated_can import SimulatedCan
     from rtee.buses.simulated_zmq import SimulatedZmq
     from rtee.buses.zmq import Endpoints, ZmqBus
 
@@ -339,7 +340,7 @@ class BusPool:
     ) -> tuple[str, str]:
         if factory is None:
             return interface, channel
-        from rtee.buses.simulated import SimulatedCan
+        from rtee.buses.simulated_can import SimulatedCan
 
         channel = f"emulated-{channel}-{id(self):x}"
         simulation = self._simulations.get(channel)

@@ -1,4 +1,4 @@
-"""Simulated ends of buses: a pty, a TCP port or a CAN channel that plays emulated devices.
+"""Simulated ends of buses that play emulated devices: what all have in common, and byte lines.
 
 Each runs in a thread of its own, with a selector of microsecond resolution, so that a blocking
 client in the same process can talk to it too and the modelled wire time is kept.
@@ -10,9 +10,6 @@ import contextlib
 import os
 import queue
 import select
-import shutil
-import socket
-import tempfile
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -20,13 +17,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from rtee.buses.can import wake
-from rtee.buses.emulator import CanFrame, Emulator
+from rtee.buses.emulator import Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
+from rtee.buses.simulated_ends import Pty, Tcp
 from rtee.buses.timing import wake_exactly
-from rtee.buses.wire import CanWire, Wire
-from rtee.errors import BusBroken
+from rtee.buses.wire import Wire
 
 
 class Simulation(ABC):
@@ -192,7 +188,7 @@ class SimulatedLine(Simulation):
         bits = float(line.bits) if line is not None else 10.0
         self.wire = Wire(emulators, baudrate=baudrate, bits=bits, faults=faults, timed=wire_time)
         self.emulators = self.wire.emulators
-        self._end: _Pty | _Tcp = _Tcp(host, port, scheme) if tcp else _Pty(link)
+        self._end: Pty | Tcp = Tcp(host, port, scheme) if tcp else Pty(link)
         self._late = 0.0
 
     @property
@@ -256,228 +252,3 @@ class SimulatedLine(Simulation):
         while not readable and time.monotonic() < due:
             pass
         return readable
-
-
-class _Pty:
-    """A pseudo-terminal, found by a symbolic link, whose host end is kept raw."""
-
-    def __init__(self, link: Path | str | None) -> None:
-        self._folder: str | None = None
-        self._link = Path(link) if link is not None else None
-        self._master = self._slave = -1
-
-    @property
-    def open(self) -> bool:
-        return self._master >= 0
-
-    @property
-    def address(self) -> str:
-        return "" if self._link is None else str(self._link)
-
-    def plug(self) -> None:
-        import pty
-        import tty
-
-        self._master, self._slave = pty.openpty()
-        # The slave stays open here too: without any, the master would report a hang-up for ever.
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        if self._link is None:
-            self._folder = tempfile.mkdtemp(prefix="rtee-")
-            self._link = Path(self._folder) / "port"
-        if self._link.is_symlink():
-            self._link.unlink()
-        try:
-            self._link.symlink_to(os.ttyname(self._slave))
-        except OSError as error:
-            self.unplug()
-            raise BusBroken(str(self._link), f"cannot make this link: {error.strerror}") from error
-
-    def unplug(self) -> None:
-        if self._link is not None and self._link.is_symlink() and self.open:
-            self._link.unlink()
-        for file in (self._slave, self._master):
-            if file >= 0:
-                os.close(file)
-        self._master = self._slave = -1
-
-    def dispose(self) -> None:
-        if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
-            self._folder = self._link = None
-
-    def files(self) -> list[int]:
-        return [self._master] if self.open else []
-
-    def read(self, file: int) -> bytes | None:
-        try:
-            return os.read(self._master, 4096)
-        except OSError:
-            return b""
-
-    def write(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):
-            os.write(self._master, data)
-
-
-class _Tcp:
-    """A listening port that serves one connection at a time."""
-
-    def __init__(self, host: str, port: int, scheme: str) -> None:
-        self._host, self._port, self._scheme = host, port, scheme
-        self._server: socket.socket | None = None
-        self._peer: socket.socket | None = None
-
-    @property
-    def open(self) -> bool:
-        return self._server is not None
-
-    @property
-    def address(self) -> str:
-        return f"{self._scheme}://{self._host}:{self._port}"
-
-    def plug(self) -> None:
-        try:
-            self._server = socket.create_server((self._host, self._port))
-        except OSError as error:
-            raise BusBroken(self.address, f"cannot listen there: {error.strerror}") from error
-        self._port = self._server.getsockname()[1]
-
-    def unplug(self) -> None:
-        for one in (self._peer, self._server):
-            if one is not None:
-                # An abortive end: the host sees a reset, as when the box loses power.
-                with contextlib.suppress(OSError):
-                    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-                one.close()
-        self._peer = self._server = None
-
-    def dispose(self) -> None:
-        """Nothing stays behind."""
-
-    def files(self) -> list[int]:
-        return [s.fileno() for s in (self._peer, self._server) if s is not None]
-
-    def read(self, file: int) -> bytes | None:
-        if self._server is not None and file == self._server.fileno():
-            return self._accept()
-        if self._peer is None:
-            return b""
-        try:
-            data = self._peer.recv(4096)
-        except OSError:
-            data = b""
-        if not data:
-            self._peer.close()
-            self._peer = None
-            return None
-        return data
-
-    def _accept(self) -> bytes | None:
-        if self._server is None:
-            return b""
-        peer, _ = self._server.accept()
-        if self._peer is not None:
-            peer.close()
-            return b""
-        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._peer = peer
-        return None
-
-    def write(self, data: bytes) -> None:
-        if self._peer is not None:
-            with contextlib.suppress(OSError):
-                self._peer.sendall(data)
-
-
-class SimulatedCan(Simulation):
-    """Nodes on a CAN channel of python-can: ``virtual``, ``udp_multicast`` or a real interface."""
-
-    def __init__(
-        self,
-        emulators: Sequence[Emulator],
-        *,
-        name: str = "can",
-        channel: str,
-        interface: str = "virtual",
-        bitrate: int | None = None,
-        faults: Faults | None = None,
-    ) -> None:
-        super().__init__(name)
-        self.wire = CanWire(emulators, bitrate=bitrate, faults=faults)
-        self.emulators = self.wire.emulators
-        self._channel, self._interface = channel, interface
-        self._bus: Any = None
-        self.on_unplug: Callable[[], None] | None = None
-
-    @property
-    def faults(self) -> Faults:
-        """What goes wrong on the bus."""
-        return self.wire.faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self.wire.faults = faults
-
-    @property
-    def address(self) -> str:
-        """The channel."""
-        return self._channel
-
-    @property
-    def plugged(self) -> bool:
-        """Whether the adapter is there."""
-        return self._bus is not None
-
-    def _plug(self) -> None:
-        import can
-
-        if self._bus is None:
-            self._bus = can.Bus(interface=self._interface, channel=self._channel)
-            self.wire.reset()
-
-    def _unplug(self) -> None:
-        if self._bus is not None:
-            self._bus.shutdown()
-            self._bus = None
-            if self.on_unplug is not None:
-                self.on_unplug()
-
-    def _wake(self) -> None:
-        super()._wake()
-        wake(self._bus)
-
-    def _next_due(self) -> float | None:
-        return self.wire.next_due()
-
-    def _turn(self, timeout: float | None) -> None:
-        if self._bus is None:
-            select.select([self._wake_out], [], [], timeout)
-            return
-        # Buses of other interfaces cannot be woken, so what is asked for waits this long.
-        message = self._bus.recv(0.02 if timeout is None else min(timeout, 0.02))
-        now = time.monotonic()
-        if message is not None and not message.is_error_frame:
-            frame = CanFrame(
-                message.arbitration_id,
-                bytes(message.data),
-                message.is_extended_id,
-                message.is_remote_frame,
-                now,
-            )
-            self.wire.receive(frame, now)
-        for frame in self.wire.step(time.monotonic()):
-            self._send(frame)
-
-    def _send(self, frame: CanFrame) -> None:
-        import can
-
-        with contextlib.suppress(can.CanError):
-            self._bus.send(
-                can.Message(
-                    arbitration_id=frame.id,
-                    data=frame.data,
-                    is_extended_id=frame.extended,
-                    is_remote_frame=frame.remote,
-                )
-            )

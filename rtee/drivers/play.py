@@ -11,7 +11,8 @@ from typing import Any
 from rtee.buses.emulator import Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
-from rtee.buses.simulated import SimulatedCan, SimulatedLine, Simulation
+from rtee.buses.simulated import SimulatedLine, Simulation
+from rtee.buses.simulated_can import SimulatedCan
 from rtee.buses.simulated_zmq import Ports, Serves, SimulatedZmq
 from rtee.drivers.emulators import make_emulator
 from rtee.errors import ConfigError, RteeError, suggestion

@@ -11,7 +11,7 @@ from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
-from rtee.buses.simulated import SimulatedCan
+from rtee.buses.simulated_can import SimulatedCan
 from rtee.errors import BusBroken, BusClosed, BusTimeout
 from tests.buses.devices import CanCounter
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from rtee.buses.emulator import CanFrame
 from rtee.buses.pool import BusPool
-from rtee.buses.simulated import SimulatedCan
+from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import AllegroFrameError, Command, HandInfo, Periods, Status
 from rtee.drivers.allegro.control import JointControl

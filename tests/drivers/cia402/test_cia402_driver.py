@@ -16,7 +16,7 @@ from canopen.objectdictionary import ODVariable, datatypes
 from canopen.profiles.p402 import BaseNode402
 
 from rtee.buses.pool import BusPool
-from rtee.buses.simulated import SimulatedCan
+from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.cia402.codec import State
 from rtee.drivers.cia402.driver import Cia402Driver
 from rtee.drivers.cia402.emulator import Cia402Emulator, DriveProperties

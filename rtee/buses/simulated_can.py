@@ -1,0 +1,108 @@
+"""The simulated end of a CAN bus: plays emulated nodes on a channel of python-can."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rtee.buses.can import wake
+from rtee.buses.emulator import CanFrame, Emulator
+from rtee.buses.faults import Faults
+from rtee.buses.simulated import Simulation
+from rtee.buses.wire import CanWire
+
+
+class SimulatedCan(Simulation):
+    """Nodes on a CAN channel of python-can: ``virtual``, ``udp_multicast`` or a real interface."""
+
+    def __init__(
+        self,
+        emulators: Sequence[Emulator],
+        *,
+        name: str = "can",
+        channel: str,
+        interface: str = "virtual",
+        bitrate: int | None = None,
+        faults: Faults | None = None,
+    ) -> None:
+        super().__init__(name)
+        self.wire = CanWire(emulators, bitrate=bitrate, faults=faults)
+        self.emulators = self.wire.emulators
+        self._channel, self._interface = channel, interface
+        self._bus: Any = None
+        self.on_unplug: Callable[[], None] | None = None
+
+    @property
+    def faults(self) -> Faults:
+        """What goes wrong on the bus."""
+        return self.wire.faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self.wire.faults = faults
+
+    @property
+    def address(self) -> str:
+        """The channel."""
+        return self._channel
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the adapter is there."""
+        return self._bus is not None
+
+    def _plug(self) -> None:
+        import can
+
+        if self._bus is None:
+            self._bus = can.Bus(interface=self._interface, channel=self._channel)
+            self.wire.reset()
+
+    def _unplug(self) -> None:
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+            if self.on_unplug is not None:
+                self.on_unplug()
+
+    def _wake(self) -> None:
+        super()._wake()
+        wake(self._bus)
+
+    def _next_due(self) -> float | None:
+        return self.wire.next_due()
+
+    def _turn(self, timeout: float | None) -> None:
+        if self._bus is None:
+            select.select([self._wake_out], [], [], timeout)
+            return
+        # Buses of other interfaces cannot be woken, so what is asked for waits this long.
+        message = self._bus.recv(0.02 if timeout is None else min(timeout, 0.02))
+        now = time.monotonic()
+        if message is not None and not message.is_error_frame:
+            frame = CanFrame(
+                message.arbitration_id,
+                bytes(message.data),
+                message.is_extended_id,
+                message.is_remote_frame,
+                now,
+            )
+            self.wire.receive(frame, now)
+        for frame in self.wire.step(time.monotonic()):
+            self._send(frame)
+
+    def _send(self, frame: CanFrame) -> None:
+        import can
+
+        with contextlib.suppress(can.CanError):
+            self._bus.send(
+                can.Message(
+                    arbitration_id=frame.id,
+                    data=frame.data,
+                    is_extended_id=frame.extended,
+                    is_remote_frame=frame.remote,
+                )
+            )

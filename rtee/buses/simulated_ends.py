@@ -1,0 +1,159 @@
+"""Where a host finds a simulated line: a pseudo-terminal, or a TCP port of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import socket
+import tempfile
+from pathlib import Path
+
+from rtee.errors import BusBroken
+
+
+class Pty:
+    """A pseudo-terminal, found by a symbolic link, whose host end is kept raw."""
+
+    def __init__(self, link: Path | str | None) -> None:
+        self._folder: str | None = None
+        self._link = Path(link) if link is not None else None
+        self._master = self._slave = -1
+
+    @property
+    def open(self) -> bool:
+        """Whether the host finds it."""
+        return self._master >= 0
+
+    @property
+    def address(self) -> str:
+        """Where the host finds it."""
+        return "" if self._link is None else str(self._link)
+
+    def plug(self) -> None:
+        """Make it; raises `BusBroken`."""
+        import pty
+        import tty
+
+        self._master, self._slave = pty.openpty()
+        # The slave stays open here too: without any, the master would report a hang-up for ever.
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        if self._link is None:
+            self._folder = tempfile.mkdtemp(prefix="rtee-")
+            self._link = Path(self._folder) / "port"
+        if self._link.is_symlink():
+            self._link.unlink()
+        try:
+            self._link.symlink_to(os.ttyname(self._slave))
+        except OSError as error:
+            self.unplug()
+            raise BusBroken(str(self._link), f"cannot make this link: {error.strerror}") from error
+
+    def unplug(self) -> None:
+        """Let it vanish."""
+        if self._link is not None and self._link.is_symlink() and self.open:
+            self._link.unlink()
+        for file in (self._slave, self._master):
+            if file >= 0:
+                os.close(file)
+        self._master = self._slave = -1
+
+    def dispose(self) -> None:
+        """Leave nothing behind."""
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = self._link = None
+
+    def files(self) -> list[int]:
+        """What to wait for until it can be read."""
+        return [self._master] if self.open else []
+
+    def read(self, file: int) -> bytes | None:
+        """Return what came, ``None`` where another host has connected or left."""
+        try:
+            return os.read(self._master, 4096)
+        except OSError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the host, if there is one."""
+        with contextlib.suppress(OSError):
+            os.write(self._master, data)
+
+
+class Tcp:
+    """A listening port that serves one connection at a time."""
+
+    def __init__(self, host: str, port: int, scheme: str) -> None:
+        self._host, self._port, self._scheme = host, port, scheme
+        self._server: socket.socket | None = None
+        self._peer: socket.socket | None = None
+
+    @property
+    def open(self) -> bool:
+        """Whether the host finds it."""
+        return self._server is not None
+
+    @property
+    def address(self) -> str:
+        """Where the host finds it."""
+        return f"{self._scheme}://{self._host}:{self._port}"
+
+    def plug(self) -> None:
+        """Make it; raises `BusBroken`."""
+        try:
+            self._server = socket.create_server((self._host, self._port))
+        except OSError as error:
+            raise BusBroken(self.address, f"cannot listen there: {error.strerror}") from error
+        self._port = self._server.getsockname()[1]
+
+    def unplug(self) -> None:
+        """Let it vanish."""
+        for one in (self._peer, self._server):
+            if one is not None:
+                # An abortive end: the host sees a reset, as when the box loses power.
+                with contextlib.suppress(OSError):
+                    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+                one.close()
+        self._peer = self._server = None
+
+    def dispose(self) -> None:
+        """Nothing stays behind."""
+
+    def files(self) -> list[int]:
+        """What to wait for until it can be read."""
+        return [s.fileno() for s in (self._peer, self._server) if s is not None]
+
+    def read(self, file: int) -> bytes | None:
+        """Return what came, ``None`` where another host has connected or left."""
+        if self._server is not None and file == self._server.fileno():
+            return self._accept()
+        if self._peer is None:
+            return b""
+        try:
+            data = self._peer.recv(4096)
+        except OSError:
+            data = b""
+        if not data:
+            self._peer.close()
+            self._peer = None
+            return None
+        return data
+
+    def _accept(self) -> bytes | None:
+        if self._server is None:
+            return b""
+        peer, _ = self._server.accept()
+        if self._peer is not None:
+            peer.close()
+            return b""
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._peer = peer
+        return None
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the host, if there is one."""
+        if self._peer is not None:
+            with contextlib.suppress(OSError):
+                self._peer.sendall(data)
