@@ -47,6 +47,7 @@ async def has(app: App, kind: ActionKind, name: str, *, there: bool = True) -> N
 
 
 async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path: Path) -> None:
+    controls, nodes, commands = [], [], []
     async with anyio.create_task_group() as group:
         app = App(server, None, None)
         group.start_soon(app.run)
@@ -57,8 +58,14 @@ async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path
                 app.choose(name)
                 await shows(app, f"{name}: connected")
                 await has(app, ActionKind.TIMED, "wave")
+                controls.append(len(server.gui._gui_input_handle_from_uuid))
+                nodes.append(len(server.scene._handle_from_node_name))
+                commands.append(len(server.gui._command_handle_from_uuid))
             await shows(app, "Not connected")
         group.cancel_scope.cancel()
+    for counts in (controls, nodes, commands):
+        assert counts[0] > 3
+        assert set(counts) == {counts[0]}, f"something of the hands before is left: {counts}"
 
 
 async def test_actions_made_elsewhere_come_and_go(

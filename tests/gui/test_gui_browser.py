@@ -85,6 +85,7 @@ def test_an_action_made_elsewhere_appears_in_every_window_and_goes(
     for each in (window, second):
         each.page.get_by_text("from_elsewhere", exact=True).first.wait_for(state="detached")
     second.page.close()
+    window.page.bring_to_front()
 
 
 def test_who_holds_the_hand_is_named_and_what_is_refused_is_said(

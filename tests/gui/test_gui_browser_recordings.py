@@ -21,6 +21,7 @@ def _position(window: Window) -> float:
 def test_a_recording_is_marked_ended_and_looked_at(
     window: Window, other: BlockingHand, place: Path
 ) -> None:
+    other.open()
     other.record("stop")
     window.status("held by nobody")
     window.tab("Log")
