@@ -22,7 +22,7 @@ from rtee.actions.types import (
 from rtee.errors import ConfigError
 from rtee.extract.jobs import processors, spread
 from rtee.extract.report_image import Contact
-from rtee.extract.report_page import Card, Section, Shot, page
+from rtee.extract.report_page import CLOSE_SHARE, Card, Section, Shot, page
 from rtee.extract.report_pictures import SIZE, Studio
 from rtee.extract.report_trials import Tried, section
 from rtee.hand.files import write_atomically
@@ -129,10 +129,11 @@ def _shot(studio: Studio, view: _View) -> Shot:
         ghost=True,
         file_format="WEBP",
     )
-    close = None
-    if view.contact and view.tips:
-        close = studio.close_up(view.u, view.contact, view.tips, file_format="WEBP")
-    return Shot(image, close, view.caption)
+    if not (view.contact and view.tips):
+        return Shot(image, caption=view.caption)
+    corner = studio.free_corner(view.u, view.contact, view.fingers, CLOSE_SHARE)
+    close = studio.close_up(view.u, view.contact, view.tips, file_format="WEBP")
+    return Shot(image, close, view.caption, corner)
 
 
 def _primitives(hand: Hand, primitives: Iterable[Primitive]) -> dict[str, list[_Plan]]:

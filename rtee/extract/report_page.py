@@ -31,6 +31,9 @@ EXPLAINED: Final = {
 }
 
 
+CLOSE_SHARE: Final = 0.4
+"""How much of a picture's width and height a close-up covers."""
+
 _FEW: Final = 2
 """How many pairs of colliding links are named at once."""
 
@@ -43,11 +46,13 @@ class Shot:
         image: A WebP file.
         close_up: A WebP file of the contact, if there is one.
         caption: What stands below it.
+        corner: Where in the picture the close-up covers least.
     """
 
     image: bytes
     close_up: bytes | None = None
     caption: str = ""
+    corner: str = "top right"
 
 
 @dataclass(frozen=True)
@@ -180,7 +185,7 @@ def _section(hand: Hand, section: Section) -> str:
 def _card(hand: Hand, card: Card) -> str:
     dots = "".join(tables.dot(hand, finger) for finger in card.fingers)
     text = f'<div class="soft">{escape(card.description)}</div>' if card.description else ""
-    wide = " wide" if len(card.shots) > 2 else ""
+    wide = {1: "", 2: " pair"}.get(len(card.shots), " wide")
     posture = _posture(hand, card.posture) if card.posture else ""
     evidence = _evidence(card.evidence) if card.evidence else ""
     return (
@@ -193,7 +198,8 @@ def _shots(card: Card) -> str:
     if len(card.shots) == 1:
         shot = card.shots[0]
         close = (
-            f'<img class="close" src="{_source(shot.close_up)}" alt="The contact from near">'
+            f'<img class="close {shot.corner}" src="{_source(shot.close_up)}" '
+            'alt="The contact from near">'
             if shot.close_up
             else ""
         )

@@ -30,7 +30,13 @@ from rtee.types import FloatArray
 SIZE: Final = (430, 400)
 CLOSE_UP: Final = (230, 215)
 
+CORNERS: Final = ("top right", "top left", "bottom right", "bottom left")
+
 _FADED: Final = 0.82
+_MARK: Final = 0.06
+"""How far the mark of a contact reaches, as a part of the picture's size."""
+_WANTED: Final = 4.0
+"""How much more the surface of wanted fingers counts than that of others."""
 
 
 def render(
@@ -158,6 +164,37 @@ class Studio:
         look = self._look(camera, None, tips)
         picture = Painter(tracer, camera, _without_ground(look)).paint()
         return picture_file(picture, background, camera, [contact], file_format, large=True)
+
+    def free_corner(
+        self, u: FloatArray, contact: Contact, fingers: Collection[str], share: float
+    ) -> str:
+        """Return the corner of the picture in which least of the hand is seen.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m].
+            contact: A contact that must not be covered.
+            fingers: The fingers that should rather not be covered.
+            share: How much of the picture's width and height is needed.
+
+        Returns:
+            ``top right``, ``top left``, ``bottom right`` or ``bottom left``.
+        """
+        surface = self._traced(u).surface
+        owner = finger_of_link(self.hand)
+        wanted = np.array([owner.get(link) in fingers for link in self._surface.links])
+        a, b, c = np.moveaxis(surface.corners, 1, 0)
+        weights = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        weights = weights * np.where(wanted[surface.links], _WANTED, 1.0)
+        points = np.concatenate([(a + b + c) / 3.0, [contact[0]]])
+        spots = self._camera.project(points) / self.size
+        spots[-1] += np.where(spots[-1] < 0.5, -_MARK, _MARK)
+        weights = np.append(weights, np.inf)
+        covered = {}
+        for corner in CORNERS:
+            across = spots[:, 0] > 1 - share if "right" in corner else spots[:, 0] < share
+            down = spots[:, 1] > 1 - share if "bottom" in corner else spots[:, 1] < share
+            covered[corner] = float(weights[across & down].sum())
+        return min(CORNERS, key=covered.__getitem__)
 
     def _traced(self, u: FloatArray) -> Tracer:
         """Return the rays' surface at a posture; the last one is kept."""

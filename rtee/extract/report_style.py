@@ -37,10 +37,15 @@ code { font: 13px/1.4 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; 
   margin-top: 14px; }
 .card { overflow: hidden; display: flex; flex-direction: column; break-inside: avoid; }
 .card.wide { grid-column: 1 / -1; }
+.card.pair { grid-column: span 2; }
 .shots { position: relative; background: #fff; }
 .shots > img { width: 100%; height: auto; display: block; }
-.shots .close { position: absolute; right: 10px; top: 10px; width: 37%; border-radius: 10px;
+.shots .close { position: absolute; width: 37%; border-radius: 10px;
   border: 1px solid var(--line); box-shadow: 0 2px 10px rgba(0, 0, 0, 0.12); }
+.close.top { top: 10px; }
+.close.bottom { bottom: 10px; }
+.close.left { left: 10px; }
+.close.right { right: 10px; }
 .steps { display: grid; grid-template-columns: repeat(auto-fit, minmax(220px, 1fr)); }
 .steps figure { margin: 0; }
 .steps img { width: 100%; height: auto; display: block; }
@@ -67,6 +72,7 @@ details.tag ul { margin: 4px 0; padding-left: 18px; }
 details { margin-top: 14px; }
 summary { cursor: pointer; color: var(--soft); }
 footer { margin-top: 50px; color: var(--soft); font-size: 13px; }
-@media (max-width: 720px) { .hero { grid-template-columns: 1fr; } }
+@media (max-width: 760px) { .hero { grid-template-columns: 1fr; }
+  .card.pair { grid-column: 1 / -1; } }
 @media print { body { background: #fff; } main { max-width: none; } }
 """

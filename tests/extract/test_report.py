@@ -124,6 +124,19 @@ def test_a_contact_is_seen_from_near(hand: Hand) -> None:
     assert share(picture, PALETTE[1]) > 0.05
 
 
+@pytest.mark.parametrize("point", [(-0.03, 0.0, 0.06), (0.03, 0.0, 0.06), (0.0, 0.0, -0.01)])
+def test_a_close_up_covers_neither_the_contact_nor_more_than_need_be(
+    hand: Hand, point: tuple[float, float, float]
+) -> None:
+    studio = Studio(hand, (300, 260))
+    contact = (point, (1.0, 0.0, 0.0))
+    corner = studio.free_corner(hand.rest, contact, ["left"], 0.4)
+    x, y = studio._camera.project(np.array([point]))[0] / (300, 260)
+    assert not ((x > 0.6 if "right" in corner else x < 0.4) and (y > 0.6) == ("bottom" in corner))
+    far = studio.free_corner(hand.rest, ((0.0, 0.0, 0.02), (1.0, 0.0, 0.0)), ["left"], 0.4)
+    assert far != studio.free_corner(hand.rest, ((0.0, 0.0, 0.02), (1.0, 0.0, 0.0)), ["right"], 0.4)
+
+
 def test_without_the_extra_it_says_what_to_install(
     hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
