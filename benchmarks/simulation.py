@@ -45,27 +45,37 @@ def headless(name: str, action: str, shape: str) -> float:
     return statistics.median(factors)
 
 
-def lockstep(seconds: float) -> str:
-    """Run the SVH in lockstep at 500 Hz with loop and log; return the loop's own statistics."""
+def lockstep(driver: str, seconds: float) -> tuple[str, float]:
+    """Run the SVH at 500 Hz with loop and log.
+
+    Returns:
+        The loop's own statistics, and the processor time used per second of the run [s].
+    """
     lines: list[str] = []
+    began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        options = RunOptions(driver="mujoco", rate=500.0, duration=seconds, log=Path(folder))
+        options = RunOptions(driver=driver, rate=500.0, duration=seconds, log=Path(folder))
         anyio.run(lambda: run_hands(["schunk_svh"], options, serve=None, say=lines.append))
-    return next(line for line in lines if " ticks at " in line)
+    used = (time.process_time() - began) / seconds
+    return next(line for line in lines if " ticks at " in line), used
 
 
 def main() -> None:
     """Print the figures as Markdown."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of the lockstep run")
-    seconds = parser.parse_args().seconds
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of a lockstep run")
+    parser.add_argument("--pairs", type=int, default=2, help="lockstep runs with each driver")
+    arguments = parser.parse_args()
     print("| hand | grasp | simulated seconds per second of one processor |")
     print("| --- | --- | --- |")
     for name, action, shape in HEADLESS:
         factor = headless(name, action, shape)
         print(f"| {name} | {action} on {shape} | {factor:.1f} |", flush=True)
-    print("\nSVH in lockstep at 500 Hz, with loop and log:\n")
-    print(f"    {lockstep(seconds)}")
+    print("\nSVH at 500 Hz with loop and log, the two drivers in turns:\n")
+    for _ in range(arguments.pairs):
+        for driver in ("kinematic", "mujoco"):
+            line, used = lockstep(driver, arguments.seconds)
+            print(f"    {driver:<9} {line}; {used:.2f} s of processor time per second", flush=True)
 
 
 if __name__ == "__main__":
