@@ -113,3 +113,21 @@ def test_a_wide_grasp_holds(name: str, trial: Trial, tmp_path: Path) -> None:
     assert passed(outcome)
     (span,) = read(sorted(tmp_path.glob("*.mcap"))[-1]).spans
     assert span.name == trial.action
+
+
+def test_two_runs_of_an_experiment_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:
+    recordings = []
+    for run in ("one", "two"):
+        folder = tmp_path / run
+        hold("robotiq_2f_85", Trial("Grasp"), folder, Outcome("held"), pictures=False)
+        recordings.append(read(next(folder.glob("*.mcap"))))
+    first, second = recordings
+    assert first.channels.keys() == second.channels.keys()
+    for one, two in (
+        (first.actuator_states, second.actuator_states),
+        (first.reference, second.reference),
+    ):
+        assert len(one) > 500
+        for name in ("t", "position", "velocity", "effort"):
+            assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
+    assert [entry.value for entry in first.results] == [entry.value for entry in second.results]
