@@ -1,8 +1,9 @@
-"""The contract of a sans-I/O frame parser."""
+"""The contract of a sans-I/O frame parser, and one for frames that begin with a header."""
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+from abc import ABC, abstractmethod
+from typing import ClassVar, Generic, Protocol, TypeVar
 
 F = TypeVar("F")
 
@@ -26,3 +27,103 @@ class Parser(Protocol[F]):
     def reset(self) -> None:
         """Forget the bytes of an incomplete frame."""
         ...
+
+
+class FramedParser(ABC, Generic[F]):
+    """Finds frames that begin with a header and tell their length; a bad one costs only itself.
+
+    Attributes:
+        HEADER: What every frame begins with.
+        HEAD: Bytes from which the length can be told.
+        PIECE: Most bytes taken at once, the longest frame.
+        LIMIT: Most bytes kept.
+        INSIDE: Shortest frame looked for inside one that is incomplete; shorter ones are too easily
+            made up by chance.
+        errors: Frames dropped for a bad length, content or checksum.
+    """
+
+    HEADER: ClassVar[bytes]
+    HEAD: ClassVar[int]
+    PIECE: ClassVar[int]
+    LIMIT: ClassVar[int]
+    INSIDE: ClassVar[int] = 1
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.errors = 0
+
+    @abstractmethod
+    def _length(self, at: int) -> int:
+        """Return the length that the header at ``at`` tells; 0 if no frame is so long."""
+
+    @abstractmethod
+    def _decode(self, raw: bytes) -> F:
+        """Return the frame that ``raw`` is; raises `ValueError`."""
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept because a frame may still be completed."""
+        return len(self._buffer)
+
+    def reset(self) -> None:
+        """Forget what has come in."""
+        self._buffer.clear()
+
+    def feed(self, data: bytes) -> list[F]:
+        """Take bytes as they come in and return the frames completed by them."""
+        frames: list[F] = []
+        for start in range(0, len(data), self.PIECE):
+            self._buffer += data[start : start + self.PIECE]
+            self._scan(frames)
+        return frames
+
+    def _scan(self, frames: list[F]) -> None:
+        buffer, header = self._buffer, self.HEADER
+        while buffer:
+            start = buffer.find(header)
+            if start < 0:
+                sizes = range(len(header) - 1, 0, -1)
+                keep = next((k for k in sizes if buffer.endswith(header[:k])), 0)
+                del buffer[: len(buffer) - keep]
+                return
+            del buffer[:start]
+            if len(buffer) < self.HEAD:
+                return
+            length = self._length(0)
+            if length > len(buffer):
+                inside = self._inside()
+                if not inside:
+                    return
+                self.errors += 1
+                del buffer[:inside]
+                continue
+            frame = self._tried(0, length)
+            if frame is None:
+                self.errors += 1
+                del buffer[:1]
+            else:
+                frames.append(frame)
+                del buffer[:length]
+
+    def _tried(self, at: int, length: int) -> F | None:
+        if not length:
+            return None
+        try:
+            return self._decode(bytes(self._buffer[at : at + length]))
+        except ValueError:
+            return None
+
+    def _inside(self) -> int:
+        """Return where a whole frame begins inside one that is incomplete, or 0.
+
+        A header found in noise announces bytes that never come; the frame after it must not wait.
+        """
+        buffer = self._buffer
+        start = buffer.find(self.HEADER, 1)
+        while 0 < start <= len(buffer) - self.HEAD:
+            length = self._length(start)
+            fits = length >= self.INSIDE and start + length <= len(buffer)
+            if fits and self._tried(start, length) is not None:
+                return start
+            start = buffer.find(self.HEADER, start + 1)
+        return 0

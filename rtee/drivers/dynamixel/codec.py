@@ -10,7 +10,9 @@ import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Generic, Self, TypeVar
+from typing import Self, TypeVar
+
+from rtee.buses.parser import FramedParser
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
@@ -214,76 +216,30 @@ def read_fast_status(raw: bytes, sizes: Sequence[int]) -> list[StatusPacket]:
 P = TypeVar("P", InstructionPacket, StatusPacket)
 
 
-class _Parser(Generic[P]):
-    LIMIT: ClassVar[int] = 2 * (LONGEST + 7)
+class _Parser(FramedParser[P]):
+    HEADER = HEADER
+    HEAD = 7
+    PIECE = LONGEST
+    LIMIT = 2 * (LONGEST + 7)
 
-    def __init__(self, kind: type[P]) -> None:
-        self._kind: type[P] = kind
-        self._buffer = bytearray()
-        self.errors = 0
+    def _length(self, at: int) -> int:
+        length = (self._buffer[at + 5] | self._buffer[at + 6] << 8) + 7
+        return length if 10 <= length <= LONGEST + 7 else 0
 
-    @property
-    def pending(self) -> int:
-        """Bytes kept because a packet may still be completed."""
-        return len(self._buffer)
-
-    def reset(self) -> None:
-        """Forget what has come in."""
-        self._buffer.clear()
-
-    def feed(self, data: bytes) -> list[P]:
-        """Take bytes as they come in and return the packets completed by them."""
-        packets: list[P] = []
-        for start in range(0, len(data), LONGEST):
-            self._buffer += data[start : start + LONGEST]
-            self._scan(packets)
-        return packets
-
-    def _scan(self, packets: list[P]) -> None:
-        buffer = self._buffer
-        while buffer:
-            start = buffer.find(HEADER)
-            if start < 0:
-                keep = next((k for k in (3, 2, 1) if buffer.endswith(HEADER[:k])), 0)
-                del buffer[: len(buffer) - keep]
-                return
-            del buffer[:start]
-            if len(buffer) < 7:
-                return
-            length = (buffer[5] | buffer[6] << 8) + 7
-            if 10 <= length <= LONGEST + 7 and len(buffer) < length:
-                # Stuffing keeps headers out of packets: another one means that this one is cut off.
-                again = buffer.find(HEADER, 1)
-                if again < 0:
-                    return
-                self.errors += 1
-                del buffer[:again]
-                continue
-            try:
-                packets.append(self._kind.from_bytes(bytes(buffer[:length])))
-                del buffer[:length]
-            except DynamixelFrameError:
-                self.errors += 1
-                del buffer[:1]
+    def _inside(self) -> int:
+        # Stuffing keeps headers out of packets: another one means that this one is cut off.
+        return max(0, self._buffer.find(HEADER, 1))
 
 
 class InstructionParser(_Parser[InstructionPacket]):
-    """Finds instructions in a stream, as a servo does.
+    """Finds instructions in a stream, as a servo does."""
 
-    Attributes:
-        errors: Packets dropped for a bad length or CRC.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(InstructionPacket)
+    def _decode(self, raw: bytes) -> InstructionPacket:
+        return InstructionPacket.from_bytes(raw)
 
 
 class StatusParser(_Parser[StatusPacket]):
-    """Finds answers in a stream; a bad one costs itself, not the one that follows.
+    """Finds answers in a stream; a bad one costs itself, not the one that follows."""
 
-    Attributes:
-        errors: Packets dropped for a bad length or CRC.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(StatusPacket)
+    def _decode(self, raw: bytes) -> StatusPacket:
+        return StatusPacket.from_bytes(raw)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import reduce
 from operator import xor
-from typing import ClassVar, Self
+from typing import Self
+
+from rtee.buses.parser import FramedParser
 
 BAUDRATE = 2_000_000
 BAUDRATES = (BAUDRATE, 460_800)
@@ -86,75 +88,20 @@ class Frame:
         return cls(raw[2], body[0], body[1:])
 
 
-class Parser:
-    """Finds frames in a stream; a bad one costs itself, not the one that follows.
+class Parser(FramedParser[Frame]):
+    """Finds frames in a stream; a bad one costs itself, not the one that follows."""
 
-    Attributes:
-        errors: Frames dropped for a bad length or checksum.
-    """
+    HEADER = HEADER
+    HEAD = 4
+    PIECE = LONGEST
+    LIMIT = 2 * (LONGEST + OVERHEAD)
 
-    LIMIT: ClassVar[int] = 2 * (LONGEST + OVERHEAD)
+    def _length(self, at: int) -> int:
+        told = self._buffer[at + 3]
+        return told + OVERHEAD if 2 <= told <= LONGEST else 0
 
-    def __init__(self) -> None:
-        self._buffer = bytearray()
-        self.errors = 0
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept because a frame may still be completed."""
-        return len(self._buffer)
-
-    def reset(self) -> None:
-        """Forget what has come in."""
-        self._buffer.clear()
-
-    def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes as they come in and return the frames completed by them."""
-        frames: list[Frame] = []
-        for start in range(0, len(data), LONGEST):
-            self._buffer += data[start : start + LONGEST]
-            self._scan(frames)
-        return frames
-
-    def _scan(self, frames: list[Frame]) -> None:
-        buffer = self._buffer
-        while buffer:
-            start = buffer.find(HEADER)
-            if start < 0:
-                del buffer[: len(buffer) - (buffer[-1] == HEADER[0])]
-                return
-            del buffer[:start]
-            if len(buffer) < 4:
-                return
-            length = buffer[3] + OVERHEAD
-            if 2 <= buffer[3] <= LONGEST and len(buffer) < length:
-                inside = self._whole_inside()
-                if not inside:
-                    return
-                self.errors += 1
-                del buffer[:inside]
-                continue
-            try:
-                frames.append(Frame.from_bytes(bytes(buffer[:length])))
-                del buffer[:length]
-            except QbFrameError:
-                self.errors += 1
-                del buffer[:1]
-
-    def _whole_inside(self) -> int:
-        """Return where a whole frame begins inside one that is incomplete, or 0.
-
-        A header found in noise announces bytes that never come; the frame after it must not wait.
-        """
-        buffer = self._buffer
-        start = buffer.find(HEADER, 1)
-        while 0 < start <= len(buffer) - 6:
-            end = start + buffer[start + 3] + OVERHEAD
-            fits = 2 <= buffer[start + 3] <= LONGEST and end <= len(buffer)
-            if fits and reduce(xor, buffer[start + 4 : end - 1]) == buffer[end - 1]:
-                return start
-            start = buffer.find(HEADER, start + 1)
-        return 0
+    def _decode(self, raw: bytes) -> Frame:
+        return Frame.from_bytes(raw)
 
 
 def pack_int16(*values: float) -> bytes:

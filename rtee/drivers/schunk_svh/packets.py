@@ -5,7 +5,9 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar, Self
+from typing import Self
+
+from rtee.buses.parser import FramedParser
 
 BAUDRATE = 921_600
 CHANNELS = 9
@@ -99,79 +101,18 @@ class Packet:
         return cls(Command(command), address >> 4, data, index)
 
 
-class Parser:
-    """Finds packets in a stream; a bad one costs itself, not the one that follows.
+class Parser(FramedParser[Packet]):
+    """Finds packets in a stream; a bad one costs itself, not the one that follows."""
 
-    Attributes:
-        errors: Packets dropped for a bad length, command or checksum.
-        skipped: Bytes dropped between packets.
-    """
+    HEADER = SYNC
+    HEAD = 6
+    PIECE = PACKET
+    LIMIT = 4 * PACKET
+    INSIDE = 9
 
-    LIMIT: ClassVar[int] = 4 * PACKET
+    def _length(self, at: int) -> int:
+        length = self._buffer[at + 4] | self._buffer[at + 5] << 8
+        return length + 8 if length <= PAYLOAD else 0
 
-    def __init__(self) -> None:
-        self._buffer = bytearray()
-        self.errors = 0
-        self.skipped = 0
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept because a packet may still be completed."""
-        return len(self._buffer)
-
-    def reset(self) -> None:
-        """Forget what has come in."""
-        self._buffer.clear()
-
-    def feed(self, data: bytes) -> list[Packet]:
-        """Take bytes as they come in and return the packets completed by them."""
-        packets: list[Packet] = []
-        for start in range(0, len(data), PACKET):
-            self._buffer += data[start : start + PACKET]
-            self._scan(packets)
-        return packets
-
-    def _scan(self, packets: list[Packet]) -> None:
-        buffer = self._buffer
-        while buffer:
-            start = buffer.find(SYNC)
-            if start < 0:
-                keep = 1 if buffer[-1] == SYNC[0] else 0
-                self.skipped += len(buffer) - keep
-                del buffer[: len(buffer) - keep]
-                return
-            if start:
-                self.skipped += start
-                del buffer[:start]
-            if len(buffer) < 6:
-                return
-            length = buffer[4] | buffer[5] << 8
-            if length <= PAYLOAD and len(buffer) < length + 8:
-                inside = self._whole_inside()
-                if not inside:
-                    return
-                self.errors += 1
-                del buffer[:inside]
-                continue
-            try:
-                packets.append(Packet.from_bytes(bytes(buffer[: length + 8])))
-                del buffer[: length + 8]
-            except SvhFrameError:
-                self.errors += 1
-                del buffer[:1]
-
-    def _whole_inside(self) -> int:
-        """Return where a whole packet begins inside one that is incomplete, or 0.
-
-        A header found in noise announces bytes that never come; the packet after it must not wait.
-        """
-        buffer = self._buffer
-        start = buffer.find(SYNC, 1)
-        while 0 < start <= len(buffer) - 8:
-            length = buffer[start + 4] | buffer[start + 5] << 8
-            end = start + length + 8
-            fits = 0 < length <= PAYLOAD and end <= len(buffer)
-            if fits and bytes(checksums(buffer[start + 6 : end - 2])) == buffer[end - 2 : end]:
-                return start
-            start = buffer.find(SYNC, start + 1)
-        return 0
+    def _decode(self, raw: bytes) -> Packet:
+        return Packet.from_bytes(raw)
