@@ -1,15 +1,29 @@
 """How well the loop keeps its time, beside `cyclictest` in the same run; prints a Markdown table.
 
     python benchmarks/loop.py [--seconds 60] [--hand schunk_svh] [--only ordinary realtime …]
+                              [--beside alone bare junk …]
 
 Every row is `rtee run` as users run it: kinematic driver, everything logged at every tick, on the
 network with a client that takes 100 states a second and has the hand close and open all the time.
-The numbers are the loop's own, read back from its recording. `cyclictest` (Debian: rt-tests), the
-kernel's own C program for this, runs before and after with the same period and priority.
+The numbers are those that the loop prints at its end. `cyclictest` (Debian: rt-tests), the kernel's
+own C program for this, runs before and after with the same period and priority.
 
 Sets: `ordinary` and `realtime` are one hand at 1000 Hz; `helpers` has the recorder's and the
 network's threads under real-time scheduling, too; `four` is four hands in one process at 500 Hz
-with real-time set-up. `--hogs` starts programs that keep CPUs busy meanwhile.
+with real-time set-up. `--beside` measures the first set in other circumstances, right after it:
+
+- `alone`: no client;
+- `unrecorded`: no recorder, neither on the disk nor in memory;
+- `bare`: neither of both;
+- `junk`: the client also has 50 bad goals refused a second (unknown action, wrong elements, NaN,
+  intensity 1.2, effort for an unknown actuator) and sends a megabyte of junk ten times a second, to
+  every key in turn;
+- `idle-junk`: as many megabytes to another hand's keys, where nobody takes them: what the sender
+  alone costs the computer.
+
+Memory is given after 10 s, after 2 minutes (when the flight recorder has long been full) and at the
+end; with `--flight 10` the flight recorder keeps 10 s, so that shorter runs show it, too. `--hogs`
+starts programs that keep CPUs busy meanwhile.
 """
 
 from __future__ import annotations
@@ -24,15 +38,21 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtee.hand.catalog import find_hand
-from rtee.log import read
-from rtee.types import LoopStatistics
 
 PAGE = os.sysconf("SC_PAGE_SIZE")
 SETS = ("ordinary", "realtime", "helpers", "four")
+BESIDE = ("alone", "unrecorded", "bare", "junk", "idle-junk")
+
+PRINTED = re.compile(
+    r"(?P<ticks>\d+) ticks at [0-9.]+ Hz, (?P<missed>\d+) missed.*?; lateness p50 (?P<p50>\d+),"
+    r" p99 (?P<p99>\d+), p99\.9 (?P<p999>\d+), max (?P<worst>\d+) µs;"
+    r" busy p50 (?P<busy50>\d+), p99 (?P<busy99>\d+)"
+)
+"""The line that the loop prints at its end."""
 
 HOG = "while True: pass"
 CLIENT = """
@@ -59,13 +79,143 @@ except* RemoteError:
     pass
 """
 
+JUNK = """
+import random, sys, anyio, rtee
+from rtee.errors import RequestRejected, RteeError
+from rtee.messages import network_key
+from rtee.messages.requests import REQUESTS
+from rtee.messages.topics import TYPES
+from rtee.remote.find import open_hand
+from rtee.remote.session import direct
+
+BAD = (
+    (("Grip",), {}),
+    (("Trig", "nose"), {}),
+    (("PinchTight", "index"), {}),
+    (("Grasp",), {"intensity": 1.2}),
+    (("Grasp",), {"intensity": float("nan")}),
+    (("Grasp",), {"speed": float("nan")}),
+    (("Grasp",), {"tolerance": -1.0}),
+    (("Grasp",), {"timeout": float("inf")}),
+    (("Grasp",), {"effort": {"elbow": 1.0}}),
+)
+
+async def watch(hand):
+    async for _ in hand.states(rate=100):
+        pass
+
+async def move(hand):
+    while True:
+        await hand.do("Grasp")
+        await hand.do("open")
+
+async def refused(hand):
+    for k in range(10**9):
+        action, options = BAD[k % len(BAD)]
+        try:
+            await hand.start(*action, **options)
+        except RequestRejected:
+            pass
+        else:
+            raise AssertionError(action)
+        await anyio.sleep(0.02)
+
+async def rubbish(name, target):
+    session, _ = await open_hand(name, None, 20.0)
+    megabyte = random.Random(1).randbytes(1_000_000)
+    keys = [network_key(target, topic) for topic in TYPES]
+    asked = [request.key(target) for request in REQUESTS.values()]
+    for k in range(10**9):
+        if k % 2:
+            session.put(keys[k // 2 % len(keys)], megabyte)
+        else:
+            session.get(asked[k // 2 % len(asked)], direct(lambda _: None), payload=megabyte)
+        await anyio.sleep(0.1)
+
+async def main(name, target):
+    async with rtee.connect(name) as hand, anyio.create_task_group() as group:
+        if target == name:
+            group.start_soon(watch, hand)
+            group.start_soon(move, hand)
+            group.start_soon(refused, hand)
+        group.start_soon(rubbish, name, target)
+
+try:
+    anyio.run(main, *sys.argv[1:])
+except* RteeError:
+    pass
+"""
+
+
+@dataclass(frozen=True)
+class How:
+    """The circumstances of a run.
+
+    Attributes:
+        label: In words.
+        count: Number of hands.
+        rate: Ticks per second [Hz].
+        realtime: With real-time set-up.
+        helpers: The helper threads, too.
+        client: With a client.
+        record: With the recorder.
+        junk: Whose keys get junk: the hand's (``hand``), or another's (``other``).
+    """
+
+    label: str
+    count: int = 1
+    rate: int = 1000
+    realtime: bool = True
+    helpers: bool = False
+    client: bool = True
+    record: bool = True
+    junk: str = ""
+
 
 @dataclass
 class Row:
-    name: str
-    statistics: LoopStatistics
+    """What came out of a run.
+
+    Attributes:
+        printed: What the loop printed, by name; times in µs.
+        memory: Resident memory every 10 s [MB].
+        log_rate: Recordings of all hands [MB per minute].
+    """
+
+    printed: dict[str, int]
     memory: list[float]
     log_rate: float
+
+
+def how_of(name: str) -> How:
+    """Return the circumstances that a set's name stands for."""
+    if name == "four":
+        return How("4 hands at 500 Hz, real-time set-up", count=4, rate=500)
+    if name == "ordinary":
+        return How("1 hand at 1000 Hz, ordinary", realtime=False)
+    if name == "helpers":
+        return How("1 hand at 1000 Hz, real-time set-up, helpers too", helpers=True)
+    return How("1 hand at 1000 Hz, real-time set-up")
+
+
+def beside(how: How, name: str) -> How:
+    """Return other circumstances, in which only what the name says is different."""
+    changes: dict[str, dict[str, object]] = {
+        "alone": {"client": False},
+        "unrecorded": {"record": False},
+        "bare": {"client": False, "record": False},
+        "junk": {"junk": "hand"},
+        "idle-junk": {"junk": "other"},
+    }
+    words = {
+        "alone": "no client",
+        "unrecorded": "no recorder",
+        "bare": "no client, no recorder",
+        "junk": "and junk",
+        "idle-junk": "and junk for somebody else",
+    }
+    label = f"… {words[name]}"
+    return replace(how, label=label, **changes[name])  # type: ignore[arg-type]
 
 
 def memory_of(pid: int) -> float:
@@ -86,38 +236,49 @@ def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
     return names
 
 
-def run(name: str, hands: list[str], seconds: float, folder: Path, *more: str) -> Row:
-    """Run hands as users do, with a client each, and read what the loop recorded of itself."""
-    logs = folder / "logs" / name
+def run(how: How, hand: str, seconds: float, folder: Path, flight: float | None) -> Row:
+    """Run hands as users do, with a client each, and read what the loop says of itself."""
+    extra = "\nrealtime: {helper_priority: 10}\n" if how.helpers else ""
+    kept = flight if how.record else 0.0
+    extra += "" if kept is None else f"\nlog: {{flight_recorder: {kept:g}}}\n"
+    hands = copies(hand, how.count, folder, extra)
+    logs = folder / "logs" / hands[0]
     environment = os.environ | {"RTEE_CONFIG_PATH": str(folder)}
-    program = [sys.executable, "-c", "from rtee.cli import main; main()"]
-    process = subprocess.Popen(
-        [*program, "run", *hands, "--driver", "kinematic", "--log", str(logs), *more],
-        stdout=subprocess.PIPE,
-        text=True,
-        env=environment,
-    )
+    words = [sys.executable, "-c", "from rtee.cli import main; main()", "run", *hands]
+    words += ["--driver", "kinematic", "--rate", str(how.rate)]
+    words += ["--realtime"] if how.realtime else []
+    words += ["--log", str(logs)] if how.record else ["--no-log"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
     assert process.stdout is not None
     for _ in hands:
         print(f"  {process.stdout.readline().strip()[:100]}", file=sys.stderr)
+    said: list[str] = []
     # From a thread, because its output must be drained.
-    drain = threading.Thread(target=process.stdout.read, daemon=True)
+    drain = threading.Thread(target=lambda: said.extend(process.stdout or ()), daemon=True)
     drain.start()
-    clients = [subprocess.Popen([sys.executable, "-c", CLIENT, hand]) for hand in hands]
+    others = [[CLIENT, name] for name in hands if how.client and how.junk != "hand"]
+    if how.junk:
+        others.append([JUNK, hands[0], hands[0] if how.junk == "hand" else "somebody_else"])
+    clients = [subprocess.Popen([sys.executable, "-c", *other]) for other in others]
     memory: list[float] = []
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        time.sleep(min(10.0, max(0.0, end - time.monotonic())))
+    begin = time.monotonic()
+    while (passed := time.monotonic() - begin) < seconds:
+        time.sleep(min(10.0, seconds - passed))
         memory.append(memory_of(process.pid))
+    failed = [client.args for client in clients if client.poll() is not None]
+    assert not failed, f"a client ended early: {failed}"
     process.send_signal(signal.SIGTERM)
     process.wait(timeout=30)
-    for client in clients:
+    drain.join(10.0)
+    for client, other in zip(clients, others, strict=True):
+        if other[0] is JUNK:
+            client.kill()
         client.wait(timeout=30)
-    files = sorted(logs.glob(f"{hands[0]}*_0*.mcap"))
-    recording = read(files, only=["loop_statistics"])
+    found = PRINTED.search("".join(said))
+    assert found is not None, "".join(said)
+    printed = {name: int(value) for name, value in found.groupdict().items()}
     size = sum(file.stat().st_size for file in logs.glob("*_0*.mcap")) / 1e6
-    last = recording.loop_statistics[-1].value
-    return Row(name, last, memory, size / recording.duration * 60)
+    return Row(printed, memory, size / seconds * 60)
 
 
 def cyclictest(seconds: float, period_us: int = 1000) -> str | None:
@@ -147,22 +308,26 @@ def cyclictest(seconds: float, period_us: int = 1000) -> str | None:
 
 
 def cells(row: Row) -> str:
-    s = row.statistics
-    lateness = [s.lateness_p50, s.lateness_p99, s.lateness_p999, s.lateness_max]
-    micro = " | ".join(f"{value * 1e6:.0f}" for value in lateness)
-    busy = " | ".join(f"{value * 1e6:.0f}" for value in (s.busy_p50, s.busy_p99))
-    share = 100 * s.missed / (s.ticks + s.missed)
-    memory = f"{row.memory[0]:.0f} → {row.memory[-1]:.0f}"
-    missed = f"{s.missed} ({share:.3f} %)"
-    return f"{s.ticks} | {missed} | {micro} | {busy} | {memory} | {row.log_rate:.1f}"
+    """Return the cells of a row."""
+    s = row.printed
+    share = 100 * s["missed"] / max(1, s["ticks"] + s["missed"])
+    micro = [s[name] for name in ("p50", "p99", "p999", "worst", "busy50", "busy99")]
+    points = [row.memory[0], *row.memory[11:12], row.memory[-1]]
+    memory = " → ".join(f"{value:.1f}" for value in points)
+    numbers = " | ".join(map(str, micro))
+    missed = f"{s['missed']} ({share:.3f} %)"
+    return f"{s['ticks']} | {missed} | {numbers} | {memory} | {row.log_rate:.1f}"
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="length of every run [s]")
     parser.add_argument("--hand", default="schunk_svh")
     parser.add_argument("--hogs", type=int, default=0, help="programs that keep CPUs busy")
     parser.add_argument("--only", nargs="+", choices=SETS, default=list(SETS))
+    parser.add_argument("--beside", nargs="*", choices=BESIDE, default=[])
+    parser.add_argument("--flight", type=float, help="what the flight recorder keeps [s]")
     arguments = parser.parse_args()
     load = os.getloadavg()[0]
     print(f"{os.cpu_count()} CPUs, load {load:.1f} before, {os.uname().release},", end=" ")
@@ -181,16 +346,11 @@ def main() -> None:
     reference("before")
     with tempfile.TemporaryDirectory(prefix="rtee-loop-") as text:
         folder = Path(text)
-        for name in arguments.only:
-            extra = "\nrealtime: {helper_priority: 10}\n" if name == "helpers" else ""
-            hands = copies(arguments.hand, 4 if name == "four" else 1, folder, extra)
-            rate = "500" if name == "four" else "1000"
-            more = [] if name == "ordinary" else ["--realtime"]
-            row = run(name, hands, arguments.seconds, folder, "--rate", rate, *more)
-            label = f"{len(hands)} hand{'s' * (len(hands) > 1)} at {rate} Hz, "
-            label += "ordinary" if name == "ordinary" else "real-time set-up"
-            label += ", helpers too" if name == "helpers" else ""
-            print(f"| rtee, {label} | {cells(row)} |", flush=True)
+        chosen = [how_of(name) for name in arguments.only]
+        chosen[1:1] = [beside(chosen[0], name) for name in arguments.beside]
+        for how in chosen:
+            row = run(how, arguments.hand, arguments.seconds, folder, arguments.flight)
+            print(f"| rtee, {how.label} | {cells(row)} |", flush=True)
     reference("after")
     for hog in hogs:
         hog.kill()

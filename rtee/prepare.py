@@ -1,0 +1,134 @@
+"""From hand.yaml and the command line to a hand that was read and checked; nothing is opened."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from rtee.actions.library import ActionLibrary
+from rtee.drivers.homing import homing_allowed
+from rtee.hand.config import HandConfig, read_document
+from rtee.hand.load import hand_folder, load_configured
+from rtee.hand.model import Hand
+from rtee.log import RecorderSettings
+from rtee.loop.configure import DeviceChoice, device_settings, loop_settings
+from rtee.loop.settings import DeviceSettings, LoopSettings
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the command line may override.
+
+    Attributes:
+        driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
+        emulated: Talk to emulators instead of the real devices.
+        driver_options: Options for a driver that hand.yaml has no device for.
+        home: Home devices that need it at the start, whatever hand.yaml says; this moves them.
+        rate: Ticks per second [Hz]; ``None``: as in hand.yaml.
+        realtime: Ask for real-time scheduling whatever hand.yaml says.
+        log: Folder of the recordings; ``None``: as in hand.yaml.
+        record: ``False``: write no recordings; the flight recorder stays.
+        duration: End after this long [s]; ``None``: never by itself.
+        trace: Log the bytes of all buses.
+        companions: Commands that run beside, and are ended with the hands.
+        config_dirs: Folders to look hands up in, before the usual ones.
+    """
+
+    driver: str | None = None
+    emulated: bool = False
+    driver_options: Mapping[str, object] = field(default_factory=dict)
+    home: bool = False
+    rate: float | None = None
+    realtime: bool = False
+    log: Path | None = None
+    record: bool = True
+    duration: float | None = None
+    trace: bool = False
+    companions: tuple[tuple[str, ...], ...] = ()
+    config_dirs: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class PreparedHand:
+    """A hand that was read and checked, before anything is opened.
+
+    Attributes:
+        hand: The hand.
+        config: Its hand.yaml.
+        folder: Where that stands.
+        library: Its grasping actions.
+        settings: The loop's settings.
+        devices: Its devices.
+    """
+
+    hand: Hand
+    config: HandConfig
+    folder: Path
+    library: ActionLibrary
+    settings: LoopSettings
+    devices: tuple[DeviceSettings, ...]
+
+    def attachments(self) -> dict[str, bytes]:
+        """Return the files that belong into a recording, by name."""
+        files = [self.folder / "hand.yaml"]
+        if self.config.srdf is not None:
+            files.append(self.folder / self.config.srdf)
+        files += sorted((self.folder / "actions").rglob("*.yaml"))
+        found: dict[str, bytes] = {}
+        for file in files:
+            try:
+                found[file.relative_to(self.folder).as_posix()] = file.read_bytes()
+            except (OSError, ValueError) as error:
+                log.warning("%s is not attached to the recording: %s", file, error)
+        return found
+
+    def recorder_settings(self, options: RunOptions) -> RecorderSettings:
+        """Return how it is to be recorded."""
+        given = self.config.log
+        return RecorderSettings(
+            directory=options.log or Path(given.directory),
+            enabled=options.record and (given.enabled or options.log is not None),
+            max_file_size=given.max_file_size,
+            max_file_time=given.max_file_time,
+            max_total_size=given.max_total_size,
+            flight_recorder=given.flight_recorder,
+            decimation=given.decimation,
+        )
+
+
+def prepare(name: str, options: RunOptions) -> PreparedHand:
+    """Read everything about a hand and check it; nothing is opened.
+
+    Raises:
+        UserError: for every mistake in its files or the options.
+    """
+    hand, config = load_configured(name, config_dirs=options.config_dirs)
+    folder, file = hand_folder(name, config_dirs=options.config_dirs)
+    document = read_document(file)[1]
+    settings = loop_settings(config, rate=options.rate)
+    choice = DeviceChoice(
+        options.driver,
+        options.emulated,
+        tuple(options.driver_options.items()),
+        str(file),
+        {device: document.line(("devices", device)) or 1 for device in config.devices},
+        str(folder),
+    )
+    devices = tuple(device_settings(hand, config, settings.rate, choice))
+    return PreparedHand(
+        hand=hand,
+        config=config,
+        folder=folder,
+        library=ActionLibrary.load(hand, folder / "actions"),
+        settings=settings,
+        devices=_homing(hand.name, devices) if options.home else devices,
+    )
+
+
+def _homing(hand: str, devices: Sequence[DeviceSettings]) -> tuple[DeviceSettings, ...]:
+    specs = homing_allowed(hand, [device.spec for device in devices])
+    return tuple(replace(d, spec=spec) for d, spec in zip(devices, specs, strict=True))
