@@ -7,15 +7,15 @@ CAN) where bytes take the time they would take at the line's rate and the device
 turn-around. Counted are exchanges, that is states with a new stamp. The wire's limit is what no
 program could exceed with the same bytes::
 
-    exchanges / (bytes * bits / baud + turn-around of every answer + silence before every request)
+    1 / (bytes * bits / baud + turn-around of every answer + silence before every request)
 
-as the simulated wire has counted them, turn-around as modelled (SVH 0.5 ms, adapters of qb hands
-and Dynamixels 1 ms, Modbus 3.5 characters but at least 1.75 ms) and the silence that Modbus RTU
-asks of its master. ``rate`` is that of all seconds together, ``share`` belongs to the median
-exchange, which other programs on the machine disturb less. Devices without a wire of that kind
-(networks, process data) have no such limit; beside all stands the rate that the driver itself
-names as its best, which the loop does not exceed; a device that sends by itself (Allegro) has its
-own pace for a limit.
+of the median exchange, as the simulated wire has counted it: turn-around as modelled (SVH 0.5 ms,
+adapters of qb hands and Dynamixels 1 ms, Modbus 3.5 characters but at least 1.75 ms), and the
+silence that Modbus RTU asks of its master. ``rate`` is that of all seconds together, ``of it`` its
+share of the limit; ``share`` is that of the median exchange, which other programs on the machine
+disturb less. Devices without a wire of that kind (networks, process data) have no such limit; a
+device that sends by itself (Allegro) has its own pace for one. Beside stands the rate that the
+driver itself names as its best, which the loop does not exceed.
 
 Matrix: at 5 % of each fault of the wire, so many cycles; then the cable pulled and put back, the
 supply cut, the position stuck, another device answering. A cell says how many cycles succeeded, or
@@ -66,7 +66,7 @@ def cases(only: str | None) -> dict[str, DeviceCase]:
         for name, value in vars(module).items():
             if isinstance(value, type) and issubclass(value, DriverContract):
                 case = getattr(value, "case", None)
-                if isinstance(case, DeviceCase):
+                if isinstance(case, DeviceCase) and case.wire:
                     found[f"{file.parent.name}: {name.removeprefix('Test')}"] = case
     return {name: case for name, case in found.items() if only is None or only in name}
 
@@ -179,7 +179,13 @@ async def throughput(case: DeviceCase, seconds: float) -> str:
         await session.cycle(goals[50])
         wire = getattr(session.wire, "wire", None)
         bus = pool.buses[0]
-        busy, sent = getattr(wire, "busy", 0.0), bus.counters.transactions
+        gap = float(getattr(bus, "gap", 0.0))
+
+        def used() -> float:
+            return float(getattr(wire, "busy", 0.0)) + gap * bus.counters.transactions
+
+        needs: list[float] = []
+        began = spent = used()
         done = failed = fresh = 0
         times: list[float] = []
         stamp = 0.0
@@ -194,21 +200,19 @@ async def throughput(case: DeviceCase, seconds: float) -> str:
                 stamp = state.stamp
                 fresh += 1
                 times.append(now - before)
-                before = now
+                needs.append(used() - spent)
+                before, spent = now, used()
             elif now - before > 1.0:
                 before = now
         taken = time.perf_counter() - start
-        silence = getattr(bus, "gap", 0.0) * (bus.counters.transactions - sent)
         best = session.driver.capabilities.best_rate
-        needed = getattr(wire, "busy", 0.0) - busy + silence
-        if case.driver in OWN_PACE:
-            needed = max(needed, fresh / best)
-        median = statistics.median(times)
-        limit = share = "–"
-        if needed > 0.02 * taken:
-            limit = f"{fresh / needed:.0f}"
-            share = f"{100.0 * needed / fresh / median:.0f} %"
-        mean = f"{100.0 * needed / taken:.0f} %" if share != "–" else "–"
+        own = case.driver in OWN_PACE
+        need = 1.0 / best if own else statistics.median(needs)
+        limit = mean = share = "–"
+        if own or used() - began > 0.02 * taken:
+            limit = f"{1.0 / need:.0f}"
+            mean = f"{100.0 * need * fresh / taken:.0f} %"
+            share = f"{100.0 * need / statistics.median(times):.0f} %"
         return f"{fresh / taken:7.0f} {limit:>8} {mean:>7} {share:>7} {best:8.0f}  {failed}"
 
 
