@@ -24,7 +24,9 @@ from experiments.common import Outcome, hold
 from rtee.errors import ConfigError
 from rtee.log import read
 from rtee.testing.browser import find_browser
-from rtee.trials.trial import Trial
+from rtee.trials.recorded import recorder_for
+from rtee.trials.sweep import bench
+from rtee.trials.trial import Trial, run_trial
 
 
 def passed(outcome: Outcome) -> bool:
@@ -116,10 +118,13 @@ def test_a_wide_grasp_holds(name: str, trial: Trial, tmp_path: Path) -> None:
 
 
 def test_two_runs_of_an_experiment_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:
-    recordings = []
+    recordings, ready = [], bench("robotiq_2f_85")
     for run in ("one", "two"):
         folder = tmp_path / run
-        hold("robotiq_2f_85", Trial("Grasp"), folder, Outcome("held"), pictures=False)
+        with recorder_for(ready, folder) as recorder:
+            run_trial(
+                ready.hand, ready.library, ready.settings, Trial("Grasp"), observers=[recorder]
+            )
         recordings.append(read(next(folder.glob("*.mcap"))))
     first, second = recordings
     assert first.channels.keys() == second.channels.keys()
