@@ -80,6 +80,9 @@ def gui(place: Path, hands: Hands) -> Iterator[Program]:
     program = Program(place, "gui", GRIPPER, "--port", "0")
     yield program
     program.end()
+    said = program.rest()
+    assert "Traceback" not in said, said
+    assert "Error" not in said, said
 
 
 @pytest.fixture(scope="package")

@@ -55,6 +55,13 @@ class Program:
             if found := re.search(pattern, said[-1]):
                 return found
 
+    def rest(self) -> str:
+        """Return what it has said since the last line that was waited for."""
+        lines = []
+        while not self._lines.empty():
+            lines.append(self._lines.get())
+        return "".join(lines)
+
     def kill(self) -> None:
         """Kill it as a crash would."""
         self.process.kill()

@@ -92,7 +92,7 @@ async def test_every_control_says_what_it_is_for(server: viser.ViserServer, tmp_
     async with serving(hand, make_library(hand)), anyio.create_task_group() as group:
         app = App(server, "small", None)
         group.start_soon(app.run)
-        await shows(app, "small: connected")
+        await has(app, ActionKind.TIMED, "wave")
         handles = list(server.gui._gui_input_handle_from_uuid.values())
         group.cancel_scope.cancel()
     assert len(handles) > 50
