@@ -1,0 +1,59 @@
+"""Pick and place says why it failed, and a recording of several attempts is one after the other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from rtee.errors import UnknownAction
+from rtee.log import read
+from rtee.trials.recorded import recorder_for
+from rtee.trials.sweep import bench
+from rtee.trials.transfer import MOMENTS, Transfer, TransferResult, run_transfer
+from rtee.trials.trial import Trial, run_trial
+
+GRIPPER = "robotiq_2f_85"
+
+
+def transfer(what: Transfer, moments: list[str] | None = None) -> TransferResult:
+    ready = bench(GRIPPER)
+    watch = None if moments is None else lambda moment, _: moments.append(moment)
+    return run_transfer(ready.hand, ready.library, ready.settings, what, watch=watch)
+
+
+def test_a_box_is_carried_from_above_without_a_turn() -> None:
+    moments: list[str] = []
+    what = Transfer("Grasp", object="box:0.04x0.04x0.05", by=(0.1, 0.0), turn=0.0)
+    result = transfer(what, moments)
+    assert result.placed, result.reason
+    assert result.off < 0.02
+    assert result.tilt < 0.05
+    assert tuple(moments[-len(MOMENTS) :]) == MOMENTS
+
+
+def test_what_is_wider_than_the_gripper_is_not_lifted() -> None:
+    moments: list[str] = []
+    result = transfer(Transfer("Grasp", object="sphere:0.06", places=1), moments)
+    assert not result.placed
+    assert result.reason == "it fell while it was lifted"
+    assert moments[-1] == "lift"
+
+
+def test_an_unknown_action_is_refused() -> None:
+    with pytest.raises(UnknownAction):
+        transfer(Transfer("Wave"))
+
+
+def test_attempts_are_recorded_one_after_the_other(tmp_path: Path) -> None:
+    ready = bench(GRIPPER)
+    lost = Trial("Grasp", object="sphere:0.03", intensity=0.0, places=2)
+    with recorder_for(ready, tmp_path) as recorder:
+        result = run_trial(ready.hand, ready.library, ready.settings, lost, observers=[recorder])
+    assert not result.held
+    recording = read(next(tmp_path.glob("*.mcap")))
+    assert len(recording.results) == 2
+    assert np.all(np.diff(recording.actuator_states.t) > 0.0)
