@@ -4,27 +4,12 @@ import json
 from pathlib import Path
 
 import pytest
+from hand.conftest import MODELS
 
 from extract.models import Model, box
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.hand.load import load_model
-
-HANDS = (
-    "dagana",
-    "heri_II",
-    "heri_II_linear",
-    "onrobot_3fg15",
-    "qbhand",
-    "robotiq_2f_140",
-    "robotiq_2f_85",
-    "robotiq_3f",
-    "schunk",
-    "test_ee",
-    "test_ee_spread",
-    "two_finger",
-    "two_finger_mimic",
-)
 
 TIP = box((0.01, 0.01, 0.01))
 
@@ -33,7 +18,7 @@ def by_kind(found: list[Primitive], kind: PrimitiveKind) -> dict[str, list[str]]
     return {p.elements[0]: list(p.posture.involved) for p in found if p.kind is kind}
 
 
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("name", MODELS)
 def test_primitives_of_real_hands_are_as_expected(name: str, shared: Path) -> None:
     folder = shared / "hands"
     expected = json.loads((folder / "expected_kinematic.json").read_text())[name]
