@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Picture = NDArray[np.int16]
 
-CLEAR, SHARE = 25, 0.004
+CLEAR, SHARE = 10, 0.004
 """Pictures differ where this share of the pixels differs by more than this, of 255."""
 
 ROW = "xpath=ancestor::div[contains(@class, 'mantine-Flex-root')][1]"
