@@ -35,7 +35,8 @@ def section(tried: Iterable[Tried]) -> str:
     return (
         f'<h2 id="trials">Does it hold? <span class="soft">({held} of {len(found)})</span></h2>'
         '<p class="soft">Each action was tried on each object in simulation: approach, grasp, '
-        "lift, hold, shake. ● held, ○ lost; a pointer on a sign tells more.</p>"
+        "lift, hold, shake. Sizes in mm (radius and height of cylinders, radius of spheres). "
+        "● held, ○ lost; a pointer on a sign tells more.</p>"
         f'<div class="panel">{_table(found)}</div>'
     )
 
@@ -45,18 +46,31 @@ def _table(found: Sequence[Tried]) -> str:
     rows: dict[str, dict[str, Tried]] = {}
     for one in found:
         rows.setdefault(one.action, {})[one.object] = one
-    return tables.table(
-        ["action", *objects, "held"],
+    html = tables.table(
+        ["action", "held", *objects],
         (
             [
                 escape(action),
-                *(_sign(row.get(name)) for name in objects),
                 f"{sum(one.held for one in row.values())} of {len(row)}",
+                *(_sign(row.get(name)) for name in objects),
             ]
             for action, row in rows.items()
         ),
         numbers=range(1, len(objects) + 2),
     )
+    for name in objects:
+        html = html.replace(f">{escape(name)}</th>", f">{_short(name)}</th>")
+    return html
+
+
+def _short(name: str) -> str:
+    """Return an object's kind over its size in millimetres, as HTML."""
+    kind, _, size = name.partition(":")
+    try:
+        numbers = "×".join(f"{float(part) * 1e3:g}" for part in size.split("x"))
+    except ValueError:
+        return escape(name)
+    return f"{escape(kind)}<br>{numbers}"
 
 
 def _sign(one: Tried | None) -> str:

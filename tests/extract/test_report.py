@@ -293,6 +293,15 @@ def test_report_tells_what_trials_found(hand: Hand, tmp_path: Path) -> None:
     page.feed(file.read_text())
     assert not page.open
     assert "trials" in page.targets
-    for words in ("Does it hold?", "(1 of 3)", "Grasp <all>", "sphere:0.03", "1 of 2", "0 of 1"):
+    for words in (
+        "Does it hold?",
+        "(1 of 3)",
+        "Grasp <all>",
+        "sphere",
+        "drill",
+        "1 of 2",
+        "0 of 1",
+    ):
         assert words in page.text
+    assert "sphere<br>30" in file.read_text()
     assert 'title="lost; it fell while it was lifted"' in file.read_text()
