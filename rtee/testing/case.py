@@ -60,6 +60,7 @@ class DeviceCase:
             of the way.
         tolerance: Error at which a posture counts as reached [rad | m].
         within: Longest time to reach a posture [s].
+        stopping: Time after which a stopped device must stand still [s].
         hold: Makes the emulated device active and holding something, as found at start-up.
         commands: Counts the motion commands that the emulator has heard.
         efforts: Effort limits in force when the last motion began, in SI units.
@@ -84,6 +85,7 @@ class DeviceCase:
     postures: tuple[Sequence[float], Sequence[float]] | None = None
     tolerance: float = 0.02
     within: float = 5.0
+    stopping: float = 0.1
     hold: Callable[[Any], None] | None = None
     commands: Callable[[Any], int] | None = None
     efforts: Callable[[Any], Sequence[float]] | None = None

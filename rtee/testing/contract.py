@@ -209,7 +209,7 @@ class DriverContract:
                 for _ in range(5):
                     await session.cycle(Reference.at(list(far)))
                 await session.driver.stop()
-                await asyncio.sleep(0.1)
+                await asyncio.sleep(self.case.stopping)
                 there = await session.sense()
                 await asyncio.sleep(0.2)
                 later = await session.sense()

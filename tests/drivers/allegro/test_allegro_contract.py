@@ -20,6 +20,7 @@ class TestAllegro(DriverContract):
         commands=torques,
         fault="over_temperature",
         tolerance=0.05,
+        stopping=0.5,  # its controller runs here, and swings out
         wire_faults=frozenset({"drop", "corrupt", "duplicate", "delay"}),
         cycles=cycles(100),
     )
