@@ -61,8 +61,8 @@ def test_a_pinch_goes_to_just_before_contact_and_on(window: Window, other: Block
     window.choose("Stage", "to the grasp", more)
 
 
-def test_cancel_is_said(window: Window) -> None:
-    window.button("Open").click()
+def test_cancel_is_said(window: Window, other: BlockingHand) -> None:
+    other.open()
     card = window.folder("PinchTight", unfold=True)
     more = window.folder("More", unfold=True)
     window.type("Speed [%]", "5", more)

@@ -71,8 +71,9 @@ class Window:
         return found.locator(ROW).locator("input:not([type=hidden])").last
 
     def type(self, label: str, text: str, within: Locator | None = None) -> None:
-        """Type something into a field."""
+        """Type something into a field; the page sends what is typed 20 times a second."""
         self.field(label, within).fill(text)
+        self.page.wait_for_timeout(200)
 
     def choose(self, label: str, option: str, within: Locator | None = None) -> None:
         """Choose an option of a dropdown."""
