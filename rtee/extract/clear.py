@@ -47,11 +47,11 @@ class Patience:
         ways: How often blocked ways are learned from.
     """
 
-    pool: int = 6
+    pool: int = 10
     tries: int = 2
     rounds: int = 8
-    leaps: int = 4
-    creeps: int = 6
+    leaps: int = 8
+    creeps: int = 12
     ways: int = 3
 
 
