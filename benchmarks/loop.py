@@ -6,7 +6,8 @@
 Every row is `rtee run` as users run it: kinematic driver, everything logged at every tick, on the
 network with a client that takes 100 states a second and has the hand close and open all the time.
 The numbers are those that the loop prints at its end. `cyclictest` (Debian: rt-tests), the kernel's
-own C program for this, runs before and after with the same period and priority.
+own C program for this, runs before and after with the same period and priority; its wake-ups that
+came a whole period late count as missed: that is what the computer itself takes.
 
 Sets: `ordinary` and `realtime` are one hand at 1000 Hz; `helpers` has the recorder's and the
 network's threads under real-time scheduling, too; `four` is four hands in one process at 500 Hz
@@ -303,8 +304,11 @@ def cyclictest(seconds: float, period_us: int = 1000) -> str | None:
                 found[percent] = latency
                 break
     worst = max(int(x) for x in re.findall(r"# Max Latencies: (\d+)", done.stdout) or ["0"])
+    beyond = sum(int(x) for x in re.findall(r"# Histogram Overflows: (\d+)", done.stdout))
+    missed = beyond + sum(count for latency, count in counts if latency >= period_us)
     cells = " | ".join(str(found.get(percent, ">2000")) for percent in (50, 99, 99.9))
-    return f"{loops} | – | {cells} | {worst} | – | – | – | –"
+    share = f"{missed} ({100 * missed / loops:.3f} %)"
+    return f"{loops} | {share} | {cells} | {worst} | – | – | – | –"
 
 
 def cells(row: Row) -> str:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import subprocess
 import sys
 import time
 
 import pytest
 
-from rtee.loop.realtime import Collector, set_up
-from rtee.loop.settings import RealtimeSettings
+from rtee.loop.realtime import SLICE, Collector
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux only")
 
@@ -21,10 +21,24 @@ def in_process(code: str) -> str:
     return done.stdout
 
 
-def test_nothing_is_done_unless_enabled() -> None:
-    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
-    assert set_up(RealtimeSettings(enabled=False, cpus=(0,))) == []
-    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
+def test_without_real_time_only_short_slices_are_asked_for() -> None:
+    printed = in_process(
+        "import ctypes, os, platform, struct\n"
+        "from rtee.loop.realtime import set_up\n"
+        "from rtee.loop.settings import RealtimeSettings\n"
+        "before = os.sched_getaffinity(0), os.nice(0)\n"
+        "print(set_up(RealtimeSettings(enabled=False, cpus=(0,))))\n"
+        "print((os.sched_getaffinity(0), os.nice(0)) == before)\n"
+        "attributes = ctypes.create_string_buffer(56)\n"
+        "number = {'x86_64': 315, 'aarch64': 275}[platform.machine()]\n"
+        "assert ctypes.CDLL(None).syscall(number, 0, attributes, 56, 0) == 0\n"
+        "policy, runtime = struct.unpack_from('=4xI16xQ', attributes.raw)\n"
+        "print(policy == os.SCHED_OTHER, runtime)\n"
+    )
+    nothing, same, policy = printed.splitlines()
+    assert (nothing, same) == ("[]", "True")
+    kernel = tuple(int(part) for part in re.findall(r"\d+", os.uname().release)[:2])
+    assert policy == f"True {SLICE if kernel >= (6, 12) else 0}"
 
 
 def test_what_is_not_permitted_is_a_warning_that_says_what_to_configure() -> None:
