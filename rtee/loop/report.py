@@ -39,8 +39,10 @@ class Tally(Observer):
 
 def device_words(status: DeviceStatus) -> str:
     """Return how a device is, in a few words."""
-    identity = " ".join(value for value in status.identity.values() if value)
-    who = f"{status.name}: {identity or status.driver}"
+    known = status.identity
+    told = [known.get("model") or status.driver]
+    told += [f"{name} {known[name]}" for name in ("firmware", "serial") if known.get(name)]
+    who = f"{status.name}: {', '.join(told)}"
     if status.lifecycle is Lifecycle.ACTIVE:
         return f"{who}, active"
     return f"{who}, {status.lifecycle}" + (f" ({status.message})" if status.message else "")
