@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -114,17 +115,26 @@ def _report(path: Path, hand: HandModel, found: Extraction, folder: Path | None,
     from rtee.extract.report import write_report
 
     custom = ActionLibrary.load(hand, folder / "actions") if folder is not None else None
+    tried, notes = _tried(folder)
+    found = replace(found, notes=(*found.notes, *notes))
     with _progress("taking pictures") as progress:
-        write_report(path, hand, found, custom, trials=_tried(folder), jobs=jobs, progress=progress)
+        write_report(path, hand, found, custom, trials=tried, jobs=jobs, progress=progress)
 
 
-def _tried(folder: Path | None) -> list[Tried]:
-    """Return what `rtee try --all` found, for the report."""
+def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
+    """Return what `rtee try --all` found, for the report, and what is to be noted about it."""
     from rtee.extract.report_trials import Tried
-    from rtee.trials.store import FILE_NAME, read_results
+    from rtee.trials.store import FILE_NAME, fingerprint, read_results
 
-    results = {} if folder is None else read_results(folder / FILE_NAME)
-    return [
+    if folder is None:
+        return [], []
+    results, notes = read_results(folder / FILE_NAME), []
+    if results and not read_results(folder / FILE_NAME, fingerprint(folder)):
+        notes.append(
+            f"the trials in {FILE_NAME} were made with other files of this hand;"
+            f" `rtee try {folder.name} --all` makes them anew"
+        )
+    tried = [
         Tried(
             " ".join((result.trial.action, *result.trial.elements)),
             result.trial.object,
@@ -133,6 +143,7 @@ def _tried(folder: Path | None) -> list[Tried]:
         )
         for result in results.values()
     ]
+    return tried, notes
 
 
 def _load(

@@ -168,8 +168,8 @@ def _all(
 ) -> list[TrialResult]:
     """Do what is not known yet; what is known is kept after every few trials."""
     from rtee.drivers.mujoco.objects import parse_object
-    from rtee.trials.store import FILE_NAME, read_results, write_results
-    from rtee.trials.sweep import all_trials, bench, fingerprint, sweep, sweep_on_cluster
+    from rtee.trials.store import FILE_NAME, fingerprint, read_results, write_results
+    from rtee.trials.sweep import all_trials, bench, sweep, sweep_on_cluster
 
     for shape in shapes:
         parse_object(shape)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,15 @@ from rtee.trials.result import Trial, TrialResult
 
 FILE_NAME = "trials.yaml"
 """Where the results stand in a hand's folder."""
+
+
+def fingerprint(folder: Path) -> str:
+    """Return a word that changes with the hand's model, configuration or actions."""
+    digest = hashlib.sha256()
+    files = [*folder.glob("*.urdf"), *folder.glob("*.srdf"), folder / "hand.yaml"]
+    for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
+        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def to_document(result: TrialResult) -> dict[str, Any]:

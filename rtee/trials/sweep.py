@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import multiprocessing
 from collections.abc import Iterator, Sequence
@@ -97,15 +96,6 @@ def all_trials(library: ActionLibrary, objects: Sequence[str] = OBJECTS) -> list
         for action in library
         for shape in objects
     ]
-
-
-def fingerprint(folder: Path) -> str:
-    """Return a word that changes with the hand's model, configuration or actions."""
-    digest = hashlib.sha256()
-    files = [*folder.glob("*.urdf"), *folder.glob("*.srdf"), folder / "hand.yaml"]
-    for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
-        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def attempt(name: str, trial: Trial) -> TrialResult:

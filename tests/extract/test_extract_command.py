@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from extract.models import figure_3
 from rtee.actions.library import ActionLibrary
 from rtee.cli.main import main
+from rtee.hand.catalog import find_hand
 
 Run = tuple[int, str, str]
 
@@ -131,3 +133,17 @@ def test_a_missing_mesh_leaves_nothing_behind(
     assert status == 2
     assert f"{urdf}:2: mesh 'gone.stl' does not exist" in err
     assert not out.exists()
+
+
+def test_report_says_that_trials_are_of_other_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, report = tmp_path / "robotiq_2f_85", tmp_path / "report.html"
+    shutil.copytree(find_hand("robotiq_2f_85"), folder)
+    command = ["extract", folder, "--report", report]
+    assert rtee(capsys, monkeypatch, *command)[0] == 0
+    assert "made with other files" not in report.read_text()
+    with (folder / "hand.yaml").open("a") as file:
+        file.write("# another one\n")
+    assert rtee(capsys, monkeypatch, *command)[0] == 0
+    assert "made with other files of this hand" in report.read_text()

@@ -18,13 +18,19 @@ from rtee.errors import ConfigError, UnknownAction
 from rtee.hand.catalog import hand_names
 from rtee.trials.place import Places
 from rtee.trials.recorded import recorder_for
-from rtee.trials.store import FILE_NAME, from_document, read_results, to_document, write_results
+from rtee.trials.store import (
+    FILE_NAME,
+    fingerprint,
+    from_document,
+    read_results,
+    to_document,
+    write_results,
+)
 from rtee.trials.sweep import (
     OBJECTS,
     all_trials,
     attempt,
     bench,
-    fingerprint,
     sweep,
     sweep_on_cluster,
 )
