@@ -24,7 +24,6 @@ class Decoder:
         prefix: Bytes that random frames begin with, so that they get beyond the first check.
         lost: Good frames that garbage before them may cost: one, unless a length in the garbage
             may span several.
-        slow: It takes so long that a short test had better try fewer frames.
     """
 
     name: str
@@ -35,7 +34,6 @@ class Decoder:
     limit: int = 600
     prefix: bytes = b""
     lost: int = 1
-    slow: bool = False
 
 
 @dataclass
