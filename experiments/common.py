@@ -15,6 +15,7 @@ from rtee.log import Recorder, read
 from rtee.log.figure import By, figure
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
+from rtee.trials.pictures import Stills, write_strip
 from rtee.trials.recorded import recorder_for
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, TrialResult, run_trial
@@ -68,18 +69,7 @@ def hold(
 ) -> TrialResult:
     """Try a grasp, with recording, plot and pictures, and note whether the object was held."""
     ready = bench(name)
-    stills: list[tuple[str, bytes]] = []
-    watch = None
-    if pictures:
-        from rtee.trials.pictures import trial_camera
-
-        take = trial_camera(ready.hand)
-
-        def watch(moment: str, headless: object) -> None:
-            if moment == "start":
-                stills.clear()
-            stills.append((moment, take(headless)))
-
+    stills = Stills.of_trial(ready.hand) if pictures else None
     # Once to find the place that holds, and again from there, to record nothing else.
     first = run_trial(ready.hand, ready.library, ready.settings, trial)
     with recording(ready, folder, outcome) as recorder:
@@ -89,13 +79,13 @@ def hold(
             ready.settings,
             trial,
             observers=[recorder],
-            watch=watch,
+            watch=stills,
             skip=max(0, first.places - 1),
         )
     what = f"{name}: {' '.join((trial.action, *trial.elements))} on {trial.object}"
     outcome.check(result.held, f"{what}: {result.reason or f'slip {result.slip * 1e3:.1f} mm'}")
-    if stills:
-        strip(folder / f"{name}_{trial.action}.png", stills, outcome)
+    if stills is not None and stills.taken:
+        strip(folder / f"{name}_{trial.action}.png", stills.taken, outcome)
     return result
 
 
@@ -103,8 +93,6 @@ def strip(
     path: Path, stills: list[tuple[str, bytes]], outcome: Outcome, columns: int | None = None
 ) -> None:
     """Write pictures side by side, or in rows of so many columns."""
-    from rtee.trials.pictures import write_strip
-
     make_folder(path.parent)
     write_strip(path, stills, columns)
     outcome.files.append(path)

@@ -19,6 +19,7 @@ from rtee.drivers.axis import VirtualObject
 from rtee.log import read
 from rtee.log.recording import outcome_of
 from rtee.loop.plan import OPEN
+from rtee.trials.pictures import Stills
 from rtee.trials.sweep import bench
 from rtee.trials.transfer import OFF, TILT, Transfer, run_transfer
 from rtee.types import Goal
@@ -93,18 +94,7 @@ def in_dynamics(gripper: Gripper, folder: Path, outcome: Outcome, *, pictures: b
     """Pick the object up, carry it, set it down, let go and retreat, in simulation."""
     ready = bench(gripper.name)
     transfer = Transfer(gripper.action, (gripper.actuator,), OBJECT, reach=gripper.reach)
-    stills: list[tuple[str, bytes]] = []
-    watch = None
-    if pictures:
-        from rtee.trials.pictures import transfer_camera
-
-        take = transfer_camera(ready.hand)
-
-        def watch(moment: str, headless: object) -> None:
-            if moment == "start":
-                stills.clear()
-            stills.append((moment, take(headless)))
-
+    stills = Stills.of_transfer(ready.hand) if pictures else None
     # Once to find the place that works, and again from there, to record nothing else.
     first = run_transfer(ready.hand, ready.library, ready.settings, transfer)
     with recording(ready, folder, outcome) as recorder:
@@ -114,7 +104,7 @@ def in_dynamics(gripper: Gripper, folder: Path, outcome: Outcome, *, pictures: b
             ready.settings,
             transfer,
             observers=[recorder],
-            watch=watch,
+            watch=stills,
             skip=max(0, first.places - 1),
         )
     said = result.reason or (
@@ -122,8 +112,8 @@ def in_dynamics(gripper: Gripper, folder: Path, outcome: Outcome, *, pictures: b
         f"degrees, slipped by {result.slip * 1e3:.1f} mm in the hand"
     )
     outcome.check(result.placed, f"{gripper.name}: {said}")
-    if stills:
-        strip(folder / f"{gripper.name}_pick_and_place.png", stills, outcome, columns=4)
+    if stills is not None and stills.taken:
+        strip(folder / f"{gripper.name}_pick_and_place.png", stills.taken, outcome, columns=4)
 
 
 def on_wires(grippers: Sequence[Gripper], folder: Path, outcome: Outcome) -> None:

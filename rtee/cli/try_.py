@@ -15,8 +15,6 @@ from rtee.cli._common import complete_hand
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rtee.drivers.mujoco.simulation import Simulation
-    from rtee.trials.headless import HeadlessHand
     from rtee.trials.trial import Trial, TrialResult
 
 app = typer.Typer()
@@ -129,32 +127,25 @@ def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> Tr
     from rtee.trials.trial import run_trial
 
     ready = bench(name)
-    stills: list[tuple[str, bytes]] = []
-    watch = None
+    stills = None
     if pictures is not None:
-        from rtee.trials.pictures import trial_camera
+        from rtee.trials.pictures import Stills
 
         make_folder(pictures)
-        take = trial_camera(ready.hand)
-
-        def watch(moment: str, headless: HeadlessHand[Simulation]) -> None:
-            if moment == "start":
-                stills.clear()
-            stills.append((moment, take(headless)))
-
+        stills = Stills.of_trial(ready.hand)
     if log is None:
-        result = run_trial(ready.hand, ready.library, ready.settings, trial, watch=watch)
+        result = run_trial(ready.hand, ready.library, ready.settings, trial, watch=stills)
     else:
         with recorder_for(ready, log) as recorder:
             result = run_trial(
-                ready.hand, ready.library, ready.settings, trial, observers=[recorder], watch=watch
+                ready.hand, ready.library, ready.settings, trial, observers=[recorder], watch=stills
             )
-    if pictures is not None and stills:
+    if pictures is not None and stills is not None and stills.taken:
         from rtee.trials.pictures import write_strip
 
         words = "_".join((ready.hand.name, trial.action, *trial.elements, trial.object))
         file = "".join(c if c.isalnum() or c in "._-" else "-" for c in words) + ".png"
-        write_strip(pictures / file, stills)
+        write_strip(pictures / file, stills.taken)
     return result
 
 

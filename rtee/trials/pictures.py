@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -182,23 +182,42 @@ def write_strip(
     write_atomically(path, out.getvalue())
 
 
-def trial_camera(hand: Hand) -> Callable[[HeadlessHand[Simulation]], bytes]:
-    """Return what takes pictures of a trial; all pictures of one trial show the same section."""
-    return _taker(hand, _REACH)
+class Stills:
+    """Pictures of the moments of a trial or a transfer; give it as what watches.
 
+    Another try takes the place of the one before. All pictures of one try show the same section.
 
-def transfer_camera(hand: Hand) -> Callable[[HeadlessHand[Simulation]], bytes]:
-    """Return what takes pictures of a transfer; all show the same, wider section."""
-    return _taker(hand, _FAR)
+    Attributes:
+        taken: The moments' names and PNG pictures.
+    """
 
+    def __init__(self, hand: Hand, reach: FloatArray) -> None:
+        """Start without pictures.
 
-def _taker(hand: Hand, reach: FloatArray) -> Callable[[HeadlessHand[Simulation]], bytes]:
-    cameras: list[tuple[Simulation, Camera]] = []
+        Args:
+            hand: The hand.
+            reach: Ways ``(k, 3)`` [m] from its first place that the hand will go.
+        """
+        self.taken: list[tuple[str, bytes]] = []
+        self._hand = hand
+        self._reach = reach
+        self._camera: Camera | None = None
 
-    def take(headless: HeadlessHand[Simulation]) -> bytes:
+    @classmethod
+    def of_trial(cls, hand: Hand) -> Stills:
+        """Return what takes the pictures of a trial."""
+        return cls(hand, _REACH)
+
+    @classmethod
+    def of_transfer(cls, hand: Hand) -> Stills:
+        """Return what takes the pictures of a transfer; they show a wider section."""
+        return cls(hand, _FAR)
+
+    def __call__(self, moment: str, headless: HeadlessHand[Simulation]) -> None:
+        """Take a picture."""
+        if moment == "start":
+            self.taken.clear()
         simulation = headless.simulation
-        if not cameras or cameras[-1][0] is not simulation:
-            cameras.append((simulation, Camera(simulation, hand, reach)))
-        return cameras[-1][1].picture()
-
-    return take
+        if self._camera is None or self._camera.simulation is not simulation:
+            self._camera = Camera(simulation, self._hand, self._reach)
+        self.taken.append((moment, self._camera.picture()))
