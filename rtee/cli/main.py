@@ -62,6 +62,8 @@ class LazyGroup(TyperGroup):
         module = importlib.import_module(entry[0])
         app: Any = module.app
         app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
+        # Otherwise units in brackets are taken for rich's markup and vanish.
+        app.rich_markup_mode = "markdown"
         command: Any = typer.main.get_command(app)
         command.name = cmd_name
         command.short_help = entry[1]
