@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rtee.actions.library import ActionLibrary
 from rtee.drivers.homing import homing_allowed
+from rtee.drivers.objects import between_fingers
 from rtee.hand.config import HandConfig, read_document
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
@@ -26,6 +27,7 @@ class RunOptions:
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Talk to emulators instead of the real devices.
+        object_in_hand: What is between the fingers of the emulated devices, as a person writes it.
         driver_options: Options for a driver that hand.yaml has no device for.
         home: Home devices that need it at the start, whatever hand.yaml says; this moves them.
         rate: Ticks per second [Hz]; ``None``: as in hand.yaml.
@@ -40,6 +42,7 @@ class RunOptions:
 
     driver: str | None = None
     emulated: bool = False
+    object_in_hand: str | None = None
     driver_options: Mapping[str, object] = field(default_factory=dict)
     home: bool = False
     rate: float | None = None
@@ -125,10 +128,17 @@ def prepare(name: str, options: RunOptions) -> PreparedHand:
         folder=folder,
         library=ActionLibrary.load(hand, folder / "actions"),
         settings=settings,
-        devices=_homing(hand.name, devices) if options.home else devices,
+        devices=_asked_for(hand.name, devices, options),
     )
 
 
-def _homing(hand: str, devices: Sequence[DeviceSettings]) -> tuple[DeviceSettings, ...]:
-    specs = homing_allowed(hand, [device.spec for device in devices])
+def _asked_for(
+    hand: str, devices: Sequence[DeviceSettings], options: RunOptions
+) -> tuple[DeviceSettings, ...]:
+    """Return the devices with leave to home, and what is between their fingers, where asked."""
+    specs = tuple(device.spec for device in devices)
+    if options.home:
+        specs = homing_allowed(hand, specs)
+    if options.object_in_hand is not None:
+        specs = between_fingers(hand, specs, options.object_in_hand)
     return tuple(replace(d, spec=spec) for d, spec in zip(devices, specs, strict=True))

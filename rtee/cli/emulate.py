@@ -59,11 +59,20 @@ def emulate(
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="A property of the emulated device."),
     ] = None,
+    object_: Annotated[
+        str | None,
+        typer.Option(
+            "--object",
+            metavar="SIZE",
+            help="Between its fingers: 50mm, or the part of the way that they close, 0.4.",
+        ),
+    ] = None,
     fault: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="A fault it has from the start.")
     ] = None,
 ) -> None:
     """Play a device for other software until Ctrl-C; lines typed meanwhile make faults."""
+    from rtee.drivers.objects import ObjectInHand, grasping
     from rtee.drivers.play import Player
 
     player = Player(
@@ -77,6 +86,8 @@ def emulate(
         interface=interface,
         baudrate=baudrate,
     )
+    if object_ is not None:
+        grasping(player.emulator).place(ObjectInHand.parse(object_))
     for name in fault or []:
         player.emulator.inject(name)
     with player:

@@ -51,9 +51,11 @@ def _scene(driver: str | None, shape: str | None, gravity: float | None) -> dict
 
     given = {"object": shape, "gravity": gravity}
     found: dict[str, object] = {k: value for k, value in given.items() if value is not None}
-    if found and driver != "mujoco":
-        raise ConfigError(f"--{next(iter(found))} needs --driver mujoco")
-    return found
+    if driver == "mujoco":
+        return found
+    if gravity is not None:
+        raise ConfigError("--gravity needs --driver mujoco")
+    return {}
 
 
 @app.command()
@@ -80,7 +82,8 @@ def run(
         typer.Option(
             "--object",
             metavar="SHAPE",
-            help="With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R [m], drill, or a mesh.",
+            help="Between the fingers. With --emulated: 50mm, or 0.4 of the way that they close. "
+            "With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R [m], drill, or a mesh.",
         ),
     ] = None,
     gravity: Annotated[
@@ -126,6 +129,7 @@ def run(
     options = RunOptions(
         driver=driver,
         emulated=emulated,
+        object_in_hand=None if driver == "mujoco" else object_,
         driver_options=_options(option or []) | _scene(driver, object_, gravity),
         home=home,
         rate=rate,

@@ -8,6 +8,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from rtee.buses.emulator import Emulator, EmulatorFactory
+from rtee.drivers.objects import make_with_object
 from rtee.errors import ConfigError, suggestion
 from rtee.types import DeviceSpec
 
@@ -59,12 +60,12 @@ def find_emulator(name: str) -> type[Emulator]:
 
 
 def make_emulator(name: str, options: Mapping[str, Any]) -> Emulator:
-    """Return a new emulator made from a driver's options.
+    """Return a new emulator made from a driver's options, with an object where they name one.
 
     Raises:
         ConfigError: if there is none of that name, or it cannot use the options.
     """
-    return find_emulator(name).from_options(options)
+    return make_with_object(find_emulator(name), options)
 
 
 def emulator_of(
@@ -80,7 +81,7 @@ def emulator_of(
     if not spec.emulated:
         return None
     made = kind or find_emulator(spec.driver)
-    return lambda: made.from_options({**spec.options, **options})
+    return lambda: make_with_object(made, {**spec.options, **options})
 
 
 def owner_of(spec: DeviceSpec) -> str:

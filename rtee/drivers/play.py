@@ -15,6 +15,7 @@ from rtee.buses.simulated import SimulatedLine, Simulation
 from rtee.buses.simulated_can import SimulatedCan
 from rtee.buses.simulated_zmq import Ports, Serves, SimulatedZmq
 from rtee.drivers.emulators import make_emulator
+from rtee.drivers.objects import ObjectInHand, grasping
 from rtee.errors import ConfigError, RteeError, suggestion
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
@@ -27,6 +28,8 @@ wire NAME=SHARE   let the wire drop, corrupt, duplicate, delay or split a share 
                   or put noise before it: wire drop=0.05 noise=0.01
 unplug, replug    pull the cable, put it back
 power             cut the supply for a moment
+object SIZE       put an object between the fingers, 50mm wide or met after 0.4 of the way
+object            take it away
 state             show the device
 quit              end
 """
@@ -136,6 +139,8 @@ class Player:
             return f"at {self.address}"
         elif verb == "power":
             self.simulation.power_cycle()
+        elif verb == "object":
+            call(lambda: self._object(rest))
         elif verb == "state":
             return str(call(self._state))
         elif verb:
@@ -155,6 +160,12 @@ class Player:
             except ValueError:
                 raise ConfigError(f"'{part}' should look like {name}=0.05") from None
         return faults
+
+    def _object(self, text: str) -> None:
+        if text:
+            grasping(self.emulator).place(ObjectInHand.parse(text))
+        else:
+            grasping(self.emulator).take_away()
 
     def _state(self) -> str:
         """Return what the device would say of itself, and its faults."""

@@ -6,7 +6,7 @@ What the hand does when torques stop coming is not known; here it is an option.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -25,10 +25,13 @@ from rtee.drivers.allegro.codec import (
     identifier,
 )
 from rtee.drivers.axis import VirtualObject
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
 _STEP = 0.0005
 _MOST_STEPS = 400
+_STRONG = 0.7
+"""Torque at which the vendor's programs clamp the flexing joints, about [N·m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,7 @@ class AllegroProperties:
         damping: Of a joint [N·m·s/rad].
         friction: Of a joint [N·m].
         start: Angle of all joints at power-up [rad].
+        closed: Angle of a finger's flexing joints when it is closed, as an object meets it [rad].
         hot: Temperature at which it switches off [°C].
     """
 
@@ -57,6 +61,7 @@ class AllegroProperties:
     damping: float = 0.02
     friction: float = 0.005
     start: float = 0.4
+    closed: float = 1.6
     hot: float = 90.0
 
 
@@ -70,6 +75,10 @@ class _Joint:
     velocity: float = 0.0
     torque: float = 0.0
     obstacle: VirtualObject | None = None
+
+    @property
+    def position(self) -> float:
+        return self.angle
 
     def advance(self, dt: float, made: AllegroProperties) -> None:
         push = self.torque - made.damping * self.velocity
@@ -94,7 +103,7 @@ class _Joint:
         self.angle = angle
 
 
-class AllegroEmulator(Emulator):
+class AllegroEmulator(Emulator, Grasps):
     """The hand.
 
     Attributes:
@@ -156,6 +165,15 @@ class AllegroEmulator(Emulator):
         self.servo = False
         for joint in self.joints:
             joint.torque = 0.0
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the fingers close: all joints but the first of each, which turns it aside."""
+        closed = self.properties.closed
+        return [
+            Closing(joint, 0.0, closed, _STRONG)
+            for number, joint in enumerate(self.joints)
+            if number % (JOINTS // FINGERS)
+        ]
 
     def hold(self, joint: int, angle: float, stiffness: float = 8.0) -> None:
         """Put an object in a joint's way, met at an angle [rad]; stiffness in N·m/rad."""

@@ -7,7 +7,7 @@ reactions are those that its own objects (6007, 605E) ask for, as far as they ar
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -17,6 +17,7 @@ from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.cia301 import Abort, Emergency, NmtState
 from rtee.drivers.cia402.codec import Mode, Object, State, StatusBit
 from rtee.drivers.cia402.node import Entry, Node
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
 _TRANSITIONS = {
@@ -28,6 +29,9 @@ _TRANSITIONS = {
     (State.ENABLED, 0x07): State.SWITCHED_ON,
     (State.ENABLED, 0x06): State.READY,
 }
+
+_RATED = 1000.0
+"""The rated torque, in the unit of the drives' torques."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,7 @@ class DriveProperties:
         lower: Mechanical stop [counts].
         upper: Mechanical stop [counts].
         speed: Fastest speed [counts/s].
+        closed: Where it is when its fingers are closed, and open at 0, for objects [counts].
         following_error: Error at which it faults in cyclic mode [counts]; 0: never.
         homed: Whether it knows its position at power-up.
     """
@@ -67,6 +72,7 @@ class DriveProperties:
     lower: float = -1e9
     upper: float = 1e9
     speed: float = 40_000.0
+    closed: float = 40_000.0
     following_error: int = 0
     homed: bool = True
 
@@ -89,7 +95,7 @@ class Drive:
             lower=properties.lower,
             upper=properties.upper,
             max_velocity=properties.speed,
-            max_effort=1000.0,
+            max_effort=_RATED,
             time_constant=0.005,
             friction=40.0,
             resolution=0.5,
@@ -297,7 +303,7 @@ class Drive:
         node.set(Object.CURRENT, round(axis.effort))
 
 
-class Cia402Emulator(Emulator):
+class Cia402Emulator(Emulator, Grasps):
     """One or several drives on a CAN bus.
 
     Attributes:
@@ -355,6 +361,11 @@ class Cia402Emulator(Emulator):
             drive.node.inhibited = "silent" in self.faults
             kind = 401 if "wrong_device" in self.faults else self.properties.device_type
             drive.node.objects[Object.DEVICE_TYPE, 0].value = struct.pack("<I", 0x20000 | kind)
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the drives close."""
+        closed = self.properties.closed
+        return [Closing(d.axis, 0.0, closed, _RATED) for d in self.drives.values()]
 
     def hold(self, node: int, position: float, stiffness: float = 1.0, closing: int = 1) -> None:
         """Put an object in a drive's way [counts]; stiffness in 0.1 % of rated torque per count."""

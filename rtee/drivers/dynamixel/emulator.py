@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
@@ -21,7 +21,8 @@ from rtee.drivers.dynamixel.codec import (
     StatusPacket,
     fast_status,
 )
-from rtee.drivers.dynamixel.servo import Servo, ServoProperties
+from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
 _CLEAR_TURNS = b"\x01DXL\x22"
@@ -53,7 +54,7 @@ class LineProperties:
     fast: bool = True
 
 
-class DynamixelEmulator(Emulator):
+class DynamixelEmulator(Emulator, Grasps):
     """Servos on one line; all hear every instruction, each answers for itself.
 
     Attributes:
@@ -83,7 +84,13 @@ class DynamixelEmulator(Emulator):
         given = [dict(s) for s in servos.values()]
         defaults: dict[str, Any] = {}
         if given:
-            start = {s["id"]: {"start": s.get("zero", table.CENTER)} for s in given}
+            start = {
+                s["id"]: {
+                    "start": s.get("zero", table.CENTER),
+                    "closing": s.get("direction", 1) * QUARTER_TURN,
+                }
+                for s in given
+            }
             defaults = {"ids": tuple(s["id"] for s in given)}
             if "servo" not in (options.get("emulator") or {}):
                 defaults["special"] = start
@@ -127,6 +134,15 @@ class DynamixelEmulator(Emulator):
             servo.axis.stuck = "stuck" in self.faults
             model = 350 if "wrong_device" in self.faults else servo.properties.model
             servo.set(table.MODEL, model)
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the servos close: from where they stood at power-up."""
+        strongest = float(table.CURRENT_LIMIT.default)
+        return [
+            Closing(servo.axis, made.start, made.start + made.closing, strongest)
+            for servo in self._all
+            for made in [servo.properties]
+        ]
 
     def hold(self, number: int, position: float, stiffness: float = 5.0, closing: int = 1) -> None:
         """Put an object in a servo's way, met at a position [pulse]; stiffness in mA per pulse."""

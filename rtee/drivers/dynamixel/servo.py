@@ -10,6 +10,7 @@ from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import Error, Hardware
 from rtee.drivers.dynamixel.table import Mode, Register
 
+QUARTER_TURN = table.PULSES / 4.0
 _PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
 """Speed per count of a velocity [pulse/s]."""
 _FRICTION = 25.0
@@ -31,6 +32,7 @@ class ServoProperties:
         overload_time: Time at the current limit after which overload trips [s]; 0: never.
         lower: Mechanical stop [pulse].
         upper: Mechanical stop [pulse].
+        closing: Signed way from `start` to closed, as an object meets it [pulse].
     """
 
     model: int = 1200
@@ -42,6 +44,7 @@ class ServoProperties:
     overload_time: float = 0.0
     lower: float = -math.inf
     upper: float = math.inf
+    closing: float = QUARTER_TURN
 
 
 class Servo:

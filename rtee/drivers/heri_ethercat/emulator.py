@@ -25,6 +25,7 @@ from rtee.drivers.heri_ethercat.codec import (
     Order,
     Reply,
 )
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
 
@@ -100,7 +101,7 @@ class _Board:
         self.drive()
 
 
-class HeriEmulator(Emulator):
+class HeriEmulator(Emulator, Grasps):
     """The boards of one hand.
 
     Attributes:
@@ -152,6 +153,12 @@ class HeriEmulator(Emulator):
         for board in self.boards:
             for motor in board.motors:
                 motor.stuck = "stuck" in self.faults
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the motors close the fingers."""
+        made = self.properties
+        motors = [motor for board in self.boards for motor in board.motors]
+        return [Closing(motor, 0.0, made.upper, made.current) for motor in motors]
 
     def hold(self, motor: int, position: float, stiffness: float = 10.0) -> None:
         """Put an object in a motor's way [rad]; stiffness in A/rad."""

@@ -18,6 +18,7 @@ from rtee.buses.modbus_slave import (
     Refused,
 )
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.onrobot_3fg.codec import Control, Fingers, GripType, Status
 from rtee.drivers.properties import read_properties
 
@@ -48,7 +49,8 @@ class OnRobot3FGProperties:
         speed: Of the diameter [m/s].
         force_time: Time to build up the force after the contact [s].
         busy_ignores: While busy it ignores only ``grip``, or ``all`` commands but stop.
-        position: Raw diameter at power-up [m].
+        grip: Which way it closes on an object: ``external``, inwards, or ``internal``, outwards.
+        position: Raw diameter at power-up [m]; by default open for such a grip.
         product: Its product code.
         serial: Its serial number.
         haste: How much faster than the real one it moves.
@@ -63,13 +65,14 @@ class OnRobot3FGProperties:
     speed: float = 0.080
     force_time: float = 0.3
     busy_ignores: Literal["grip", "all"] = "grip"
-    position: float = 0.150
+    grip: Literal["external", "internal"] = "external"
+    position: float | None = None
     product: int = 0x70
     serial: str = "3FG15-EMULATED"
     haste: float = 1.0
 
 
-class OnRobot3FGEmulator(ModbusEmulator):
+class OnRobot3FGEmulator(ModbusEmulator, Grasps):
     """A 3FG15.
 
     Attributes:
@@ -88,7 +91,7 @@ class OnRobot3FGEmulator(ModbusEmulator):
         self.any_unit = False
         self.fingers = Fingers()
         self.axis = Axis(
-            made.position,
+            self._ends[0] if made.position is None else made.position,
             lower=made.smallest,
             upper=made.largest,
             max_velocity=made.speed,
@@ -107,7 +110,8 @@ class OnRobot3FGEmulator(ModbusEmulator):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
-        fitting = {k: options[k] for k in ("unit", "baudrate") if options.get(k) is not None}
+        names = ("unit", "baudrate", "grip")
+        fitting = {name: options[name] for name in names if options.get(name) is not None}
         port = str(options.get("port") or "tcp://")
         fitting["framing"] = "tcp" if port.startswith("tcp://") else "rtu"
         return cls(read_properties(OnRobot3FGProperties, options, **fitting))
@@ -123,6 +127,23 @@ class OnRobot3FGEmulator(ModbusEmulator):
         self._building = 0.0
         self.axis.target = self.axis.position
         self.axis.max_effort = _APPROACH_FORCE
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """The raw diameters when open and when closed [m]."""
+        made = self.properties
+        inwards = made.grip == "external"
+        return (made.largest, made.smallest) if inwards else (made.smallest, made.largest)
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the fingers close."""
+        return [Closing(self.axis, *self._ends, self.properties.force)]
+
+    def closure_at(self, width: float) -> float:
+        """Return how far the fingers are closed at a diameter of the object [m]."""
+        opened, closed = self._ends
+        tips = 2.0 * self.fingers.offset * (1.0 if self.properties.grip == "external" else -1.0)
+        return (width + tips - opened) / (closed - opened)
 
     def hold(self, diameter: float = 0.08, force: int = 500, stiffness: float = 4e4) -> None:
         """Grip an object of a diameter, as if another program had done so before."""

@@ -6,7 +6,7 @@ acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE, SET
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
@@ -69,7 +70,7 @@ class QbOptions:
         return self.limit - self.lower
 
 
-class QbSoftHandEmulator(Emulator):
+class QbSoftHandEmulator(Emulator, Grasps):
     """The hand: one or two motors with encoders in ticks.
 
     Attributes:
@@ -140,6 +141,11 @@ class QbSoftHandEmulator(Emulator):
     def _hamper(self) -> None:
         for axis in self.axes:
             axis.stuck = "stuck" in self.faults
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the motors close the fingers."""
+        made = self.options
+        return [Closing(axis, 0.0, made.limit, made.current_limit_ma) for axis in self.axes]
 
     def hold(self, closure: float, stiffness: float = 1.0) -> None:
         """Put an object between the fingers, met at a closure; stiffness in mA per tick."""

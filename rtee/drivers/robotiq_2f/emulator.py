@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 from rtee.drivers.robotiq_2f.codec import (
     INPUT,
@@ -73,7 +74,7 @@ class Robotiq2FProperties:
     functions: tuple[int, ...] = (3, 4, 6, 16, 23)
 
 
-class Robotiq2FEmulator(ModbusEmulator):
+class Robotiq2FEmulator(ModbusEmulator, Grasps):
     """A 2F-85, 2F-140 or Hand-E.
 
     Attributes:
@@ -141,6 +142,14 @@ class Robotiq2FEmulator(ModbusEmulator):
                 activate=True, go=True, position=round(self.axis.position), speed=255, force=255
             ).to_registers()
             self._apply(Command.from_registers(self.output))
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the fingers close."""
+        return [Closing(self.axis, self.axis.lower, self.axis.upper, self.model.force[1])]
+
+    def closure_at(self, width: float) -> float:
+        """Return how far the fingers are closed at a width [m]."""
+        return 1.0 - width / self.model.stroke
 
     def hold(self, count: int = 180, stiffness: float = 20.0, force: int = 128) -> None:
         """Close on an object met at ``count``, as if another program had gripped it before."""

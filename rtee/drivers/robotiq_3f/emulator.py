@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self
 from rtee.buses.modbus_frames import READ_INPUT
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 from rtee.drivers.robotiq_3f.codec import (
     COUNT,
@@ -64,7 +65,7 @@ class Robotiq3FProperties:
     haste: float = 1.0
 
 
-class Robotiq3FEmulator(ModbusEmulator):
+class Robotiq3FEmulator(ModbusEmulator, Grasps):
     """The three-finger gripper.
 
     Attributes:
@@ -122,6 +123,10 @@ class Robotiq3FEmulator(ModbusEmulator):
             self._take(
                 Command(activate=True, go=True, axes=(there[0], there[1], there[2], there[3]))
             )
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the fingers close; the scissor meets nothing."""
+        return [Closing(axis, _OPEN, axis.upper, self.scale.force[1]) for axis in self.axes[:3]]
 
     def hold(self, count: int = 150, stiffness: float = 10.0, force: int = 128) -> None:
         """Close on an object met at ``count``, as if another program had gripped it before."""

@@ -6,12 +6,13 @@ request's index, what a packet that comes too early does, which channels need th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import (
@@ -20,6 +21,8 @@ from rtee.drivers.schunk_svh.channels import (
     position_settings,
 )
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
+
+_ASIDE = ("Thumb_Opposition", "Finger_Spread")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +67,7 @@ class _Channel:
     current: codec.CurrentSettings
 
 
-class SchunkSvhEmulator(Emulator):
+class SchunkSvhEmulator(Emulator, Grasps):
     """The hand: nine axes behind cascaded controllers, and one reply to every packet.
 
     Attributes:
@@ -100,10 +103,14 @@ class SchunkSvhEmulator(Emulator):
 
     def power_cycle(self, now: float) -> None:
         """Begin anew: everything off, encoders at 0 where the fingers stand."""
-        closures = [self.options.start] * codec.CHANNELS
-        if self.channels:
+        closures, before = [self.options.start] * codec.CHANNELS, self.channels
+        if before:
             closures = [self.closure(index) for index in range(codec.CHANNELS)]
         self.channels = [self._channel(index, closures[index]) for index in range(codec.CHANNELS)]
+        for old, new in zip(before, self.channels, strict=False):
+            thing = old.axis.obstacle
+            if thing is not None:
+                new.axis.obstacle = replace(thing, contact=thing.contact - old.axis.position)
         self._state = ControllerState()
         self._fault = 0
         self._hot = 0
@@ -165,12 +172,27 @@ class SchunkSvhEmulator(Emulator):
         zero = spec.zero(self.stop_of(channel))
         return spec.to_rad(self.channels[channel].axis.position, zero) / spec.range
 
+    def closings(self) -> Sequence[Closing]:
+        """Return how the fingers close; spread and opposition meet nothing."""
+        return [
+            Closing(
+                channel.axis, self._at(index, 0.0), self._at(index, 1.0), channel.current.maximum
+            )
+            for index, channel in enumerate(self.channels)
+            if self.table[index].name not in _ASIDE
+        ]
+
+    def _at(self, channel: int, closure: float) -> float:
+        """Return where a channel is at a closure [ticks]."""
+        spec = self.table[channel]
+        return spec.zero(self.stop_of(channel)) + closure * spec.range / spec.rad_per_tick
+
     def hold(self, channel: int, closure: float, stiffness: float = 0.5) -> None:
         """Put an object in the way of a channel, met at a closure; stiffness in mA per tick."""
         spec = self.table[channel]
-        zero = spec.zero(self.stop_of(channel))
-        contact = zero + closure * spec.range / spec.rad_per_tick
-        self.channels[channel].axis.obstacle = VirtualObject(contact, stiffness, -spec.direction)
+        self.channels[channel].axis.obstacle = VirtualObject(
+            self._at(channel, closure), stiffness, -spec.direction
+        )
 
     def step(self, now: float) -> list[bytes]:
         """Let time pass; the hand says nothing unasked."""

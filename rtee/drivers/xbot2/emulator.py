@@ -6,12 +6,13 @@ as the real one interpolates them; the sign of an effort is an option of the dri
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import Command, Control, State
@@ -41,7 +42,7 @@ class ServerProperties:
     rate: float = 100.0
 
 
-class XBot2Emulator(Emulator):
+class XBot2Emulator(Emulator, Grasps):
     """The server.
 
     Attributes:
@@ -103,6 +104,11 @@ class XBot2Emulator(Emulator):
     def _hamper(self) -> None:
         for axis in self.axes.values():
             axis.stuck = "stuck" in self.faults
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the joints close."""
+        made = self.properties
+        return [Closing(axis, made.lower, made.upper, made.effort) for axis in self.axes.values()]
 
     def hold(self, joint: str, position: float, stiffness: float = 200.0) -> None:
         """Put an object in a joint's way, met at a position."""

@@ -1,0 +1,205 @@
+"""An object between the fingers of an emulated device: the same way for every device."""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
+
+from rtee.buses.emulator import Emulator
+from rtee.drivers.axis import VirtualObject
+from rtee.errors import ConfigError
+from rtee.types import DeviceSpec
+
+OPTION = "object"
+"""The property of every emulated device that puts an object between its fingers at the start."""
+
+STIFFNESS = 50.0
+"""Stiffness of an object that gives none."""
+
+WRITTEN = "0.4 (part of the way that the fingers close), 50mm (its width), or 50mm:20 (softer)"
+"""How an object is written, in words."""
+
+_PATTERN = re.compile(r"([0-9.eE+-]+)\s*(mm|cm|m)?\s*(?::\s*([0-9.eE+-]+))?")
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_SLACK = 0.02
+
+
+class Closes(Protocol):
+    """A motor of an emulated device that an object may stop."""
+
+    obstacle: VirtualObject | None
+
+    @property
+    def position(self) -> float:
+        """Where it is."""
+        ...
+
+
+class Closing(NamedTuple):
+    """How a motor closes on an object, in its own units.
+
+    Attributes:
+        motor: The motor.
+        opened: Where it is when the fingers are open.
+        closed: Where it is when they are closed.
+        effort: The greatest effort it can exert.
+    """
+
+    motor: Closes
+    opened: float
+    closed: float
+    effort: float
+
+    @property
+    def part(self) -> float:
+        """How far it is closed, 0 to 1."""
+        return (self.motor.position - self.opened) / (self.closed - self.opened)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectInHand:
+    """An object that fingers close on.
+
+    Attributes:
+        closure: Part of the way from open to closed at which it is met, 0 to 1, where no width is.
+        width: Its width [m], for devices whose fingers' distance is known.
+        stiffness: The device's greatest efforts that it takes to squeeze it through the whole way:
+            at 50, full effort presses the fingers 2 % of the way into it.
+    """
+
+    closure: float = 0.0
+    width: float | None = None
+    stiffness: float = STIFFNESS
+
+    @classmethod
+    def parse(cls, value: object) -> ObjectInHand:
+        """Read what a person wrote: ``0.4``, ``50mm``, ``0.05m``, ``50mm:20``.
+
+        Raises:
+            ConfigError: if it is none of these, or out of range.
+        """
+        found = None if isinstance(value, bool) else _PATTERN.fullmatch(str(value).strip())
+        try:
+            size, stiffness = (math.nan, 0.0) if found is None else _numbers(found)
+        except ValueError:
+            size, stiffness = math.nan, 0.0
+        if found is None or not math.isfinite(size) or not 0.1 <= stiffness <= 1e6:
+            raise ConfigError(
+                f"the object '{value}' cannot be read; an object is {WRITTEN}, its stiffness 0.1 "
+                "to 1e6"
+            )
+        unit = found[2]
+        if unit is not None:
+            return cls(width=size * _METRES[unit], stiffness=stiffness)
+        if not 0.0 <= size <= 1.0:
+            raise ConfigError(
+                f"an object is met after 0 to 1 of the way, not {size:g}; a width has a unit, such "
+                "as 50mm"
+            )
+        return cls(closure=size, stiffness=stiffness)
+
+
+def _numbers(found: re.Match[str]) -> tuple[float, float]:
+    return float(found[1]), STIFFNESS if found[3] is None else float(found[3])
+
+
+class Grasps(ABC):
+    """The part of an emulator that lets an object be put between its fingers, and taken away."""
+
+    @abstractmethod
+    def closings(self) -> Sequence[Closing]:
+        """Return the motors that close on an object, and how."""
+
+    def closure_at(self, width: float) -> float:
+        """Return the part of the way at which something of a width [m] is met.
+
+        Raises:
+            ConfigError: if the distance of this device's fingers is not known.
+        """
+        raise ConfigError(
+            "the distance between this device's fingers is not known; give the part of the way at "
+            "which they meet the object, 0 to 1"
+        )
+
+    def place(self, thing: ObjectInHand) -> None:
+        """Put an object between the fingers, in the place of one that is there.
+
+        Raises:
+            ConfigError: if it is too wide, or the fingers have closed further already.
+        """
+        at = thing.closure if thing.width is None else self.closure_at(thing.width)
+        if not 0.0 <= at <= 1.0:
+            width = 0.0 if thing.width is None else thing.width
+            raise ConfigError(f"an object {width * 1e3:g} mm wide is not between the fingers")
+        closings = self.closings()
+        if any(one.motor.obstacle is None and one.part > at + _SLACK for one in closings):
+            raise ConfigError("the fingers are closed further than that; open them first")
+        for one in closings:
+            way = one.closed - one.opened
+            one.motor.obstacle = VirtualObject(
+                one.opened + at * way,
+                thing.stiffness * one.effort / abs(way),
+                math.copysign(1.0, way),
+            )
+
+    def take_away(self) -> None:
+        """Take away what is between the fingers."""
+        for one in self.closings():
+            one.motor.obstacle = None
+
+
+def grasping(emulator: Emulator) -> Grasps:
+    """Return an emulator as one that an object can be put into.
+
+    Raises:
+        ConfigError: if nothing can be put between its fingers.
+    """
+    if not isinstance(emulator, Grasps):
+        raise ConfigError("nothing can be put between the fingers of this emulated device")
+    return emulator
+
+
+def between_fingers(hand: str, specs: Sequence[DeviceSpec], text: str) -> tuple[DeviceSpec, ...]:
+    """Return the emulated devices of a hand with an object between their fingers.
+
+    Args:
+        hand: The hand's name.
+        specs: Its devices.
+        text: The object, as a person wrote it.
+
+    Raises:
+        ConfigError: if it cannot be read, or none of them is emulated.
+    """
+    ObjectInHand.parse(text)
+    if not any(spec.emulated for spec in specs):
+        drivers = ", ".join(sorted({spec.driver for spec in specs}))
+        raise ConfigError(
+            f"no device of hand '{hand}' is emulated (driver {drivers}): an object needs --driver "
+            "devices --emulated, or --driver mujoco"
+        )
+
+    def holding(spec: DeviceSpec) -> DeviceSpec:
+        properties = {**(spec.options.get("emulator") or {}), OPTION: text}
+        return replace(spec, options={**spec.options, "emulator": properties})
+
+    return tuple(holding(spec) if spec.emulated else spec for spec in specs)
+
+
+def make_with_object(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
+    """Make an emulator from a driver's options, with the object they name between its fingers.
+
+    Raises:
+        ConfigError: if it cannot use the options.
+    """
+    properties = dict(options.get("emulator") or {})
+    given = properties.pop(OPTION, None)
+    if given is None:
+        return kind.from_options(options)
+    thing = ObjectInHand.parse(given)
+    made = kind.from_options({**options, "emulator": properties})
+    grasping(made).place(thing)
+    return made
