@@ -250,7 +250,7 @@ class ActionLibrary:
         self.version += 1
 
     def save(self, folder: Path | None = None) -> None:
-        """Write all actions to their files, each atomically; nothing is written that is equal.
+        """Write all actions to their files, or none; nothing is written that is equal.
 
         Args:
             folder: Where to, and from now on; ``None``: where they came from.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rtee.actions.build import uses_of
@@ -67,10 +67,10 @@ class Shelf:
             ActionError: if there is no folder, or it uses an action that is not stored.
             ConfigError: if the file cannot be written.
         """
-        from rtee.actions.store import write_primitives
+        from rtee.actions.store import primitive_changes
 
         if isinstance(action, Primitive):
-            write_primitives(self._home(), self.hand, index.primitives)
+            primitive_changes(self._home(), self.hand, index.primitives).write()
             return
         for use in uses_of(action):
             inner = index.find(use.action, use.elements, None)
@@ -81,16 +81,22 @@ class Shelf:
         self._write_custom([action])
 
     def write_all(self, index: Index) -> None:
-        """Write all actions to their files, each atomically; nothing is written that is equal.
+        """Write all actions to their files, or none; nothing is written that is equal.
 
         Raises:
             ActionError: if there is no folder.
             ConfigError: if a file cannot be written.
         """
-        from rtee.actions.store import write_primitives
+        from rtee.actions.store import Changes, custom_changes, primitive_changes
 
-        write_primitives(self._home(), self.hand, index.primitives)
-        self._write_custom(index.custom.values())
+        primitives = primitive_changes(self._home(), self.hand, index.primitives)
+        custom = custom_changes(self._home(), index.custom.values())
+        files = {**primitives.files, **custom.files}
+        Changes(files, primitives.gone, primitives.folders).write()
+        self._stored.update(
+            (normalise(action.name), action.name) for action in index.custom.values()
+        )
+        self._note()
 
     def delete(self, action: Action) -> None:
         """Delete an action's file, if it has one.
@@ -129,12 +135,11 @@ class Shelf:
             del self._stored[old]
             self._note()
 
-    def _write_custom(self, actions: Iterable[Action]) -> None:
-        from rtee.actions.store import write_custom
+    def _write_custom(self, actions: Sequence[Action]) -> None:
+        from rtee.actions.store import custom_changes
 
-        for action in actions:
-            write_custom(self._home(), action)
-            self._stored[normalise(action.name)] = action.name
+        custom_changes(self._home(), actions).write()
+        self._stored.update((normalise(action.name), action.name) for action in actions)
         self._note()
 
     def _home(self) -> Path:

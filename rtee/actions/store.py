@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,8 @@ from rtee.actions.schema import (
 from rtee.actions.types import Action, ActionKind, Primitive, PrimitiveKind, kind_of
 from rtee.actions.writing import custom_document, primitive_document
 from rtee.actions.yamltext import emit, read_canonical
-from rtee.errors import ActionError, ConfigError
-from rtee.hand.files import new_folder, reason, write_atomically, write_together
+from rtee.errors import ActionError
+from rtee.hand.files import reason, write_all
 from rtee.hand.model import Hand
 
 PRIMITIVES = "primitives"
@@ -124,56 +125,71 @@ def _primitive_path(folder: Path, name: str) -> Path:
     return folder / PRIMITIVES / f"{name}.yaml"
 
 
-def write_primitives(folder: Path, hand: Hand, primitives: Iterable[Primitive]) -> list[Path]:
-    """Write all primitives of a hand, one file per kind; files of kinds that are gone go too.
+@dataclass(frozen=True)
+class Changes:
+    """What is to change in a folder of actions.
 
-    The same primitives give the same text. Comments of people in the files are kept.
+    Attributes:
+        files: The files that are new or different, with their text.
+        gone: The files to delete.
+        folders: The folders that are there afterwards.
+    """
+
+    files: Mapping[Path, str]
+    gone: Sequence[Path] = ()
+    folders: Sequence[Path] = ()
+
+    def write(self) -> None:
+        """Write them: all, or none where the folder or disk does not allow one.
+
+        Raises:
+            ConfigError: if a file cannot be written.
+        """
+        write_all(self.files, folders=self.folders, gone=self.gone)
+
+
+def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive]) -> Changes:
+    """Return what is to change so that a folder holds these primitives, one file per kind.
+
+    The same primitives give the same text. Comments of people in the files are kept; files of
+    kinds that are gone go too.
 
     Args:
         folder: The hand's folder of actions.
         hand: The hand.
         primitives: All its primitives.
 
-    Returns:
-        The files.
-
     Raises:
-        ConfigError: if a file cannot be written.
+        ActionError: if a file that is there cannot be read.
     """
     from rtee.actions.index import Index
 
     named: dict[str, list[Primitive]] = {}
     for primitive in Index(hand, tuple(primitives)).primitives:
         named.setdefault(primitive.name, []).append(primitive)
-    changed: dict[Path, str | bytes] = {}
-    kept = []
+    changed: dict[Path, str] = {}
+    kept = set()
     for name, members in named.items():
         path = _primitive_path(folder, name)
-        text = _text(path, primitive_document(members), (f"{name}: {_COMMENTS[members[0].kind]}.",))
-        if text is not None:
-            changed[path] = text
-        kept.append(path)
-    with new_folder(folder / PRIMITIVES) as room:
-        write_together(changed)
-        for path in _files(room):
-            if path not in kept:
-                _unlink(path)
-    return kept
+        comment = f"{name}: {_COMMENTS[members[0].kind]}."
+        changed |= _change(path, primitive_document(members), (comment,))
+        kept.add(path)
+    room = folder / PRIMITIVES
+    return Changes(changed, [path for path in _files(room) if path not in kept], [room])
 
 
-def write_custom(folder: Path, action: Action) -> Path:
-    """Write a composed, timed or generic action to its file; comments in it are kept.
+def custom_changes(folder: Path, actions: Iterable[Action]) -> Changes:
+    """Return what is to change so that a folder holds these composed, timed or generic actions.
 
-    Returns:
-        The file.
+    Comments in their files are kept.
 
     Raises:
-        ConfigError: if it cannot be written.
+        ActionError: if a file that is there cannot be read.
     """
-    path = _custom_path(folder, action)
-    with new_folder(path.parent):
-        _write(path, custom_document(action))
-    return path
+    changed: dict[Path, str] = {}
+    for action in actions:
+        changed |= _change(_custom_path(folder, action), custom_document(action))
+    return Changes(changed)
 
 
 def delete_custom(folder: Path, action: Action) -> None:
@@ -182,7 +198,7 @@ def delete_custom(folder: Path, action: Action) -> None:
     Raises:
         ConfigError: if it cannot be deleted.
     """
-    _unlink(_custom_path(folder, action))
+    write_all({}, gone=[_custom_path(folder, action)])
 
 
 def _custom_path(folder: Path, action: Action) -> Path:
@@ -191,29 +207,16 @@ def _custom_path(folder: Path, action: Action) -> Path:
     return next(same, room / f"{action.name}.yaml")
 
 
-def _unlink(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise ConfigError(f"cannot be deleted: {reason(error)}", path=path) from None
-
-
-def _write(path: Path, data: dict[str, Any]) -> None:
-    text = _text(path, data)
-    if text is not None:
-        write_atomically(path, text)
-
-
-def _text(path: Path, data: dict[str, Any], comments: Sequence[str] = ()) -> str | None:
-    """Return the new text of a file, comments kept; ``None`` if it is the same."""
+def _change(path: Path, data: dict[str, Any], comments: Sequence[str] = ()) -> dict[Path, str]:
+    """Return a file with its new text, comments kept; nothing if it is the same."""
     text = emit(data, comments)
     if path.exists():
         old = read_text(path)
         if old == text:
-            return None
+            return {}
         if read_canonical(old) is None or _header(old) != _header(text):
             text = rewritten(old, data) or text
-    return text
+    return {path: text}
 
 
 def _header(text: str) -> list[str]:

@@ -84,7 +84,7 @@ def extract(
     targets = [*([out] if out else []), *([folder / "actions"] if save and folder else [])]
     for target in targets:
         check_writable(target, folder=True)
-    if report is not None:
+    if report is not None and report.parent not in targets:
         check_writable(report)
     with _uncollected():
         model = _load(folder, urdf, srdf, package_dir or [])
@@ -92,12 +92,8 @@ def extract(
 
         with _progress() as progress:
             found = run(model, jobs=jobs, rank=rank.value, progress=progress)
-    if report is not None:
-        _report(report, model, found, folder, jobs)
-    for target in targets:
-        from rtee.actions.store import write_primitives
-
-        write_primitives(target, model, found.primitives)
+    page = {} if report is None else {report: _report(model, found, folder, jobs)}
+    _write(targets, page, model, found)
     if as_json:
         from rtee.actions.describe import describe
 
@@ -110,15 +106,29 @@ def extract(
         print(note, file=sys.stdout if sys.stdout.isatty() else sys.stderr)
 
 
-def _report(path: Path, hand: HandModel, found: Extraction, folder: Path | None, jobs: int) -> None:
+def _write(targets: list[Path], files: dict[Path, str], hand: HandModel, found: Extraction) -> None:
+    """Write the primitives to some folders, and other files: all of it or nothing."""
+    if not (targets or files):
+        return
+    from rtee.actions.store import primitive_changes
+    from rtee.hand.files import write_all
+
+    changes = [primitive_changes(target, hand, found.primitives) for target in targets]
+    for change in changes:
+        files |= change.files
+    folders = [folder for change in changes for folder in change.folders]
+    write_all(files, folders=folders, gone=[path for c in changes for path in c.gone])
+
+
+def _report(hand: HandModel, found: Extraction, folder: Path | None, jobs: int) -> str:
     from rtee.actions.library import ActionLibrary
-    from rtee.extract.report import write_report
+    from rtee.extract.report import make_report
 
     custom = ActionLibrary.load(hand, folder / "actions") if folder is not None else None
     tried, notes = _tried(folder)
     found = replace(found, notes=(*found.notes, *notes))
     with _progress("taking pictures") as progress:
-        write_report(path, hand, found, custom, trials=tried, jobs=jobs, progress=progress)
+        return make_report(hand, found, custom, trials=tried, jobs=jobs, progress=progress)
 
 
 def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,13 +18,11 @@ from rtee.actions.types import (
     PrimitiveKind,
     Timed,
 )
-from rtee.errors import ConfigError
 from rtee.extract.jobs import processors, spread
 from rtee.extract.report_image import Contact
 from rtee.extract.report_page import CLOSE_SHARE, Card, Section, Shot, page
 from rtee.extract.report_pictures import SIZE, Studio
 from rtee.extract.report_trials import Tried, section
-from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
@@ -56,8 +53,7 @@ class _View:
     tips: tuple[str, ...] = ()
 
 
-def write_report(
-    path: Path | str,
+def make_report(
     hand: Hand,
     extraction: Extraction,
     actions: Iterable[Action] | None = None,
@@ -66,11 +62,10 @@ def write_report(
     size: tuple[int, int] = SIZE,
     jobs: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> None:
-    """Write the report of a hand.
+) -> str:
+    """Return the report of a hand, a page of HTML.
 
     Args:
-        path: The HTML file to write.
         hand: The hand.
         extraction: What was extracted from it.
         actions: Its actions (a library is some), for the composed, timed and generic ones.
@@ -80,11 +75,9 @@ def write_report(
         progress: Called with the pictures taken and those there are.
 
     Raises:
-        ConfigError: The file cannot be written, or the extra ``plot`` is not installed.
+        ConfigError: The extra ``plot`` is not installed.
         ModelError: A mesh cannot be read.
     """
-    if not Path(path).parent.is_dir():
-        raise ConfigError("cannot be written: no such folder", path=path)
     sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}
     every = [view for plans in sections.values() for plan in plans for view in plan.views]
     studio = Studio(hand, size, postures=[view.u for view in every])
@@ -117,8 +110,7 @@ def write_report(
         for title, plans in sections.items()
     ]
     notes = (*hand.notes, *extraction.notes)
-    text = page(hand, shots[0].image, cards, notes, extraction.seconds, section(trials))
-    write_atomically(path, text)
+    return page(hand, shots[0].image, cards, notes, extraction.seconds, section(trials))
 
 
 def _shot(studio: Studio, view: _View) -> Shot:

@@ -6,7 +6,7 @@ import contextlib
 import errno
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -114,6 +114,33 @@ def new_folder(path: Path | str) -> Iterator[Path]:
             with contextlib.suppress(OSError):
                 each.rmdir()
         raise
+
+
+def write_all(
+    files: Mapping[Path, str | bytes],
+    *,
+    folders: Iterable[Path] = (),
+    gone: Iterable[Path] = (),
+) -> None:
+    """Write several files as `write_together` does, make their folders, and delete others.
+
+    Args:
+        files: What to write where.
+        folders: Folders to make even if no file goes there.
+        gone: Files to delete once the others are written.
+
+    Raises:
+        ConfigError: Something cannot be written, and nothing has changed; or not be deleted.
+    """
+    with contextlib.ExitStack() as made:
+        for folder in sorted({*folders, *(path.parent for path in files)}):
+            made.enter_context(new_folder(folder))
+        write_together(files)
+    for path in gone:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise ConfigError(f"cannot be deleted: {reason(error)}", path=path) from None
 
 
 def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None) -> bytes:

@@ -30,6 +30,20 @@ _THICKNESS: Final = 1e-5
 """Half the thickness that a flat mesh gets [m]."""
 
 
+def _settle_boxes() -> None:
+    """Ask Coal about a box in a direction that has no zeros, before anything else does.
+
+    The first direction decides whether Coal stretches boxes by 1e-10, for as long as the process
+    lives; so results would depend on what came before.
+    """
+    askew = coal.Transform3s(pin.rpy.rpyToMatrix(0.3, 0.5, 0.7), np.array([3.0, 1.0, 2.0]))
+    here, request, result = coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult()
+    coal.distance(coal.Cylinder(1.0, 1.0), here, coal.Box(1.0, 1.0, 1.0), askew, request, result)
+
+
+_settle_boxes()
+
+
 class Shape:
     """One collision shape of a link.
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rtee.actions.build import StepPlan, generic
 from rtee.actions.library import ActionLibrary
-from rtee.actions.store import write_custom, write_primitives
+from rtee.actions.store import custom_changes, primitive_changes
 from rtee.actions.types import ActionReference, Composed, Evidence, Primitive
 from rtee.actions.yamltext import emit, read_canonical
 from rtee.errors import ActionError, RteeError
@@ -31,9 +31,10 @@ def test_everything_round_trips(library: ActionLibrary, tmp_path: Path) -> None:
 def test_text_is_deterministic(
     hand: Hand, primitives: tuple[Primitive, ...], tmp_path: Path
 ) -> None:
-    first = write_primitives(tmp_path / "a", hand, primitives)
-    second = write_primitives(tmp_path / "b", hand, reversed(primitives))
-    assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
+    first = primitive_changes(tmp_path, hand, primitives)
+    second = primitive_changes(tmp_path, hand, reversed(primitives))
+    assert len(first.files) == len({p.name for p in primitives})
+    assert first.files == second.files
 
 
 def test_numbers_are_stored_to_the_nanometre(library: ActionLibrary, tmp_path: Path) -> None:
@@ -49,8 +50,8 @@ def test_numbers_are_stored_to_the_nanometre(library: ActionLibrary, tmp_path: P
 def test_primitive_kinds_that_are_gone_lose_their_file(
     hand: Hand, primitives: tuple[Primitive, ...], tmp_path: Path
 ) -> None:
-    write_primitives(tmp_path, hand, primitives)
-    write_primitives(tmp_path, hand, [p for p in primitives if p.name == "Trig"])
+    primitive_changes(tmp_path, hand, primitives).write()
+    primitive_changes(tmp_path, hand, [p for p in primitives if p.name == "Trig"]).write()
     assert [p.name for p in (tmp_path / "primitives").iterdir()] == ["Trig.yaml"]
 
 
@@ -62,7 +63,8 @@ def test_equal_files_are_not_written_again(library: ActionLibrary, tmp_path: Pat
 
 
 def test_comments_survive_a_rewrite(library: ActionLibrary, tmp_path: Path) -> None:
-    path = write_custom(tmp_path, library.find("schunkGrasp"))
+    custom_changes(tmp_path, [library.find("schunkGrasp")]).write()
+    path = tmp_path / "composed" / "schunkGrasp.yaml"
     text = path.read_text()
     text = "# ours, made on Monday\n" + text.replace(
         "- action: Trig\n  elements: [thumb]",
@@ -72,7 +74,7 @@ def test_comments_survive_a_rewrite(library: ActionLibrary, tmp_path: Path) -> N
     grasp = library.find("schunkGrasp")
     assert isinstance(grasp, Composed)
     more = (replace(grasp.parts[0], scale=0.75), *grasp.parts[1:])
-    write_custom(tmp_path, replace(grasp, parts=more))
+    custom_changes(tmp_path, [replace(grasp, parts=more)]).write()
     expected = text.replace("scale: 1.0", "scale: 0.75", 1)
     assert path.read_text() == expected
 
@@ -80,7 +82,7 @@ def test_comments_survive_a_rewrite(library: ActionLibrary, tmp_path: Path) -> N
 def test_comments_in_primitives_survive_new_evidence(
     hand: Hand, primitives: tuple[Primitive, ...], tmp_path: Path
 ) -> None:
-    write_primitives(tmp_path, hand, primitives)
+    primitive_changes(tmp_path, hand, primitives).write()
     path = tmp_path / "primitives" / "PinchTight.yaml"
     path.write_text(path.read_text().replace("index_joint: 0.5", "index_joint: 0.5  # the best"))
     changed = [
@@ -88,7 +90,7 @@ def test_comments_in_primitives_survive_new_evidence(
         for p in primitives
         if p.elements != ("middle", "thumb")
     ]
-    write_primitives(tmp_path, hand, changed)
+    primitive_changes(tmp_path, hand, changed).write()
     text = path.read_text()
     assert "index_joint: 0.5  # the best" in text
     assert "depth: 0.5" in text
@@ -99,9 +101,10 @@ def test_comments_in_primitives_survive_new_evidence(
 def test_added_parts_keep_the_style(library: ActionLibrary, tmp_path: Path) -> None:
     grasp = library.find("schunkGrasp")
     assert isinstance(grasp, Composed)
-    path = write_custom(tmp_path, replace(grasp, parts=grasp.parts[:1]))
+    custom_changes(tmp_path, [replace(grasp, parts=grasp.parts[:1])]).write()
+    path = tmp_path / "composed" / "schunkGrasp.yaml"
     path.write_text(path.read_text() + "# the end\n")
-    write_custom(tmp_path, grasp)
+    custom_changes(tmp_path, [grasp]).write()
     assert "  elements: [thumb]\n  scale: 0.3\n" in path.read_text()
     assert "# the end" in path.read_text()
 

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 from extract.test_real_hands import extracted
 
-from rtee.actions.store import read_actions, write_primitives
+from rtee.actions.store import primitive_changes, read_actions
 from rtee.actions.types import Primitive
 from rtee.extract.extraction import extract
 from rtee.hand.load import load_hand
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
+STORED = [file.parent.name for file in CONFIG.glob("*/hand.yaml")]
 
 MEASURED = {
     "dagana": "dagana",
@@ -27,19 +28,19 @@ MEASURED = {
 }
 
 
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*.yaml"))}
-
-
 def kinds(primitives: Iterable[Primitive]) -> set[tuple[str, tuple[str, ...]]]:
     return {(p.name, tuple(sorted(p.elements))) for p in primitives}
 
 
-@pytest.mark.parametrize("name", ["dagana", "robotiq_2f_85", "robotiq_2f_140"])
-def test_found_again_they_are_the_same_files(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "jobs"), [(name, 1 + i % 2) for i, name in enumerate(sorted(STORED))]
+)
+def test_found_again_they_are_the_same_files(name: str, jobs: int, tmp_path: Path) -> None:
     hand = load_hand(CONFIG / name)
-    write_primitives(tmp_path, hand, extract(hand).primitives)
-    assert files(tmp_path / "primitives") == files(CONFIG / name / "actions" / "primitives")
+    changes = primitive_changes(tmp_path, hand, extract(hand, jobs=jobs).primitives)
+    stored = CONFIG / name / "actions" / "primitives"
+    found = {path.name: text for path, text in changes.files.items()}
+    assert found == {path.name: path.read_text() for path in stored.glob("*.yaml")}
 
 
 @pytest.mark.parametrize(("name", "measured"), MEASURED.items())
