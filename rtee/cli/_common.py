@@ -119,23 +119,17 @@ def hand_folder(name: str | None) -> Path:
     Raises:
         ConfigError: if there is no such hand, or several and none is given.
     """
-    from rtee.hand.catalog import FILE_NAME, find_hand, hand_names
+    from rtee.hand.catalog import hand_names
+    from rtee.hand.load import hand_folder as find_folder
 
     if name is None:
         names = hand_names()
-        if len(names) == 1:
-            return find_hand(names[0])
-        raise ConfigError(
-            f"which hand? give --hand or set {HAND_VARIABLE}; there are: {', '.join(names)}"
-        )
-    path = Path(name)
-    if path.name == FILE_NAME and path.is_file():
-        return path.parent
-    if (path / FILE_NAME).is_file():
-        return path
-    if os.sep in name:
-        raise ConfigError("is no folder of a hand: it holds no hand.yaml", path=path)
-    return find_hand(name)
+        if len(names) != 1:
+            raise ConfigError(
+                f"which hand? give --hand or set {HAND_VARIABLE}; there are: {', '.join(names)}"
+            )
+        name = names[0]
+    return find_folder(name)[0]
 
 
 def actions_of(name: str | None) -> ActionLibrary:

@@ -38,8 +38,9 @@ def _print(made: NewHand) -> None:
     for finger, reason in zip(hand.fingers, made.reasons, strict=True):
         print(f"\nfinger {reason}\n  tip: {finger.tip or 'none'}")
         print(f"  moved by: {', '.join(finger.actuators) or 'nothing'}")
-    # By its name a hand is found in ./config only.
-    known = hand.name if made.folder.parent == Path("config") else str(made.folder)
+    # By its name a hand is found in ./config and here only.
+    near = made.folder.parent in (Path("config"), Path())
+    known = hand.name if near else str(made.folder)
     print()
     for note in made.notes:
         print(f"note: {note}")

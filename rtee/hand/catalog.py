@@ -17,8 +17,8 @@ FILE_NAME: Final = "hand.yaml"
 def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     """Return the folders that hold hands, those that take precedence first.
 
-    They are ``extra``, those in ``RTEE_CONFIG_PATH``, ``./config``, and the ones that came with
-    rtee.
+    They are ``extra``, those in ``RTEE_CONFIG_PATH``, ``./config``, the ones that came with rtee,
+    and at last the folder one works in, where nothing takes the place of a hand known elsewhere.
     """
     candidates = [Path(folder) for folder in extra]
     candidates += [Path(p) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
@@ -26,6 +26,7 @@ def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     candidates += [Path("config"), package / "_config"]
     if (package.parent / "pyproject.toml").is_file():
         candidates.append(package.parent / "config")
+    candidates.append(Path())
     found: dict[Path, Path] = {}
     for folder in candidates:
         if folder.is_dir():

@@ -108,14 +108,14 @@ def hand_folder(
     path = Path(name_or_path)
     file = path / FILE_NAME if path.is_dir() else path
     if not file.is_file():
-        raise ConfigError(f"{FILE_NAME} does not exist", path=file)
+        raise ConfigError(f"is no folder of a hand: it holds no {FILE_NAME}", path=path)
     return file.parent, file
 
 
 def _is_path(name_or_path: str | Path) -> bool:
     if isinstance(name_or_path, Path):
         return True
-    return "/" in name_or_path or name_or_path.endswith((".yaml", ".yml"))
+    return "/" in name_or_path or name_or_path.endswith((".", ".yaml", ".yml"))
 
 
 def _beside(folder: Path, name: str, key: str, document: YamlDocument) -> Path:
