@@ -12,21 +12,28 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from rtee.log import read
+from rtee.log.recording import Recording, outcome_of
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LOGS = REPOSITORY / "logs" / "demo"
 RTEE = str(Path(sys.executable).with_name("rtee"))
 
 GRIPPERS = (
-    ("robotiq_2f_85", ("finger_1", "finger_2"), "Modbus RTU, 115200 baud"),
-    ("qb_softhand", ("thumb", "index"), "its serial protocol, 2 Mbaud"),
-    ("onrobot_3fg15", ("finger_1", "finger_2"), "Modbus TCP"),
+    ("robotiq_2f_85", ("finger_1", "finger_2"), "50mm", "Modbus RTU, 115200 baud"),
+    ("qb_softhand", ("thumb", "index"), "0.4", "its serial protocol, 2 Mbaud"),
+    ("onrobot_3fg15", ("finger_1", "finger_2"), "50mm", "Modbus TCP"),
 )
-"""The three devices of the paper's Fig. 12, two fingers of each, and the wire it is emulated on."""
+"""The three devices of the paper's Fig. 12, two fingers of each, what is between them (its width,
+or where it is met on the way), and the wire it is emulated on."""
+
+HELD = 3.1
+"""How long objects are held at least [s]; the effort is eased off meanwhile."""
 
 
 def title(text: str) -> None:
@@ -44,23 +51,23 @@ def rtee(*arguments: str) -> None:
 
 @contextmanager
 def running(hand: str, *options: str) -> Iterator[None]:
-    """Run a hand in the background for as long as the context lasts."""
+    """Run a hand in the background for as long as the context lasts; see `wait_for` it."""
     arguments = ("run", hand, "--log", str(LOGS.relative_to(REPOSITORY)), *options)
     print(f"\033[2m$ rtee {' '.join(arguments)} &\033[0m", flush=True)
     process = subprocess.Popen([RTEE, *arguments], cwd=REPOSITORY)
     try:
-        _wait_until_up(hand, process)
         yield
     finally:
         process.send_signal(signal.SIGTERM)
         process.wait(10)
 
 
-def _wait_until_up(hand: str, process: subprocess.Popen[bytes]) -> None:
+def wait_for(hand: str) -> None:
+    """Wait until a hand runs."""
     deadline = time.monotonic() + 20.0
     ask = [RTEE, "state", "--hand", hand, "--once"]
     while subprocess.run(ask, cwd=REPOSITORY, capture_output=True, check=False).returncode:
-        if process.poll() is not None or time.monotonic() > deadline:
+        if time.monotonic() > deadline:
             sys.exit(f"'{hand}' did not start")
         time.sleep(0.2)
 
@@ -82,6 +89,7 @@ def online() -> None:
     """Goals from another process, progress bars, a recording that replays."""
     title("Grasping actions, executed by the 1 kHz loop from another process")
     with running("schunk_svh"):
+        wait_for("schunk_svh")
         hand = ("--hand", "schunk_svh")
         rtee("do", "PinchTight", "index", "thumb", "--intensity", "0.6", *hand)
         rtee("do", "Trig", "middle", *hand)
@@ -90,6 +98,7 @@ def online() -> None:
         rtee("status", *hand)
     title("A timed action: each inner action has its own bar")
     with running("robotiq_3f"):
+        wait_for("robotiq_3f")
         rtee("do", "timed_wide_grasp", "--hand", "robotiq_3f")
         rtee("open", "--hand", "robotiq_3f")
     title("The recording: what happened, replayed bit for bit, plotted")
@@ -100,23 +109,43 @@ def online() -> None:
 
 
 def emulated() -> None:
-    """Real drivers, real bytes, emulated devices, the same actions."""
-    for hand, fingers, wire in GRIPPERS:
-        title(f"{hand}: the real driver against its emulator ({wire})")
-        with running(hand, "--driver", "devices", "--emulated"):
-            # Activating a real gripper closes and opens it once, so that is always asked for.
-            rtee("recover", "--hand", hand)
-            rtee("do", "PinchTight", *fingers, "--intensity", "0.6", "--hand", hand)
-            rtee("do", "Grasp", "--hand", hand)
+    """Real drivers, real bytes, emulated devices that hold something, the same primitive."""
+    title("Three grippers on emulated wires, something between the fingers of each")
+    for hand, _, thing, wire in GRIPPERS:
+        print(f"  {hand:<14} on {wire}; between the fingers: {thing}")
+    with ExitStack() as grippers:
+        for hand, _, thing, _ in GRIPPERS:
+            grippers.enter_context(running(hand, "--emulated", "--object", thing))
+        for hand, fingers, *_ in GRIPPERS:
+            wait_for(hand)
+            rtee("do", "PinchTight", *fingers, "--hand", hand)
+        print(f"(holding for {HELD:g} s)", flush=True)
+        time.sleep(HELD)
+        for hand, *_ in GRIPPERS:
             rtee("open", "--hand", hand)
-    title("The same actions on three devices, as their recordings tell")
+    title("The same primitive on three devices, as their recordings tell")
     for hand, *_ in GRIPPERS:
         recording = read(REPOSITORY / newest(hand))
+        grasp, opened = (entry.value for entry in recording.results[-2:])
         print(f"  {hand:<14} {newest(hand)}")
-        for entry in recording.results:
-            result = entry.value
-            how = [name for name in ("reached", "stalled", "grasped") if getattr(result, name)]
-            print(f"    {result.action:<12} {' and '.join(how):<20} {result.duration:5.2f} s")
+        print(
+            f"    {grasp.action:<11}{outcome_of(grasp)} by {', '.join(grasp.grasped_fingers)} "
+            f"after {grasp.duration:.2f} s; {held(recording)}"
+        )
+        print(f"    {opened.action:<11}{outcome_of(opened)} after {opened.duration:.2f} s")
+
+
+def held(recording: Recording) -> str:
+    """Tell how hard the device held the object, at first and in the end."""
+    measured = recording.actuator_states
+    closed, opening = recording.results[-2].t, recording.goals[-1].t
+    what, values, unit = "effort", measured.effort, "N·m"
+    if np.isnan(values).all():
+        what, values, unit = "current", measured.current, "A"
+    during = np.abs(values[(measured.t > closed) & (measured.t < opening), 0])
+    lost = any(entry.value.kind == "grasp_lost" for entry in recording.events)
+    still = "lost" if lost else "still held"
+    return f"{what} {np.nanmax(during):.2f}, then {during[-1]:.2f} {unit}, {still}"
 
 
 def main() -> None:

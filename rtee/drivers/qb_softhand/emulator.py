@@ -40,6 +40,7 @@ class QbOptions:
         speed: Of a motor [ticks/s].
         current_limit_ma: Of a motor [mA].
         friction_ma: Current of a motor that moves freely [mA].
+        gain_ma: Current per tick between reference and position [mA]; no document tells it.
         turnaround: Time between a request and its answer [s]; a USB adapter's latency, mostly.
         text: Its information text.
     """
@@ -56,6 +57,7 @@ class QbOptions:
     speed: float = 25_000.0
     current_limit_ma: float = 1500.0
     friction_ma: float = 120.0
+    gain_ma: float = 0.25
     turnaround: float = codec.TURNAROUND
     text: str = "Firmware: SoftHand (emulated)\r\nMotor control: position\r\n"
 
@@ -96,6 +98,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
                 upper=made.upper,
                 max_velocity=made.speed,
                 max_effort=made.current_limit_ma,
+                gain=made.gain_ma,
                 friction=made.friction_ma,
                 resolution=0.5,
             )
