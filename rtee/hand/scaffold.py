@@ -15,7 +15,7 @@ from xml.sax.saxutils import quoteattr
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.discovery import finger_names
-from rtee.hand.files import make_folder, read_bytes, reason, write_atomically
+from rtee.hand.files import make_folder, new_folder, read_bytes, reason, write_atomically
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Finger, Hand
@@ -90,22 +90,31 @@ def make_hand(
             "there is only one finger; if a fixed part acts as another, add a group for it to the "
             "SRDF"
         )
-    make_folder(into)
+    with new_folder(into):
+        notes += _make(target, hand, srdf, pairs)
+    reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
+    return NewHand(target, load_hand(target), reasons, pairs, tuple(notes))
+
+
+def _make(
+    target: Path, hand: Hand, srdf: Path | str | None, pairs: Sequence[TouchingPair]
+) -> list[str]:
+    """Make a hand's folder under another name and give it its own once it is whole."""
+    into = target.parent
     try:
-        scratch = Path(tempfile.mkdtemp(prefix=f".{name[:40]}.", dir=into))
+        scratch = Path(tempfile.mkdtemp(prefix=f".{hand.name[:40]}.", dir=into))
         try:
-            notes += _fill(scratch, hand, srdf, pairs)
+            notes = _fill(scratch, hand, srdf, pairs)
             load_hand(scratch)
             os.chmod(scratch, 0o777 & ~_umask())
-            write_atomically(Path(into) / SCHEMA_FILE, schema_text())
+            write_atomically(into / SCHEMA_FILE, schema_text())
             scratch.rename(target)
         except BaseException:
             shutil.rmtree(scratch, ignore_errors=True)
             raise
     except OSError as error:
         raise ConfigError(f"cannot be made: {reason(error)}", path=target) from error
-    reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
-    return NewHand(target, load_hand(target), reasons, pairs, tuple(notes))
+    return notes
 
 
 def without_linkages(

@@ -311,6 +311,25 @@ def test_a_full_disk(home: Path, refused: Run) -> None:
         assert "cannot be written: file too large" in said
         assert "cannot be" in refused("new", "other", "--urdf", home / "gripper.urdf")
         refused("extract", "gripper", "--out", "deep/out")
+        urdf = home / "gripper.urdf"
+        assert "cannot be" in refused("new", "other", "--urdf", urdf, "--into", "deep/hands")
+    with small_files(20_000):  # the primitives would fit, the page would not
+        both = ("--out", "out", "--save", "--report", "page.html")
+        assert "page.html: cannot be written: file too large" in refused(
+            "extract", "gripper", *both
+        )
+
+
+def test_a_disk_that_is_full_while_actions_are_imported(home: Path, refused: Run) -> None:
+    theirs = Path("theirs")
+    theirs.mkdir()
+    body = "  Type: 1\n  JointsInvolvedCount: {left: 1}\n  JointPos: {left: [0.2]}\n"
+    (theirs / "a.yaml").write_text(f"a:\n{body}")
+    (theirs / "b.yaml").write_text(f"{'b' * 90}:\n{body}")
+    for where in ([], ["--out", "deep/out"]):
+        with small_files(100):
+            said = refused("import", "theirs", "--hand", "gripper", *where)
+        assert "cannot be written: file too large" in said
 
 
 def test_a_folder_that_is_read_only(home: Path, tmp_path: Path) -> None:

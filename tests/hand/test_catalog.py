@@ -2,14 +2,17 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from rtee.cli._common import hand_folder
 from rtee.errors import ConfigError
 from rtee.hand.catalog import config_dirs, find_hand, hand_names
+from rtee.hand.load import load_hand
 
 
 def test_folders_in_order(
@@ -28,6 +31,28 @@ def test_folders_in_order(
     assert find_hand("gripper", [second]) == second / "gripper"
     assert find_hand("claw") == second / "claw"
     assert {"claw", "gripper"} <= set(hand_names())
+
+
+def test_a_hand_where_one_works_comes_last(
+    configured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(configured)
+    assert find_hand("gripper") == Path("gripper")
+    assert load_hand("gripper").name == hand_folder("gripper").name
+    assert "gripper" in hand_names()
+    shutil.copytree("gripper", tmp_path / "first" / "gripper")
+    monkeypatch.setenv("RTEE_CONFIG_PATH", str(tmp_path / "first"))
+    assert find_hand("gripper") == tmp_path / "first" / "gripper"
+    assert hand_folder("./gripper") == Path("gripper")
+    monkeypatch.chdir("gripper")
+    assert hand_folder(".") == Path()
+
+
+@pytest.mark.parametrize("name", ["gripper/", "./gripper", "gripper.yaml", ".", ".."])
+def test_a_path_without_a_hand(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=r"is no folder of a hand: it holds no hand\.yaml"):
+        hand_folder(name)
 
 
 def test_unknown_hand(configured: Path) -> None:
