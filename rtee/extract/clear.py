@@ -169,10 +169,10 @@ class ClearSearch:
         """
         y = start
         for _ in range(self._patience.rounds):
-            hits = self._watch.near(self._posture(y)) or self._watch.at(self._posture(y))
+            hits = self._watch.near(self._posture(y)) or self._watch.nested(self._posture(y))
             if not hits:
                 better = self._creep(self._leap(y))
-                hits = [] if better is y else self._watch.at(self._posture(better))
+                hits = [] if better is y else self._watch.nested(self._posture(better))
                 if not hits:
                     return better
                 y = better

@@ -109,15 +109,19 @@ class Watch:
 
     def at(self, u: FloatArray) -> list[LinkPair]:
         """Return which links collide at a posture ``(n,)``."""
-        return self._touching(u, len(self.pairs))
+        return self._touching(u, 0, len(self.pairs))
 
     def near(self, u: FloatArray) -> list[LinkPair]:
         """Return which links collide at a posture, those left out that are nested at rest."""
-        return self._touching(u, len(self.pairs) - self._nested)
+        return self._touching(u, 0, len(self.pairs) - self._nested)
 
-    def _touching(self, u: FloatArray, count: int) -> list[LinkPair]:
+    def nested(self, u: FloatArray) -> list[LinkPair]:
+        """Return which links collide at a posture, of those that are nested at rest."""
+        return self._touching(u, len(self.pairs) - self._nested, len(self.pairs))
+
+    def _touching(self, u: FloatArray, begin: int, end: int) -> list[LinkPair]:
         self._scene.place(u)
-        close = np.flatnonzero(self._spheres.gaps()[:count] <= 0.0).tolist()
+        close = np.flatnonzero(self._spheres.gaps()[begin:end] <= 0.0) + begin
         return [self.pairs[c] for c in close if self._scene.touching(self.pairs[c])]
 
     def along(self, u: FloatArray) -> Blocked | None:

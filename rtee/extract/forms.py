@@ -25,10 +25,10 @@ class Forms:
     """The shapes of two links in one of their two forms, convex or exact.
 
     All couples of them, one of the first link and one of the second, are answered by one call.
-    Pinocchio keeps where Coal's last search of a couple ended as a guess for the next one, which
-    moves results in their last digits. Here every search begins from the same guess, so that
-    results depend on the posture alone. Coal's own default does that for primitives; for meshes it
-    must be given anew each time.
+    Coal can keep where its last search of a couple ended as a guess for the next one, which moves
+    results in their last digits. Here every search begins from the same guess, so that results
+    depend on the posture alone. Coal's own default does that for convex shapes; for meshes as given
+    it must be set anew each time.
 
     Attributes:
         couples: Indices of the couples' shapes in the scene.
@@ -61,7 +61,7 @@ class Forms:
         for i in (*first, *second):
             shape = shapes[i]
             form = shape.convex if convex else shape.exact
-            self._guided |= not isinstance(form, _PRIMITIVES)
+            self._guided |= not (convex or isinstance(form, _PRIMITIVES))
             placed = pin.GeometryObject(str(i), shape.body, shape.placement, form)
             number[i] = self._model.addGeometryObject(placed)
         for i, j in self.couples:
@@ -77,7 +77,7 @@ class Forms:
             self._data.collisionRequests[k] = collision
         self._distances = list(self._data.distanceRequests)
         self._collisions = list(self._data.collisionRequests)
-        self.results: Any = self._data.distanceResults
+        self.results: Any = list(self._data.distanceResults)
         self._measured = self._placed = -1
         self._least = (0.0, 0)
 

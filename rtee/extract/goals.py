@@ -130,6 +130,7 @@ class MultiPinch:
 
     The value is minus the sum of all depths, plus a pull on the gaps of the shortest spanning tree,
     so that the tips stay or become linked, plus a push on contacts with tips that take no part.
+    Most of these are never met; only those that were are measured and pushed.
     """
 
     def __init__(
@@ -152,6 +153,15 @@ class MultiPinch:
         self._links = links
         self._ends = [link.ends for link in links]
         self._strangers = strangers
+        self._met: list[LinkPair] = []
+
+    def meet(self) -> bool:
+        """Return whether tips that take no part overlap others for the first time."""
+        known = {pair.number for pair in self._met}
+        new = [pair for pair in self._strangers if pair.number not in known]
+        new = [pair for pair in new if self._scene.distance(pair) < 0.0]
+        self._met += new
+        return bool(new)
 
     def value(self) -> float:
         """Return the value [m]."""
@@ -159,7 +169,7 @@ class MultiPinch:
         tree = spanning_tree(self._size, self._ends, gaps)
         value = sum(min(gap, 0.0) for gap in gaps)
         value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in tree)
-        for pair in self._strangers:
+        for pair in self._met:
             value += _PULL * max(0.0, -self._scene.distance(pair))
         return value
 
@@ -175,7 +185,7 @@ class MultiPinch:
             if weight:
                 value += min(gap, 0.0) + pull * (gap + _MARGIN)
                 slope += weight * scene.derivative(link.tips, space)
-        for pair in self._strangers:
+        for pair in self._met:
             gap = scene.distance(pair)
             if gap < 0.0:
                 value -= _PULL * gap

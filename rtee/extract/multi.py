@@ -55,10 +55,9 @@ class MultiSearch:
         space = make_space(self._hand, sorted(moving), real_limits(self._hand))
         strangers = self._strangers(moving)
         goal = MultiPinch(self.inspector.scene, len(self.fingers), links, strangers)
-        function = Placed(self.inspector.scene, goal, space)
-        found = [m.y for m in minima(function, self._warm(space, links), SEVERAL)]
-        touching = stored(self.inspector, goal, space, found)
-        if not touching:
+        found = self._minima(goal, space, links)
+        touching = next(stored(self.inspector, goal, space, found), None)
+        if touching is None:
             return None
         involved = {self._hand.actuator_index(n) for f in self.fingers for n in f.actuators}
         watch = self.inspector.collisions.watch(
@@ -69,7 +68,7 @@ class MultiSearch:
         def candidate(u: FloatArray) -> Candidate:
             return Candidate(u, self.inspector.multi_pinch(u, names, links, watch))
 
-        candidates = [candidate(touching[0])]
+        candidates = [candidate(touching)]
         if not candidates[0].usable:
             patience = _THREE if len(self.fingers) == 3 else _MORE
             clear = clear_postures(self.inspector, goal, space, watch, found, patience)
@@ -81,6 +80,18 @@ class MultiSearch:
     @property
     def _hand(self) -> Hand:
         return self.inspector.scene.hand
+
+    def _minima(self, goal: MultiPinch, space: Space, links: Sequence[Link]) -> list[FloatArray]:
+        """Return coordinates of local minima, the deepest first; again where strangers are met."""
+        scene, warm = self.inspector.scene, self._warm(space, links)
+        while True:
+            found = [m.y for m in minima(Placed(scene, goal, space), warm, SEVERAL)]
+            met = False
+            for y in found:
+                scene.place(space.posture(y))
+                met |= goal.meet()
+            if not met:
+                return found
 
     def _links(self) -> list[Link]:
         scene, found = self.inspector.scene, []

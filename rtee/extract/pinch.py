@@ -66,9 +66,9 @@ class PinchSearch:
         found = minima(Placed(self._scene, Pinch(self._scene, self.tips), space))
         deep = [m.y for m in found if m.value <= 0.0]
         goal = Pinch(self._scene, self.tips)
-        touching = stored(self.inspector, goal, space, self._contacts(space, deep))
+        touching = tuple(stored(self.inspector, goal, space, self._contacts(space, deep)))
         if touching:
-            return Sight(PrimitiveKind.PINCH_TIGHT, tuple(deep), tuple(touching))
+            return Sight(PrimitiveKind.PINCH_TIGHT, tuple(deep), touching)
         if self._could_meet():
             closest = self._closest(space, [m.y for m in found])
             return Sight(PrimitiveKind.PINCH_LOOSE, (), (closest,))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rtee.extract.clear import ClearSearch, Patience
 from rtee.extract.collisions import Watch
@@ -15,8 +15,8 @@ from rtee.types import FloatArray
 
 def stored(
     inspector: Inspector, goal: Goal, space: Space, found: Sequence[FloatArray]
-) -> list[FloatArray]:
-    """Return those postures, rounded as they are stored, in which the tips touch as wanted.
+) -> Iterator[FloatArray]:
+    """Yield those postures, rounded as they are stored, in which the tips touch as wanted.
 
     Args:
         inspector: Measures postures.
@@ -24,13 +24,12 @@ def stored(
         space: The space that was searched.
         found: Coordinates ``(k,)`` in it.
     """
-    scene, result = inspector.scene, []
+    scene = inspector.scene
     for y in found:
         u = rounded(scene.hand, space.posture(y))
         scene.place(u)
         if goal.touching():
-            result.append(u)
-    return result
+            yield u
 
 
 def clear_postures(
@@ -59,7 +58,7 @@ def clear_postures(
     else:
         search = ClearSearch(inspector.scene, inspector.motion, goal, space, watch, patience)
         found = search.run(starts)
-    return stored(inspector, goal, space, found)
+    return list(stored(inspector, goal, space, found))
 
 
 def _free(inspector: Inspector, space: Space, watch: Watch) -> tuple[float, float]:
