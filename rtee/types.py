@@ -7,6 +7,7 @@ measured"; a reference never contains ``NaN``.
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -31,6 +32,14 @@ def _nothing() -> Mapping[str, Any]:
 def readonly(values: Sequence[float] | FloatArray) -> FloatArray:
     """Return ``values`` as a read-only float array of its own."""
     array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
+
+
+@functools.cache
+def _unmeasured(shape: tuple[int, ...]) -> FloatArray:
+    """Return the one read-only array of ``NaN`` for what devices do not measure."""
+    array = np.full(shape, np.nan)
     array.flags.writeable = False
     return array
 
@@ -185,7 +194,7 @@ class ActuatorState:
     ) -> ActuatorState:
         """Make a fresh state; what is left out counts as not measured (``NaN``)."""
         where = np.asarray(position, dtype=np.float64)
-        unmeasured = np.full(where.shape, np.nan)
+        unmeasured = _unmeasured(where.shape)
 
         def given(values: Sequence[float] | FloatArray | None) -> FloatArray:
             return unmeasured if values is None else np.asarray(values, dtype=np.float64)

@@ -46,6 +46,7 @@ class SerialBus(Bus):
         self._parser: Parser[Any] | None = None
         self._accept: Callable[[Any], bool] | None = None
         self._listener: Callable[[bytes], None] | None = None
+        self._timer: asyncio.TimerHandle | None = None
         self._pause = Pause()
         self._last = 0.0
 
@@ -77,47 +78,56 @@ class SerialBus(Bus):
         end = time.monotonic() + deadline
         errors = parser.errors
         received = 0
-        await self._take_line(deadline)
+        if self._lock.locked():
+            await self._wait_for_line(deadline)
+        else:
+            await self._lock.acquire()
+        counters = self.counters
         try:
             self.check()
-            self.counters.transactions += 1
-            before = self.counters.bytes_received
+            counters.transactions += 1
+            before = counters.bytes_received
             for attempt in range(retries + 1):
                 if attempt:
-                    self.counters.retries += 1
+                    counters.retries += 1
                 share = (end - time.monotonic()) / (retries + 1 - attempt)
                 if share <= 0.0:
                     break
-                frame, answered = await self._attempt(request, parser, share, accept)
-                if answered:
+                if self.gap:
+                    await self._pause.until(self._last + self.gap)
+                try:
+                    frame = await self._ask(request, parser, share, accept)
+                finally:
+                    self._asked()
+                if frame is not _NOTHING:
                     return cast("F", frame)
-                self.counters.timeouts += 1
-            received = self.counters.bytes_received - before
+                counters.timeouts += 1
+            received = counters.bytes_received - before
         finally:
-            self.counters.checksum_errors += parser.errors - errors
+            counters.checksum_errors += parser.errors - errors
             self._lock.release()
         if received:
             raise FrameError(self.name, f"{received} bytes but no valid answer in {deadline:.3f} s")
         raise BusTimeout(self.name, f"no answer within {deadline:.3f} s")
 
-    async def _attempt(
+    def _ask(
         self, request: bytes, parser: Parser[F], share: float, accept: Callable[[F], bool] | None
-    ) -> tuple[Any, bool]:
+    ) -> asyncio.Future[Any]:
+        """Send a request and return what its answer will be, `_NOTHING` when the time is up."""
         parser.reset()
         loop = asyncio.get_running_loop()
         answer: asyncio.Future[Any] = loop.create_future()
-        if self.gap:
-            await self._pause.until(self._last + self.gap)
         self._answer, self._parser, self._accept = answer, parser, accept
-        # One timer instead of asyncio.timeout: this is done in every cycle.
-        timer = loop.call_later(share, _give_up, answer)
-        try:
-            self._write(request)
-            frame = await answer
-            return frame, frame is not _NOTHING
-        finally:
-            timer.cancel()
-            self._answer = self._parser = self._accept = None
+        self._write(request)
+        # One timer instead of asyncio.timeout, and after the request: this is done in every cycle.
+        self._timer = loop.call_later(share, _give_up, answer)
+        return answer
+
+    def _asked(self) -> None:
+        self._answer = self._parser = self._accept = None
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
 
     async def send(self, data: bytes, deadline: float = 0.1) -> None:
         """Send bytes that nothing answers.
@@ -127,7 +137,12 @@ class SerialBus(Bus):
             BusBroken: if the link is broken.
             BusClosed: if the bus is closed.
         """
-        await self._take_line(deadline)
+        if not self._lock.locked() and not self.gap:
+            self.check()
+            self.counters.transactions += 1
+            self._write(data)
+            return
+        await self._wait_for_line(deadline)
         try:
             self.check()
             self.counters.transactions += 1
@@ -137,10 +152,7 @@ class SerialBus(Bus):
         finally:
             self._lock.release()
 
-    async def _take_line(self, deadline: float) -> None:
-        if not self._lock.locked():
-            await self._lock.acquire()
-            return
+    async def _wait_for_line(self, deadline: float) -> None:
         try:
             async with asyncio.timeout(deadline):
                 await self._lock.acquire()
@@ -156,11 +168,11 @@ class SerialBus(Bus):
         self.check()
         if self._transport is None:
             raise BusBroken(self.name, "no link")
+        if self.trace is not None:
+            self.trace(self.name, "tx", data, time.monotonic())
+        self._transport.write(data)
         self._last = time.monotonic()
         self.counters.bytes_sent += len(data)
-        if self.trace is not None:
-            self.trace(self.name, "tx", data, self._last)
-        self._transport.write(data)
 
     def _received(self, data: bytes) -> None:
         self._last = time.monotonic()
@@ -215,11 +227,8 @@ class _Protocol(asyncio.Protocol):
         received: Callable[[bytes], None],
         lost: Callable[[asyncio.Protocol, Exception | None], None],
     ) -> None:
-        self._hear = received
+        self.data_received = received  # type: ignore[method-assign,assignment]
         self._end = lost
-
-    def data_received(self, data: bytes) -> None:
-        self._hear(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._end(self, exc)

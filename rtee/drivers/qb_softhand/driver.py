@@ -7,10 +7,9 @@ import collections.abc
 import contextlib
 import math
 import time
+from collections.abc import Coroutine
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
@@ -57,7 +56,7 @@ class QbSoftHandDriver(Driver):
             )
         self.mapping: Mapping = OneMotor() if self.options.motors == 1 else TwoMotors()
         self._link: QbLink | None = None
-        self._current_limit = _CURRENT_LIMIT
+        self._effort_per_ma = self._efforts(_CURRENT_LIMIT)
         self._active = False
         self._count = 0
         self._closure = (0.0,) * self.options.motors
@@ -106,7 +105,7 @@ class QbSoftHandDriver(Driver):
             )
         parameters = await link.parameters()
         self._adopt(limits(parameters))
-        self._current_limit = current_limit(parameters) or _CURRENT_LIMIT
+        self._effort_per_ma = self._efforts(current_limit(parameters) or _CURRENT_LIMIT)
         self._active = bool(await link.active())
         self.capabilities = replace(
             self.capabilities,
@@ -176,24 +175,22 @@ class QbSoftHandDriver(Driver):
         else:
             positions = await self._hand.integers(Command.GET_MEASUREMENTS, 3)
             currents = await self._hand.integers(Command.GET_CURRENTS, 2)
-        current = np.array(currents, dtype=np.float64) / 1000.0
         return ActuatorState.measured(
             self.mapping.to_closure(positions),
             time.monotonic(),
-            effort=current * self._effort_per_ampere(),
-            current=current,
+            effort=[c * f for c, f in zip(currents, self._effort_per_ma, strict=True)],
+            current=[c * 1e-3 for c in currents],
         )
 
-    def _effort_per_ampere(self) -> np.ndarray:
+    def _efforts(self, current_limit: float) -> list[float]:
+        """Return the effort of each actuator per milliampere, ``NaN`` where it is not known."""
         given = self.options.effort_per_ampere
         if given is not None:
-            return np.full(self.options.motors, given)
-        return np.array(
-            [
-                a.effort / self._current_limit if math.isfinite(a.effort) else math.nan
-                for a in self.spec.actuators
-            ]
-        )
+            return [given * 1e-3] * self.options.motors
+        return [
+            a.effort / current_limit * 1e-3 if math.isfinite(a.effort) else math.nan
+            for a in self.spec.actuators
+        ]
 
     async def _check(self) -> None:
         if not await self._hand.active():
@@ -207,16 +204,21 @@ class QbSoftHandDriver(Driver):
     async def move(self, reference: Reference) -> None:
         """Send the references of the motors; nothing answers."""
         self._closure = tuple(
-            float(wanted) if commanded else kept
-            for wanted, commanded, kept in zip(
-                reference.position, reference.mask, self._closure, strict=True
-            )
+            [
+                wanted if commanded else kept
+                for wanted, commanded, kept in zip(
+                    reference.position.tolist(),
+                    reference.mask.tolist(),
+                    self._closure,
+                    strict=True,
+                )
+            ]
         )
         await self._send(self._closure)
 
-    async def _send(self, closure: tuple[float, ...]) -> None:
+    def _send(self, closure: tuple[float, ...]) -> Coroutine[Any, Any, None]:
         data = codec.pack_int16(*self.mapping.to_ticks(closure))
-        await self._hand.send(Command.SET_INPUTS, data)
+        return self._hand.send(Command.SET_INPUTS, data)
 
     async def stop(self) -> None:
         """Hold the measured pose."""

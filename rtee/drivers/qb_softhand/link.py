@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Coroutine
+from typing import Any
+
 from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import BROADCAST, Command, Frame, Parser, QbFrameError
@@ -45,9 +48,9 @@ class QbLink:
         )
         return reply.data
 
-    async def send(self, command: Command, data: bytes = b"") -> None:
-        """Send a command that nothing answers; raises `BusError`."""
-        await self.bus.send(Frame(self.device, command, data).to_bytes(), self.deadline)
+    def send(self, command: Command, data: bytes = b"") -> Coroutine[Any, Any, None]:
+        """Send a command that nothing answers, when awaited; raises `BusError`."""
+        return self.bus.send(Frame(self.device, command, data).to_bytes(), self.deadline)
 
     async def ping(self) -> bool:
         """Return whether the hand answers."""

@@ -96,7 +96,9 @@ class FeedbackAll:
     @classmethod
     def from_bytes(cls, packet: Packet) -> Self:
         """Read the answer to an all-channel command; raises `SvhFrameError`."""
-        values = tuple(int(v) for v in _unpack(_FEEDBACK_ALL, packet, "feedback of all channels"))
+        if len(packet.data) < _FEEDBACK_ALL.size:
+            raise SvhFrameError(f"feedback of all channels needs {_FEEDBACK_ALL.size} bytes")
+        values = _FEEDBACK_ALL.unpack_from(packet.data)
         return cls(values[:CHANNELS], values[CHANNELS:])
 
     def to_bytes(self) -> bytes:
@@ -265,7 +267,7 @@ class FirmwareInfo:
 
 def targets(positions: tuple[int, ...] | list[int]) -> bytes:
     """Return the data that sets the targets [ticks] of all channels."""
-    return _TARGETS.pack(*(_clip(p, 32) for p in positions))
+    return _TARGETS.pack(*[min(max(p, -0x8000_0000), 0x7FFF_FFFF) for p in positions])
 
 
 def read_targets(packet: Packet) -> tuple[int, ...]:

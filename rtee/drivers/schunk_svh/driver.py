@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
@@ -33,7 +33,7 @@ from rtee.errors import (
     NotConnected,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
@@ -76,7 +76,7 @@ class SchunkSvhDriver(Driver):
         self._home_asked = False
         self._baseline = codec.ControllerState()
         self._answer: tuple[codec.FeedbackAll, float] | None = None
-        self._last: tuple[FloatArray, float] | None = None
+        self._last: tuple[codec.FeedbackAll, float] | None = None
         self._count = 0
         self._warnings: tuple[str, ...] = ()
         exchange = 2 * codec.PACKET * 10.0 / codec.BAUDRATE + self.options.turnaround
@@ -243,13 +243,12 @@ class SchunkSvhDriver(Driver):
             answer = feedback, time.monotonic()
         feedback, stamp = answer
         units = self._units
-        ticks = units.ticks(feedback)
-        before, self._last = self._last, (ticks, stamp)
-        if before is not None and units.jumped(before[0], ticks, stamp - before[1]):
+        before, self._last = self._last, (feedback, stamp)
+        if before is not None and units.jumped(before[0], feedback, stamp - before[1]):
             # No finger is that fast: the encoders have begun anew, as after a cut of the supply.
             self._check(await self._hand.state())
             units = self._units
-        position, effort, current = units.measured(feedback, ticks)
+        position, effort, current = units.measured(feedback)
         return ActuatorState.measured(
             position, stamp, effort=effort, current=current, warnings=self._warnings
         )
@@ -280,12 +279,16 @@ class SchunkSvhDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send changed limits, then the targets of all channels, which brings the state back."""
-        waiting = await self._limits.update(self._hand, self._used(), reference)
+        waiting: Collection[int] = ()
+        if not self._limits.settled(reference):
+            waiting = await self._limits.update(self._hand, self._used(), reference)
         units = self._units
         targets, homed = units.targets(reference.position), units.homed
-        for i, index in enumerate(self._index):
-            if reference.mask[i] and homed[i] and index not in waiting:
-                self._targets[index] = targets[i]
+        for index, target, known, asked in zip(
+            self._index, targets, homed, reference.mask.tolist(), strict=True
+        ):
+            if asked and known and index not in waiting:
+                self._targets[index] = target
         feedback = await self._hand.set_targets(self._targets)
         self._answer = feedback, time.monotonic()
 

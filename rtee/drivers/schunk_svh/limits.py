@@ -82,6 +82,10 @@ class Limits:
             await link.set_position_settings(channel, self.position[channel])
             await link.set_current_settings(channel, self.current[channel])
 
+    def settled(self, reference: Reference) -> bool:
+        """Return whether a reference asks for the limits that have been sent last."""
+        return _asked(reference) == self._settled
+
     async def update(
         self, link: SvhLink, channels: Sequence[Channel], reference: Reference
     ) -> set[int]:
@@ -93,20 +97,7 @@ class Limits:
         Raises:
             BusError: if an exchange fails.
         """
-        asked = (
-            reference.max_effort.tolist(), reference.max_velocity.tolist(), reference.mask.tolist(),
-        )  # fmt: skip
-        if asked == self._settled:
-            return set()
         self._settled = None
-        waiting = await self._update(link, channels, reference)
-        if not waiting:
-            self._settled = asked
-        return waiting
-
-    async def _update(
-        self, link: SvhLink, channels: Sequence[Channel], reference: Reference
-    ) -> set[int]:
         waiting: set[int] = set()
         budget = _PER_CYCLE
         for i, channel in enumerate(channels):
@@ -125,6 +116,8 @@ class Limits:
                     continue
                 budget -= 1
                 await self._send(link, channel.index, what, value)
+        if not waiting:
+            self._settled = _asked(reference)
         return waiting
 
     def _current_for(self, channel: Channel, effort: float) -> float:
@@ -144,3 +137,7 @@ class Limits:
             position = replace(self.position[index], max_rate=value)
             await link.set_position_settings(index, position)
         self._sent[index, what] = value
+
+
+def _asked(reference: Reference) -> tuple[list[float], list[float], list[bool]]:
+    return reference.max_effort.tolist(), reference.max_velocity.tolist(), reference.mask.tolist()

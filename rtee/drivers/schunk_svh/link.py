@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
 
 from rtee.buses.serial import SerialBus
 from rtee.drivers.schunk_svh import codec
@@ -37,8 +37,10 @@ class SvhLink:
         self._index = 0
         self._parser = Parser()
 
-    async def exchange(self, command: Command, channel: int = 0, data: bytes = b"") -> Packet:
-        """Send one packet and return the reply.
+    def exchange(
+        self, command: Command, channel: int = 0, data: bytes = b""
+    ) -> Coroutine[Any, Any, Packet]:
+        """Send one packet and return the reply, when awaited.
 
         Raises:
             BusError: if the exchange fails.
@@ -52,7 +54,7 @@ class SvhLink:
 
         deadline = max(self.deadline, PATIENCE) if self.patient else self.deadline
         retries = 2 * self.retries + 1 if self.patient else self.retries
-        return await self.bus.transact(
+        return self.bus.transact(
             request.to_bytes(), self._parser, deadline, retries, accept=answers
         )
 

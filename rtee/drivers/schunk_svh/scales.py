@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from operator import sub
 
 import numpy as np
 
@@ -30,44 +32,55 @@ class Scales:
         self, channels: Sequence[Channel], stops: Mapping[int, int], rates: Sequence[float]
     ) -> None:
         self._index = [c.index for c in channels]
-        self._slope = np.array([c.rad_per_tick for c in channels])
-        self._zero = np.array(
-            [float(c.zero(stops[c.index])) if c.index in stops else np.nan for c in channels]
-        )
-        self._offset = np.nan_to_num(self._zero)
-        limits = [c.soft_limits(stops.get(c.index, 0)) for c in channels]
-        self._low = np.array([float(low) for low, _ in limits])
-        self._high = np.array([float(high) for _, high in limits])
-        self._sign = np.array([float(-c.direction) for c in channels])
-        self._force = np.array([c.force_slope * c.lever for c in channels])
-        self._least = np.array([c.force_offset * c.lever for c in channels])
-        self._least[self._force == 0.0] = np.nan
-        self._rate = 2.0 * np.array(rates)
+        self._rate = [2.0 * rate for rate in rates]
         self.homed = [c.index in stops for c in channels]
+        # Numbers, not arrays: for so few, numpy's functions take longer, and it is every cycle.
+        self._measuring = [
+            (
+                c.index,
+                float(c.zero(stops[c.index])) if c.index in stops else math.nan,
+                c.rad_per_tick,
+                c.force_slope * c.lever,
+                c.force_offset * c.lever if c.force_slope * c.lever else math.nan,
+                -float(c.direction),  # no current has a sign, too
+            )
+            for c in channels
+        ]
+        self._moving = [
+            (c.rad_per_tick, c.zero(stops[c.index]), *c.soft_limits(stops[c.index]))
+            if c.index in stops
+            else (c.rad_per_tick, 0, *c.soft_limits(0))
+            for c in channels
+        ]
 
-    def measured(
-        self, feedback: FeedbackAll, ticks: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return positions [rad], efforts [N·m] and currents [A]; ``NaN`` where not known.
-
-        Args:
-            feedback: What the hand told.
-            ticks: Its positions, from `ticks`.
-        """
-        current = np.array([feedback.currents_ma[i] for i in self._index], dtype=np.float64)
-        position = (ticks - self._zero) * self._slope
-        size = np.maximum(0.0, self._force * np.abs(current) + self._least)
-        return position, np.copysign(size, current * self._sign), current * 1e-3
+    def measured(self, feedback: FeedbackAll) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return positions [rad], efforts [N·m] and currents [A]; ``NaN`` where not known."""
+        positions, currents = feedback.positions, feedback.currents_ma
+        where, efforts = [], []
+        for index, zero, slope, force, least, sign in self._measuring:
+            where.append((positions[index] - zero) * slope)
+            current = currents[index]
+            effort = force * abs(current) + least
+            efforts.append(math.copysign(0.0 if effort < 0.0 else effort, current * sign))
+        return (
+            np.array(where),
+            np.array(efforts),
+            np.array([currents[index] * 1e-3 for index in self._index]),
+        )
 
     def targets(self, position: FloatArray) -> list[int]:
         """Return the targets of positions [rad], within the soft limits [ticks]."""
-        ticks = np.rint(position / self._slope) + self._offset
-        return [int(t) for t in np.minimum(np.maximum(ticks, self._low), self._high).tolist()]
+        return [
+            min(max(round(q / slope) + zero, low), high)
+            for q, (slope, zero, low, high) in zip(position.tolist(), self._moving, strict=True)
+        ]
 
-    def jumped(self, before: FloatArray, after: FloatArray, dt: float) -> bool:
-        """Return whether a position [ticks] changed more than a finger can move in ``dt`` [s]."""
-        return bool((np.abs(after - before) > _LEEWAY + dt * self._rate).any())
-
-    def ticks(self, feedback: FeedbackAll) -> FloatArray:
-        """Return the positions of the channels in use [ticks]."""
-        return np.array([feedback.positions[i] for i in self._index], dtype=np.float64)
+    def jumped(self, before: FeedbackAll, after: FeedbackAll, dt: float) -> bool:
+        """Return whether a position changed more than a finger can move in ``dt`` [s]."""
+        moved = list(map(sub, after.positions, before.positions))
+        if min(moved) >= -_LEEWAY and max(moved) <= _LEEWAY:
+            return False  # most often by far, and in every cycle
+        return any(
+            abs(moved[index]) > _LEEWAY + dt * rate
+            for index, rate in zip(self._index, self._rate, strict=True)
+        )
