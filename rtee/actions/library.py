@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rtee.actions.build import StepPlan, check_custom_name, compose, sequence, uses_of, warnings_of
 from rtee.actions.index import Index
-from rtee.actions.naming import normalise
+from rtee.actions.naming import label, normalise
 from rtee.actions.shelf import Shelf
 from rtee.actions.types import (
     Action,
@@ -180,7 +180,8 @@ class ActionLibrary:
         """
         others = self._index.without(action)
         if len(others) < len(self) and not replace_same:
-            raise ActionError(f"there already is an action '{action.name}'")
+            elements = action.elements if isinstance(action, Primitive) else ()
+            raise ActionError(f"there already is an action '{label(action.name, elements)}'")
         if not isinstance(action, Primitive):
             check_custom_name(action.name)
         index = Index(self.hand, (*others, action))

@@ -5,6 +5,9 @@ per actuator that tells which are involved. Primitives are keyed by their finger
 thumb]``) or their joint and keep several ``ActionState_N``; composed ones name their parts without
 elements and scales; timed ones hold the postures of their inner actions. What a custom action was
 made of is therefore found again by comparing postures; where that fails, set-points stay.
+
+Older files name fingertips' links where newer ones name fingers. The oldest ones say neither which
+primitive they hold nor, by name, which actuators it involves; those are left out.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from rtee.actions.build import SLACK, StepPlan, full_posture, generic
 from rtee.actions.documents import Node, read_document
 from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label, normalise
+from rtee.actions.parts import find_parts, scale_of
 from rtee.actions.types import (
     Action,
     ActionReference,
@@ -45,7 +49,7 @@ _KINDS = {
     "moretips": PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS,
 }
 _GENERIC, _COMPOSED, _TIMED = 1, 2, 3
-_CLOSE = 1e-4
+_EARLY = "the files of early versions have neither 'PrimitiveType' nor 'Type'"
 
 
 @dataclass
@@ -70,10 +74,16 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
         ActionError: if there are none, or for a mistake in one, with file and line.
     """
     paths = sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")])
-    entries = [entry for path in paths for entry in _entries(path)]
-    if not entries:
-        raise ActionError("holds no action files of ROS End-Effector", path=folder)
     reader = _Reader(hand)
+    entries: list[tuple[Any, Node]] = []
+    for path in paths:
+        root = read_document(path).root
+        entries += _entries(root)
+        if _is_early(root):
+            reader.imported.notes.append(f"{path} is left out: {_EARLY}")
+    if not entries:
+        why = f"; {_EARLY}" if reader.imported.notes else ""
+        raise ActionError(f"holds no action files of ROS End-Effector{why}", path=folder)
     reader.imported.files = len({node.document.path for _, node in entries})
     for stage in (None, _GENERIC, _COMPOSED, _TIMED):
         for key, node in entries:
@@ -82,8 +92,7 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
     return reader.imported
 
 
-def _entries(path: Path) -> list[tuple[Any, Node]]:
-    root = read_document(path).root
+def _entries(root: Node) -> list[tuple[Any, Node]]:
     if not isinstance(root.value, dict):
         return []
     return [
@@ -91,6 +100,16 @@ def _entries(path: Path) -> list[tuple[Any, Node]]:
         for key, node in root.pairs()
         if isinstance(node.value, dict) and ("PrimitiveType" in node.value or "Type" in node.value)
     ]
+
+
+def _is_early(root: Node) -> bool:
+    if not isinstance(root.value, dict):
+        return False
+    values = (root.value, *root.value.values())
+    return any(
+        isinstance(v, dict) and ("JointsInvolved" in v or "InvolvedJointsCount" in v)
+        for v in values
+    )
 
 
 def _type_of(node: Node) -> int | None:
@@ -143,15 +162,18 @@ class _Reader:
         what = label(name, elements)
         if kind is PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS:
             self.hand.actuator(elements[0])
-            fingers = self._need(node, "FingersInvolved").strings()
+            fingers = self._fingers(self._need(node, "FingersInvolved").strings())
             values = self._joints(self._need(node, "JointPosFurther"), what)
             postures = [full_posture(self.hand, {elements[0]: values[elements[0]]})]
         else:
-            fingers = elements
+            fingers = elements = self._fingers(elements)
             postures = self._states(node, what)
-        for finger in fingers:
-            self.hand.finger(finger)
         return Primitive(kind, elements, tuple(postures), fingers=fingers)
+
+    def _fingers(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Return the fingers of these names, or of fingertips' links of these names."""
+        by_tip = {f.tip: f.name for f in self.hand.fingers if f.name not in names}
+        return tuple(self.hand.finger(by_tip.get(name, name)).name for name in names)
 
     def _states(self, node: Node, what: str) -> list[Posture]:
         states = sorted(
@@ -182,7 +204,12 @@ class _Reader:
         entries = node.entries()
         names = entries["InnerActionsNames"].strings() if "InnerActionsNames" in entries else ()
         fingers = entries["FingersInvolved"].strings() if "FingersInvolved" in entries else ()
-        parts = self._parts(names, fingers, set_points)
+        parts = find_parts(
+            self.hand,
+            [self._called(n) for n in sorted(names, key=names.index)],
+            set_points,
+            self._fingers(fingers),
+        )
         if parts is None:
             self._note(
                 f"'{name}' is imported as a generic action: its file names its parts "
@@ -192,27 +219,19 @@ class _Reader:
         flag = entries.get("Independent")
         return self.library.compose(name, parts, independent=bool(flag and flag.value))
 
-    def _parts(
-        self, names: tuple[str, ...], fingers: tuple[str, ...], set_points: Mapping[str, float]
-    ) -> list[ActionReference] | None:
-        """Return the parts if there is one per finger and they give the set-points."""
-        if not names or len(set(names)) != 1 or len(names) != len(fingers):
-            return None
-        parts = []
-        for finger in fingers:
-            try:
-                found = self.library.find(names[0], (finger,))
-            except ActionError:
-                return None
-            if isinstance(found, Timed) or not isinstance(found, Primitive):
-                return None
-            own = {n: set_points[n] for n in found.posture.involved if n in set_points}
-            scale = self._scale(found.posture, own)
-            if scale is None:
-                return None
-            parts.append(ActionReference(found.name, found.elements, scale))
-        made = self.library.compose("comparison", parts)
-        return parts if _same(_involved(made.posture), set_points) else None
+    def _called(self, name: str) -> list[Action]:
+        """Return the actions that the files call so."""
+        base = normalise(name)
+        kind = _KINDS.get(base.rstrip("0123456789"))
+        return [
+            action
+            for action in self.library
+            if (
+                action.kind is kind
+                if isinstance(action, Primitive)
+                else normalise(action.name) == base
+            )
+        ]
 
     def _timed(self, name: str, node: Node) -> Timed:
         margins = self._need(node, "ActionsTimeMargins").entries()
@@ -235,7 +254,7 @@ class _Reader:
         for action in sorted(self.library, key=lambda a: normalise(a.name) != normalise(alias)):
             if isinstance(action, Timed):
                 continue
-            scale = self._scale(action.posture, set_points)
+            scale = scale_of(self.hand, action.posture, set_points)
             if scale is not None:
                 elements = action.elements if isinstance(action, Primitive) else ()
                 return ActionReference(action.name, elements, scale)
@@ -251,19 +270,6 @@ class _Reader:
             "no imported action has its posture"
         )
         return ActionReference(made.name)
-
-    def _scale(self, posture: Posture, set_points: Mapping[str, float]) -> float | None:
-        """Return the scale from rest that makes a posture these set-points, if there is one."""
-        if set(posture.involved) != set(set_points):
-            return None
-        rest = dict(zip(self.hand.actuator_names, self.hand.rest.tolist(), strict=True))
-        whole = {name: posture.position[name] - rest[name] for name in set_points}
-        widest = max(whole, key=lambda name: abs(whole[name]))
-        scale = 1.0
-        if abs(whole[widest]) > SLACK:
-            scale = round((set_points[widest] - rest[widest]) / whole[widest], 4)
-        made = {name: rest[name] + scale * step for name, step in whole.items()}
-        return scale if scale >= 0.0 and _same(made, set_points) else None
 
     # --- values
 
@@ -302,9 +308,3 @@ class _Reader:
 
 def _involved(posture: Posture) -> dict[str, float]:
     return {name: posture.position[name] for name in posture.involved}
-
-
-def _same(first: Mapping[str, float], second: Mapping[str, float]) -> bool:
-    return set(first) == set(second) and all(
-        abs(first[name] - second[name]) <= _CLOSE for name in first
-    )

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -89,6 +90,18 @@ def composed(name: str, names: str, index: float, middle: float) -> str:
 """
 
 
+MIXED = f"""mixed:
+  Type: 2
+  Independent: true
+  NInnerActions: 3
+  InnerActionsNames: [singleJointMultipleTips_3, pinchTight, trig]
+  FingersInvolved: [index, middle, thumb]
+  JointsInvolvedCount:
+{counts(4, *ACTUATORS)}
+  JointPos:
+{joints(4, spread=0.025, index_joint=0.25, thumb_joint=0.45, middle_joint=1.0)}
+"""
+
 GENERIC = f"""casual:
   Type: 1
   FingersInvolved: []
@@ -102,6 +115,10 @@ TIMED = f"""sequence:
 # a comment of the original
   Type: 3
   FingersInvolved: [index, thumb]
+  JointsInvolvedCount:
+{counts(4, "index_joint", "spread", "thumb_joint")}
+  ActionsJointPosFinal:
+{joints(4, index_joint=0.6, spread=0.02, thumb_joint=0.9)}
   ActionsNamesOrdered: [HALF, other]
   ActionsTimeMargins:
     HALF:
@@ -133,6 +150,7 @@ def peers(tmp_path: Path) -> Path:
         "generics/grasp.yaml": composed("grasp", "trig, trig", 1.2, 0.3),
         "generics/odd.yaml": composed("odd", "trig, pinchTight", 0.1, 0.2),
         "generics/casual.yaml": GENERIC,
+        "generics/mixed.yaml": MIXED,
         "timeds/sequence.yaml": TIMED,
         "rviz.yaml": "Panels: [a, b]\n",
     }
@@ -169,6 +187,48 @@ def test_parts_of_a_composed_action_are_found_again(imported: ActionLibrary) -> 
         ActionReference("Trig", ("index",), 1.0),
         ActionReference("Trig", ("middle",), 0.3),
     )
+
+
+def test_parts_of_several_kinds_are_found_again(imported: ActionLibrary) -> None:
+    mixed = imported.find("mixed")
+    assert isinstance(mixed, Composed)
+    assert mixed.independent
+    assert mixed.parts == (
+        ActionReference("SingleJointMultipleTips_3", ("spread",), 0.5),
+        ActionReference("PinchTight", ("index", "thumb"), 0.5),
+        ActionReference("Trig", ("middle",), 1.0),
+    )
+
+
+def test_older_files_name_fingertips_and_kinds_otherwise(hand: Hand, peers: Path) -> None:
+    new = import_folder(hand, peers)
+    words = {"pinchTight": "pinchStrong", "multiplePinchTight_": "multiplePinchStrong_"}
+    words |= {"singleJointMultipleTips_": "moreTips_"}
+    for path in peers.rglob("*.yaml"):
+        text = path.read_text()
+        for old, new_word in words.items():
+            text = text.replace(old, new_word)
+        path.write_text(re.sub(r"\b(index|middle|thumb)(?=[],])", r"\1_tip", text))
+    assert "[index_tip, thumb_tip]:" in (peers / "primitives" / "pinchTight.yaml").read_text()
+    old = import_folder(hand, peers)
+    assert [a for a in old.actions if a.name != "odd"] == [
+        a
+        for a in new.actions
+        if a.name != "odd"  # its description has the names in the file
+    ]
+
+
+def test_the_oldest_files_are_left_out_with_a_note(hand: Hand, peers: Path) -> None:
+    early = "[index_tip]:\n  JointsInvolved: [false, true]\n  ActionState_1:\n    JointStates: {}\n"
+    (peers / "early.yaml").write_text(early)
+    found = import_folder(hand, peers)
+    assert found.actions
+    assert any("early.yaml is left out: the files of early versions" in n for n in found.notes)
+    for path in peers.rglob("*.yaml"):
+        if path.name != "early.yaml":
+            path.unlink()
+    with pytest.raises(ActionError, match=r"holds no action files .*; the files of early versions"):
+        import_folder(hand, peers)
 
 
 def test_what_cannot_be_found_again_becomes_generic(hand: Hand, peers: Path) -> None:

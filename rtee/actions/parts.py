@@ -1,0 +1,78 @@
+"""Finding again what an action was made of, from its set-points."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Final
+
+from rtee.actions.build import SLACK
+from rtee.actions.types import Action, ActionReference, Posture, Primitive, Timed
+from rtee.hand.model import Hand
+
+CLOSE: Final = 1e-4
+"""Set-points no farther apart than this are the same [rad | m]."""
+
+
+def scale_of(hand: Hand, posture: Posture, set_points: Mapping[str, float]) -> float | None:
+    """Return the scale from rest that makes a posture these set-points, if there is one.
+
+    Args:
+        hand: The hand.
+        posture: The posture.
+        set_points: Positions by actuator [rad | m].
+    """
+    if set(posture.involved) != set(set_points):
+        return None
+    rest = dict(zip(hand.actuator_names, hand.rest.tolist(), strict=True))
+    whole = {name: posture.position[name] - rest[name] for name in set_points}
+    widest = max(whole, key=lambda name: abs(whole[name]))
+    scale = 1.0
+    if abs(whole[widest]) > SLACK:
+        scale = round((set_points[widest] - rest[widest]) / whole[widest], 4)
+    made = {name: rest[name] + scale * step for name, step in whole.items()}
+    close = all(abs(made[name] - set_points[name]) <= CLOSE for name in made)
+    return scale if scale >= 0.0 and close else None
+
+
+def find_parts(
+    hand: Hand,
+    choices: Sequence[Sequence[Action]],
+    set_points: Mapping[str, float],
+    fingers: Collection[str] = (),
+) -> list[ActionReference] | None:
+    """Return actions that share no actuator and make up set-points, if there are any.
+
+    Args:
+        hand: The hand.
+        choices: What each part may be; parts with the same choices stand in sequence.
+        set_points: Positions by actuator [rad | m].
+        fingers: The fingers that primitives among them may be done with; any if empty.
+    """
+    return _find(hand, choices, set_points, set(fingers), 0)
+
+
+def _find(
+    hand: Hand,
+    choices: Sequence[Sequence[Action]],
+    left: Mapping[str, float],
+    fingers: set[str],
+    start: int,
+) -> list[ActionReference] | None:
+    if not choices:
+        return None if left else []
+    for i, action in enumerate(choices[0]):
+        if i < start or isinstance(action, Timed):
+            continue
+        own = {name: left[name] for name in action.posture.involved if name in left}
+        scale = scale_of(hand, action.posture, own)
+        elements, touched = (
+            (action.elements, action.fingers) if isinstance(action, Primitive) else ((), ())
+        )
+        if scale is None or (fingers and not fingers.issuperset(touched)):
+            continue
+        others = {name: value for name, value in left.items() if name not in own}
+        again = i + 1 if list(choices[1:2]) == [choices[0]] else 0
+        more = _find(hand, choices[1:], others, fingers, again)
+        if more is not None:
+            return [ActionReference(action.name, elements, scale), *more]
+    return None
