@@ -68,7 +68,8 @@ def _why_not(name: str) -> str | None:
 def common_prefix(names: Collection[str]) -> str:
     """Return the words that all names begin with, to be left out where room is scarce.
 
-    Words end in ``_``, ``-`` or ``/``. Empty for a single name and where little would be gained.
+    Words end in ``_``, ``-``, ``.``, ``/`` or a blank. Empty for a single name, and where little
+    would be gained or nothing be left of a name.
     """
     if len(names) < 2:
         return ""
@@ -76,5 +77,5 @@ def common_prefix(names: Collection[str]) -> str:
     same = 0
     while same < min(len(first), len(last)) and first[same] == last[same]:
         same += 1
-    end = 1 + max(first[:same].rfind(mark) for mark in "_-/")
+    end = 1 + max(first[:same].rfind(mark) for mark in "_-./ ")
     return first[:end] if end >= _WORTH and all(len(name) > end for name in names) else ""
