@@ -167,6 +167,7 @@ class SimulatedLine(Simulation):
 
     Attributes:
         wire: Its wire: emulators, baud rate, faults.
+        strict: Devices hear only a host that speaks at their own rate (ptys alone).
     """
 
     def __init__(
@@ -182,8 +183,10 @@ class SimulatedLine(Simulation):
         wire_time: bool = True,
         faults: Faults | None = None,
         scheme: str = "socket",
+        strict: bool = False,
     ) -> None:
         super().__init__(name)
+        self.strict = strict
         baudrate = float(line.baudrate) if line is not None and scheme != "tcp" else None
         bits = float(line.bits) if line is not None else 10.0
         self.wire = Wire(emulators, baudrate=baudrate, bits=bits, faults=faults, timed=wire_time)
@@ -234,6 +237,7 @@ class SimulatedLine(Simulation):
                 if data is None:
                     self.wire.reset()
                 elif data:
+                    self.wire.spoken = self._end.rate() if self.strict else None
                     self.wire.receive(data, time.monotonic())
         data = b"".join(self.wire.step(time.monotonic()))
         if data:

@@ -6,10 +6,15 @@ import contextlib
 import os
 import shutil
 import socket
+import struct
 import tempfile
 from pathlib import Path
 
 from rtee.errors import BusBroken
+
+_TCGETS2 = 0x802C542A
+_TERMIOS2 = struct.Struct("=4I20s2I")
+"""Linux's termios2: flags, control characters, speed in, speed out."""
 
 
 class Pty:
@@ -80,6 +85,16 @@ class Pty:
         """Send bytes to the host, if there is one."""
         with contextlib.suppress(OSError):
             os.write(self._master, data)
+
+    def rate(self) -> int | None:
+        """Return the rate that the host has set [baud], ``None`` where that cannot be known."""
+        import fcntl
+
+        try:
+            settings = fcntl.ioctl(self._slave, _TCGETS2, bytes(_TERMIOS2.size))
+        except OSError:
+            return None
+        return int(_TERMIOS2.unpack(settings)[-1])
 
 
 class Tcp:
@@ -157,3 +172,7 @@ class Tcp:
         if self._peer is not None:
             with contextlib.suppress(OSError):
                 self._peer.sendall(data)
+
+    def rate(self) -> int | None:
+        """Return ``None``: a port has no rate."""
+        return None

@@ -21,6 +21,7 @@ class Wire:
         emulators: The devices on the line; each hears everything.
         timed: Whether bytes and the devices' turn-around take their time.
         baudrate: Bits per second; ``None`` takes no time (a network).
+        spoken: Rate at which the host speaks [baud]; devices of another one then hear nothing.
         bits: Bits on the line per byte.
         faults: What goes wrong.
         bytes_in: Bytes that came from the host.
@@ -41,6 +42,7 @@ class Wire:
         self.emulators = list(emulators)
         self.timed = timed
         self.baudrate = baudrate if timed else None
+        self.spoken: int | None = None
         self.bits = bits
         self.faults = faults or Faults()
         self.bytes_in = 0
@@ -68,7 +70,8 @@ class Wire:
             when, _, inward, data = heapq.heappop(self._events)
             if inward:
                 for emulator in self.emulators:
-                    self._answer(emulator, emulator.feed(data, when), when)
+                    if self.spoken is None or self.spoken == emulator.baudrate:
+                        self._answer(emulator, emulator.feed(data, when), when)
             else:
                 self.bytes_out += len(data)
                 out.append(data)

@@ -55,6 +55,9 @@ def emulate(
         str, typer.Option(help="python-can interface of the channel.")
     ] = "udp_multicast",
     baudrate: Annotated[int | None, typer.Option(help="Bits per second.")] = None,
+    strict_rate: Annotated[
+        bool, typer.Option("--strict-rate", help="On a tty, hear only what comes at that rate.")
+    ] = False,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="A property of the emulated device."),
@@ -85,6 +88,7 @@ def emulate(
         can=can,
         interface=interface,
         baudrate=baudrate,
+        strict=strict_rate,
     )
     if object_ is not None:
         grasping(player.emulator).place(ObjectInHand.parse(object_))

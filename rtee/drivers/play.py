@@ -48,6 +48,7 @@ class Player:
         can: Channel of a CAN bus instead.
         interface: Its python-can interface.
         baudrate: Bits per second of the line or bus; by default the device's own.
+        strict: The device hears only programs that speak at its rate, as a real one does.
 
     Raises:
         ConfigError: if there is no such device or property.
@@ -66,6 +67,7 @@ class Player:
         can: str | None = None,
         interface: str = "udp_multicast",
         baudrate: int | None = None,
+        strict: bool = False,
     ) -> None:
         if sum(one is not None for one in (link, tcp, can)) > 1:
             raise ConfigError("give one of --link, --tcp and --can")
@@ -77,7 +79,7 @@ class Player:
         self.emulator: Emulator = make_emulator(name, options)
         _check_wire(name, self.emulator, can is not None, link is not None)
         _check_rate(name, self.emulator, baudrate if can is None else None)
-        rate = baudrate or self.emulator.baudrate
+        self.emulator.baudrate = rate = baudrate or self.emulator.baudrate
         self.simulation: Simulation
         if isinstance(self.emulator, Serves):
             base = tcp or _ZMQ_PORT
@@ -102,6 +104,7 @@ class Player:
                 scheme="tcp" if modbus_tcp else "socket",
                 link=link,
                 line=Line(rate),
+                strict=strict,
             )
 
     def __enter__(self) -> Player:

@@ -87,7 +87,8 @@ async def _slaves(
         one = await _slave(bus, address, unit)
         if one is not None and bus.rtu:
             line = f"{baudrate} baud 8{parity}1"
-            found.append(Found(one.driver, f"{one.what}, {line}", one.options))
+            options = {**one.options, "baudrate": baudrate}
+            found.append(Found(one.driver, f"{one.what}, {line}", options))
         elif one is not None:
             found.append(one)
     return found

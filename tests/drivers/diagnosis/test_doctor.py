@@ -130,6 +130,16 @@ async def test_a_wrong_number_is_found_out(
     assert remedy in check.remedy
 
 
+async def test_a_wrong_rate_is_found_out() -> None:
+    emulator = make_emulator("robotiq_2f", {})
+    with SimulatedLine([emulator], line=Line(115200), strict=True) as line:
+        async with BusPool() as pool:
+            spec = gripper(options={"port": line.address, "baudrate": 9600})
+            check = wrong(await check_device(spec, pool))
+    assert "no answer from unit 9" in check.text
+    assert "baudrate: 115200" in check.remedy
+
+
 async def test_another_device_is_found_out() -> None:
     with SimulatedLine([make_emulator("schunk_svh", {})], wire_time=False) as line:
         async with BusPool() as pool:

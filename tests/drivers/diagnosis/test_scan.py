@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import pytest
 
 from rtee.buses.emulator import Emulator
-from rtee.buses.link import Line
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.diagnosis import probes
@@ -64,19 +63,24 @@ async def test_a_compute_box_on_the_network_is_found() -> None:
     assert [one.what for one in found.found] == ["OnRobot 3FG, unit 65"]
 
 
-async def test_servos_at_two_rates_are_found() -> None:
-    servos = make_emulator(
-        "dynamixel",
-        {
-            "port": "/dev/emulated",
-            "servos": {name: {"id": n} for n, name in enumerate(("a", "b", "c"), start=11)},
-        },
-    )
-    with SimulatedLine([servos], wire_time=False, line=Line(1_000_000)) as line:
-        asked = (probes.dynamixel(1_000_000), probes.dynamixel(4_000_000))
+async def test_three_servos_at_two_rates_are_found_at_their_own() -> None:
+    lines = [
+        make_emulator(
+            "dynamixel",
+            {"baudrate": rate, "servos": {str(number): {"id": number} for number in numbers}},
+        )
+        for rate, numbers in ((1_000_000, (11, 12)), (57_600, (7,)))
+    ]
+    with SimulatedLine(lines, wire_time=False, strict=True) as line:
+        rates = tuple(probes.dynamixel(rate) for rate in (57_600, 4_000_000, 1_000_000))
         async with BusPool() as pool:
-            [found] = await scan([Plan(line.address, probes=asked)], pool)
-    assert sorted(one.options["id"] for one in found.found)[:3] == [11, 11, 12]
+            [found] = await scan([Plan(line.address, probes=rates)], pool)
+    assert {(one.options["id"], one.options["baudrate"]) for one in found.found} == {
+        (7, 57_600),
+        (11, 1_000_000),
+        (12, 1_000_000),
+    }
+    assert len(found.found) == 3
 
 
 async def test_nobody_is_nobody() -> None:
