@@ -19,7 +19,7 @@ from rtee.drivers.dynamixel.units import Scale
 from rtee.drivers.emulators import owner_of
 from rtee.drivers.options import read_options
 from rtee.errors import ConfigError, DeviceFault, NotConnected
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
 
 if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
@@ -59,6 +59,7 @@ class DynamixelCycle(Driver):
         self._active = False
         self._count = 0
         self._temperature = np.full(len(names), math.nan)
+        self._extras: Mapping[str, FloatArray] = {}
         self._sent: dict[str, dict[int, int]] = {}
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "current", "temperature"}),
@@ -110,13 +111,16 @@ class DynamixelCycle(Driver):
             effort=effort,
             current=current,
             temperature=self._temperature.copy(),
+            extras=self._extras,
         )
 
     def _look_after(self) -> None:
-        """Read temperatures, and see that no servo has lost its torque or tripped its watchdog."""
+        """Read voltages and temperatures, and see that no servo has lost its torque or tripped its watchdog."""
         link = self._line
         health, _ = link.read_group(table.HEALTH, table.HEALTH_SIZE)
-        self._temperature = np.array([float(_HEALTH.unpack(health[n])[1]) for n in self._ids])
+        read = np.array([_HEALTH.unpack(health[n]) for n in self._ids], dtype=np.float64)
+        self._extras = {"voltage": read[:, 0] * 0.1}
+        self._temperature = read[:, 1]
         if not self._active:
             return
         # The watchdog first: a tripped one explains a servo that does not follow.

@@ -109,6 +109,7 @@ async def test_moves_and_senses_in_one_read_and_one_write(fast: str) -> None:
         read = Instruction.FAST_SYNC_READ if fast == "auto" else Instruction.SYNC_READ
         assert {c: k for c, k in spent.items() if k} == {read: 1, Instruction.SYNC_WRITE: 1}
         assert state.temperature == pytest.approx([25.0, 25.0], abs=1.0)
+        assert state.extras["voltage"] == pytest.approx([5.0, 5.0])
 
 
 async def test_servos_without_fast_read_are_read_the_plain_way() -> None:
