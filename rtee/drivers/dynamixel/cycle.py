@@ -115,7 +115,7 @@ class DynamixelCycle(Driver):
         )
 
     def _look_after(self) -> None:
-        """Read voltages and temperatures, and see that no servo has lost its torque or tripped its watchdog."""
+        """Read voltages and temperatures; see that torque is on and no watchdog has tripped."""
         link = self._line
         health, _ = link.read_group(table.HEALTH, table.HEALTH_SIZE)
         read = np.array([_HEALTH.unpack(health[n]) for n in self._ids], dtype=np.float64)
