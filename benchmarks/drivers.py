@@ -7,15 +7,21 @@ CAN) where bytes take the time they would take at the line's rate and the device
 turn-around. Counted are exchanges, that is states with a new stamp. The wire's limit is what no
 program could exceed with the same bytes::
 
-    1 / (bytes * bits / baud + turn-around of every answer + silence before every request)
+    exchanges / sum of (bytes * bits / baud + turn-around + silence before every request)
 
-of the median exchange, as the simulated wire has counted it: turn-around as modelled (SVH 0.5 ms,
-adapters of qb hands and Dynamixels 1 ms, Modbus 3.5 characters but at least 1.75 ms), and the
-silence that Modbus RTU asks of its master. ``rate`` is that of all seconds together, ``of it`` its
-share of the limit; ``share`` is that of the median exchange, which other programs on the machine
-disturb less. Devices without a wire of that kind (networks, process data) have no such limit; a
-device that sends by itself (Allegro) has its own pace for one. Beside stands the rate that the
-driver itself names as its best, which the loop does not exceed.
+as the simulated wire has counted it: turn-around as modelled (SVH 0.5 ms, adapters of qb hands and
+Dynamixels 1 ms, Modbus 3.5 characters but at least 1.75 ms), and the silence that Modbus RTU asks
+of its master. ``rate`` is that of all seconds together, ``of it`` its share of the limit;
+``median`` is that of the median exchange, which other programs on the machine disturb less.
+
+The device at a serial line is played by a process of its own (`farend`) on the machine's last
+processor, and the driver runs on the others: the device shall not take the driver's time. By how
+much its last answer before a request was too late, on average, stands under ``end`` [µs]; ``of it``
+and ``median`` do not forgive the driver that. ``but for it`` is ``of it`` with it taken off.
+
+Devices without a wire of that kind (networks, process data) have no such limit; a device that sends
+by itself (Allegro) has its own pace for one. Beside stands the rate that the driver itself names as
+its best, which the loop does not exceed.
 
 Matrix: at 5 % of each fault of the wire, so many cycles; then the cable pulled and put back, the
 supply cut, the position stuck, another device answering. A cell says how many cycles succeeded, or
@@ -37,8 +43,9 @@ import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+from farend import ApartPool
+
 from rtee.buses.faults import Faults
-from rtee.buses.pool import BusPool
 from rtee.drivers.schunk_svh.channels import CHANNELS
 from rtee.errors import NotConnected, RteeError
 from rtee.loop.clock import Clock
@@ -163,8 +170,8 @@ class Beside:
 
 
 async def throughput(case: DeviceCase, seconds: float) -> str:
-    """Return a row of the table: rate, the wire's limit, the share, the driver's best rate."""
-    async with BusPool(wire_time=True) as pool, Session(case, pool=pool) as session:
+    """Return a row of the table."""
+    async with ApartPool() as pool, Session(case, pool=pool) as session:
         await session.start()
         near, far = case.between()
         for goal in (near, far):
@@ -177,43 +184,56 @@ async def throughput(case: DeviceCase, seconds: float) -> str:
             for i in range(100)
         ]
         await session.cycle(goals[50])
-        wire = getattr(session.wire, "wire", None)
         bus = pool.buses[0]
         gap = float(getattr(bus, "gap", 0.0))
 
         def used() -> float:
-            return float(getattr(wire, "busy", 0.0)) + gap * bus.counters.transactions
+            return pool.busy() + gap * bus.counters.transactions
 
-        needs: list[float] = []
-        began = spent = used()
-        done = failed = fresh = 0
-        times: list[float] = []
-        stamp = 0.0
-        start = before = time.perf_counter()
-        while before - start < seconds:
-            state = await session.cycle(goals[done % 100])
-            now = time.perf_counter()
-            done += 1
-            if state is None:
-                failed += 1
-            elif state.stamp != stamp:
-                stamp = state.stamp
-                fresh += 1
-                times.append(now - before)
-                needs.append(used() - spent)
-                before, spent = now, used()
-            elif now - before > 1.0:
-                before = now
-        taken = time.perf_counter() - start
+        with pool.processors():
+            began, (answers, late) = used(), pool.late()
+            done = failed = fresh = 0
+            times: list[float] = []
+            stamp = 0.0
+            start = before = time.perf_counter()
+            while before - start < seconds:
+                state = await session.cycle(goals[done % 100])
+                done += 1
+                now = time.perf_counter()
+                if state is None:
+                    failed += 1
+                elif state.stamp != stamp:
+                    stamp = state.stamp
+                    fresh += 1
+                    times.append(now - before)
+                    before = now
+                elif now - before > 1.0:
+                    before = now
+            taken, need, said = time.perf_counter() - start, used() - began, pool.late()
+            middle = await middling(session, goals, used)
         best = session.driver.capabilities.best_rate
-        own = case.driver in OWN_PACE
-        need = 1.0 / best if own else statistics.median(needs)
-        limit = mean = share = "–"
-        if own or used() - began > 0.02 * taken:
-            limit = f"{1.0 / need:.0f}"
-            mean = f"{100.0 * need * fresh / taken:.0f} %"
-            share = f"{100.0 * need / statistics.median(times):.0f} %"
-        return f"{fresh / taken:7.0f} {limit:>8} {mean:>7} {share:>7} {best:8.0f}  {failed}"
+        if case.driver in OWN_PACE:
+            need, middle = fresh / best, 1.0 / best
+        limit = mean = share = end = but = "–"
+        if need > 0.02 * taken:
+            limit = f"{fresh / need:.0f}"
+            mean = f"{100.0 * need / taken:.0f} %"
+            share = f"{100.0 * middle / statistics.median(times):.0f} %"
+        if said[0] > answers:
+            end = f"{1e6 * (said[1] - late) / (said[0] - answers):.0f}"
+            but = f"{100.0 * need / (taken - (said[1] - late)):.0f} %"
+        row = f"{fresh / taken:7.0f} {limit:>8} {mean:>7} {share:>7} {end:>5} {but:>11}"
+        return f"{row} {best:8.0f}  {failed}"
+
+
+async def middling(session: Session, goals: list[Reference], used: Callable[[], float]) -> float:
+    """Return what the median exchange takes of the wire [s]; not every one carries the same."""
+    needs: list[float] = []
+    while len(needs) < 30:
+        before = used()
+        await session.cycle(goals[len(needs)])
+        needs.append(used() - before)
+    return statistics.median(needs)
 
 
 async def wire_fault(case: DeviceCase, fault: str, cycles: int, clock: Lateness) -> str:
@@ -369,7 +389,8 @@ async def main() -> None:
     gc.collect()
     gc.freeze()  # as the loop does
     if not arguments.no_throughput:
-        head = f"{'rate':>7} {'limit':>8} {'of it':>7} {'share':>7} {'driver':>8}  failed"
+        head = f"{'rate':>7} {'limit':>8} {'of it':>7} {'median':>7} {'end':>5} {'but for it':>11}"
+        head += f" {'driver':>8}  failed"
         print(f"{'device':44} {head}")
         for name, case in whole_hands(devices, arguments.only).items():
             row = await _tried(throughput(case, arguments.seconds))

@@ -9,6 +9,7 @@ never before, and notes by how much later it did.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import mmap
 import os
@@ -17,7 +18,7 @@ import signal
 import struct
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rtee.buses.emulator import EmulatorFactory
@@ -26,7 +27,8 @@ from rtee.buses.pool import BusPool
 from rtee.buses.simulated_ends import Pty
 from rtee.buses.wire import Wire
 
-_NOTES = struct.Struct("@dddd")  # ready, time the wire was taken [s], answers, their lateness [s]
+_NOTES = struct.Struct("@dddd")
+"""Ready, time the wire was taken [s], requests answered, lateness of their last answers [s]."""
 
 
 class FarEnd:
@@ -51,7 +53,7 @@ class FarEnd:
         return self._read()[1]
 
     def late(self) -> tuple[float, float]:
-        """Return the number of answers so far, and how much too late they were in all [s]."""
+        """Return how many requests were answered, and by how much too late in all [s]."""
         _, _, answers, late = self._read()
         return answers, late
 
@@ -74,19 +76,21 @@ class FarEnd:
         (file,) = end.files()
         poll = select.poll()
         poll.register(file, select.POLLIN)
-        answers = late = 0.0
+        answers = late = last = 0.0
         parent = os.getppid()
         while os.getppid() == parent:
             if poll.poll(0):
                 wire.receive(end.read(file) or b"", time.monotonic())
+                answers += last > 0.0
+                late += last
+                last = 0.0
             due = wire.next_due()
             now = time.monotonic()
             if due is not None and due <= now:
                 data = b"".join(wire.step(now))
                 if data:
                     end.write(data)
-                    answers += 1
-                    late += time.monotonic() - due
+                    last = time.monotonic() - due
             _NOTES.pack_into(self._notes, 0, 1.0, wire.busy, answers, late)
 
 
@@ -106,6 +110,28 @@ class ApartPool(BusPool):
         if end is None:
             end = self.ends[url] = FarEnd(factory, line)
         return lambda: end.address
+
+    def busy(self) -> float:
+        """Return the time that all wires were taken so far [s]."""
+        wires = [getattr(simulation, "wire", None) for simulation in self.simulations.values()]
+        played = sum(float(getattr(wire, "busy", 0.0)) for wire in wires)
+        return played + sum(end.busy for end in self.ends.values())
+
+    def late(self) -> tuple[float, float]:
+        """Return the far ends' answered requests and lateness in all; see `FarEnd.late`."""
+        said = [end.late() for end in self.ends.values()]
+        return sum(answers for answers, _ in said), sum(late for _, late in said)
+
+    @contextlib.contextmanager
+    def processors(self) -> Iterator[None]:
+        """Leave the last processor to the far ends."""
+        every = os.sched_getaffinity(0)
+        if self.ends and len(every) > 1:
+            os.sched_setaffinity(0, every - {max(every)})
+        try:
+            yield
+        finally:
+            os.sched_setaffinity(0, every)
 
     async def aclose(self) -> None:
         """Close every bus, every simulation and every far end; idempotent."""
