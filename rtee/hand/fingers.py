@@ -33,8 +33,11 @@ def make_fingers(
     chains, notes = fingers_of(srdf, urdf) if srdf else (), []
     if not chains:
         chains = discover_fingers(urdf, frozenset(movers))
-        found = "no SRDF was given" if srdf is None else "the SRDF names no finger"
-        notes.append(f"{found}; the fingers were found from the tree")
+        notes.append(
+            "no SRDF was given; the fingers were found from the tree; no joint is passive"
+            if srdf is None
+            else "the SRDF names no finger; the fingers were found from the tree"
+        )
     tips = _tips(chains, urdf, srdf)
     notes += [
         f"finger '{name}' has no collision geometry: no pinches for it"

@@ -74,6 +74,9 @@ def _group(finger: Finger) -> list[str]:
 
 def _passive(hand: Hand) -> list[str]:
     return [
+        "",
+        '  <!-- Joints that no motor drives: <passive_joint name="JOINT"/> -->',
+    ] + [
         f"  <passive_joint name={quoteattr(joint.name)}/>"
         for joint in hand.joints
         if joint.role is JointRole.PASSIVE
