@@ -24,7 +24,9 @@ def gui(
     import anyio
 
     from rtee.errors import ConfigError
+    from rtee.gui.priority import stand_back
 
+    stand_back()  # before numpy and the network start threads of their own
     try:
         from rtee.gui.app import serve
     except ImportError as error:

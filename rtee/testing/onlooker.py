@@ -1,0 +1,95 @@
+"""A window of the GUI without eyes: receives all that a browser would, and draws nothing.
+
+It stands for a browser on another computer, whose drawing costs this one nothing::
+
+    python -m rtee.testing.onlooker http://127.0.0.1:8080
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import msgspec.msgpack
+import zstandard
+from viser import __version__ as version
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+from websockets.typing import Subprotocol
+
+_LARGEST = 2**26
+_HEADER = 16
+
+_CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (0.0, 0.0, 1.0),
+    "fov": 1.3,
+    "near": 0.01,
+    "far": 1000.0,
+    "image_height": 800,
+    "image_width": 1280,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+
+
+@contextlib.contextmanager
+def window(address: str) -> Iterator[Connection]:
+    """Connect as a browser's window does, for as long as the context lasts.
+
+    Args:
+        address: Where the GUI is, such as ``http://127.0.0.1:8080``.
+    """
+    protocol = Subprotocol(f"viser-v{version}")
+    place = address.replace("http", "ws", 1)
+    with connect(
+        place, subprotocols=[protocol], compression=None, max_size=_LARGEST, proxy=None
+    ) as connection:
+        # The server takes a window for open when it first says where it looks from.
+        connection.send(msgspec.msgpack.encode(_CAMERA))
+        yield connection
+
+
+def messages(frame: bytes) -> list[dict[str, Any]]:
+    """Return the messages in a frame; arrays are left as what stands for them."""
+    size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
+    data = frame[_HEADER : _HEADER + packed]
+    unpacked = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+    found: list[dict[str, Any]] = msgspec.msgpack.decode(unpacked)["messages"]
+    return found
+
+
+def kinds(frames: Iterable[bytes]) -> Counter[str]:
+    """Return how many messages of which kind are in frames; updates by what they change."""
+    found: Counter[str] = Counter()
+    for frame in frames:
+        for message in messages(frame):
+            what = " ".join(sorted(message.get("updates", ())))
+            found[f"{message['type']} {what}".rstrip()] += 1
+    return found
+
+
+def main() -> None:
+    """Look until ended; prints how much came in every second if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("address")
+    parser.add_argument("--tell", action="store_true", help="print frames and bytes per second")
+    given = parser.parse_args()
+    frames = size = 0
+    due = time.monotonic() + 1.0
+    with window(given.address) as connection:
+        for frame in connection:
+            frames, size = frames + 1, size + len(frame)
+            if given.tell and time.monotonic() >= due:
+                due += 1.0
+                print(f"{frames} frames, {size} bytes", flush=True)  # noqa: T201
+                frames = size = 0
+
+
+if __name__ == "__main__":
+    main()
