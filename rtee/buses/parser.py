@@ -71,11 +71,27 @@ class FramedParser(ABC, Generic[F]):
 
     def feed(self, data: bytes) -> list[F]:
         """Take bytes as they come in and return the frames completed by them."""
+        if not self._buffer and len(data) <= self.PIECE:
+            frame = self._only(data)
+            if frame is not None:
+                return [frame]
         frames: list[F] = []
         for start in range(0, len(data), self.PIECE):
             self._buffer += data[start : start + self.PIECE]
             self._scan(frames)
         return frames
+
+    def _only(self, data: bytes) -> F | None:
+        """Return the frame that ``data`` is, whole and nothing else, as most answers are."""
+        self._buffer += data
+        told = self._length(0) if len(data) >= self.HEAD else 0
+        self._buffer.clear()
+        if told != len(data) or not data.startswith(self.HEADER):
+            return None
+        try:
+            return self._decode(data)
+        except ValueError:
+            return None
 
     def _scan(self, frames: list[F]) -> None:
         buffer, header = self._buffer, self.HEADER

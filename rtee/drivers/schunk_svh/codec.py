@@ -267,7 +267,10 @@ class FirmwareInfo:
 
 def targets(positions: tuple[int, ...] | list[int]) -> bytes:
     """Return the data that sets the targets [ticks] of all channels."""
-    return _TARGETS.pack(*[min(max(p, -0x8000_0000), 0x7FFF_FFFF) for p in positions])
+    try:
+        return _TARGETS.pack(*positions)
+    except struct.error:
+        return _TARGETS.pack(*(_clip(p, 32) for p in positions))
 
 
 def read_targets(packet: Packet) -> tuple[int, ...]:
