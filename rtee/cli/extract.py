@@ -98,12 +98,12 @@ def extract(
         from rtee.actions.describe import describe
 
         print(json.dumps(describe(model, found.primitives, found.seconds), indent=2))
-        return
-    _show(model, found)
+    else:
+        _show(model, found)
     notes = [f"note: {note}" for note in (*model.notes, *found.notes)]
     notes += [f"written to {target}" for target in [*targets, *([report] if report else [])]]
     for note in notes:
-        print(note, file=sys.stdout if sys.stdout.isatty() else sys.stderr)
+        print(note, file=sys.stdout if sys.stdout.isatty() and not as_json else sys.stderr)
 
 
 def _write(targets: list[Path], files: dict[Path, str], hand: HandModel, found: Extraction) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -257,17 +258,25 @@ def test_actions(
     assert message in refused(*command.split(), "--hand", "gripper")
 
 
+@pytest.mark.parametrize("as_json", [[], ["--json"]])
 def test_a_finger_without_geometry_is_a_warning(
-    home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    as_json: list[str],
+    home: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     jaw = '<collision><origin xyz="0 0 0.03"/><geometry><box size="0.01 0.02 0.06"/>'
     jaw += "</geometry></collision>"
     (home / "gripper.urdf").write_text(GRIPPER.replace(jaw, "", 1))
-    monkeypatch.setattr(sys, "argv", ["rtee", "extract", "gripper"])
+    monkeypatch.setattr(sys, "argv", ["rtee", "extract", "gripper", *as_json])
     with pytest.raises(SystemExit) as left:
         main()
     said = capsys.readouterr()
     assert not left.value.code
+    if as_json:
+        found = json.loads(said.out)
+        assert found["fingers"]["left_finger"] == {"tip": None, "actuators": ["left"]}
+        said = said._replace(out=str(found["primitives"]))
     assert "Trig" in said.out
     assert "left_finger" not in said.out
     assert "Pinch" not in said.out

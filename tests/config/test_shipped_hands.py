@@ -176,6 +176,25 @@ def test_its_page_names_all_of_it(name: str, hand: Hand, library: ActionLibrary)
         assert word in page, word
 
 
+def test_its_page_lists_its_primitives_and_limits(
+    name: str, hand: Hand, library: ActionLibrary
+) -> None:
+    page = (REPOSITORY / "docs" / "hands" / f"{name}.md").read_text(encoding="utf-8")
+    done: dict[str, list[str]] = {}
+    for action in library.all("primitive"):
+        assert isinstance(action, Primitive)
+        done.setdefault(action.name, []).append(" + ".join(f"`{e}`" for e in action.elements))
+    table = page.split("| primitive | of |\n| --- | --- |\n")[1].split("\n\n")[0]
+    listed = dict(row.strip("| ").split(" | ") for row in table.splitlines())
+    assert {kind: set(of.split("; ")) for kind, of in listed.items()} == {
+        kind: set(of) for kind, of in done.items()
+    }
+    for spec in hand.actuators:
+        numbers = [f"{spec.lower:.4g} … {spec.upper:.4g}", f"{spec.rest:.4g}"]
+        numbers += [f"{value:.4g}" for value in (spec.velocity, spec.acceleration, spec.effort)]
+        assert f"| `{spec.name}` | {' | '.join(numbers)} |" in page, spec.name
+
+
 def test_the_papers_actions_are_there() -> None:
     def find(hand_name: str, action: str) -> Composed | Timed:
         hand = load_hand(CONFIG / hand_name)
