@@ -132,6 +132,9 @@ class Safety(Section):
     max_step: Positive | None = None
     """Largest change of a reference within one tick [rad | m]; unless given, what the velocity
     limit allows."""
+    idle_release: Positive | None = None
+    """A hand that nobody has moved for this long [s], and that holds nothing, goes limp, where its
+    devices can be; ``rtee recover`` wakes it. Unless given, it stays powered."""
 
 
 class Thermal(Section):

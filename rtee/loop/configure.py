@@ -56,6 +56,7 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
             on_link_lost=Behaviour(safety.on_link_lost),
             on_error=Behaviour(safety.on_error),
             max_step=safety.max_step,
+            idle_release=safety.idle_release,
         ),
         thermal=ThermalSettings(
             thermal.warn,

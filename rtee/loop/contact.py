@@ -104,6 +104,13 @@ class ContactWatch:
         watched = self._watched.get(i)
         return watched is not None and watched.grasping
 
+    def presses(self, i: int, reference: float, position: float) -> bool:
+        """Return whether an actuator holds something, or is still kept from its reference."""
+        if not self.blocked(i):
+            return False
+        watched = self._watched[i]
+        return watched.grasping or abs(reference - position) > watched.tolerance
+
     @property
     def fingers(self) -> tuple[str, ...]:
         """The fingers that hold something, each once."""

@@ -115,6 +115,24 @@ class Controller:
         """Whether the reference is on its way or a goal is running."""
         return self._profile.moving or self.running is not None
 
+    @property
+    def idle(self) -> bool:
+        """Whether nothing moves, and no actuator presses against anything."""
+        there = zip(self._limiter.position, self._measured.position, strict=True)
+        return not self.moving and not any(
+            self._contact.presses(i, reference, position)
+            for i, (reference, position) in enumerate(there)
+        )
+
+    def heat(self, indices: Iterable[int]) -> str:
+        """Return in words which of some actuators are warm, or whose temperature is not valid."""
+        thermal = self._thermal
+        return "; ".join(
+            thermal.level[i].words(self.hand.actuators[i].name, thermal.factor[i])
+            for i in indices
+            if thermal.level[i] is not Level.OK
+        )
+
     def take(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted."""
         self._leave_hold(plan.involved)

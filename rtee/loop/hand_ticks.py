@@ -102,6 +102,7 @@ class HandTicks:
         self._group: anyio.abc.TaskGroup | None = None
         self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
         self._status_at = -math.inf
+        self._busy_at = math.inf
         self._told_refused: dict[str, float] = {}
         self._record: TickRecord | None = None
 
@@ -178,6 +179,8 @@ class HandTicks:
         while self._pending:
             self._begin(self._pending.popleft(), tick.number, stamp)
         controller.step(stamp, gather.measured)
+        if self.settings.safety.idle_release is not None:
+            self._rest_when_idle(stamp, self.settings.safety.idle_release)
         record = self._record = TickRecord(
             tick.number,
             stamp,
@@ -217,6 +220,17 @@ class HandTicks:
                 self._observers.status(self.statuses(), self.statistics())
             else:  # hands on one clock take turns
                 self._status_at = stamp + crc32(self.name.encode()) / 2**32 * window
+
+    def _rest_when_idle(self, stamp: float, within: float) -> None:
+        """Let the hand go limp once it was idle for a time [s]."""
+        powered = any(self._was_active.values())
+        if not powered or not self.controller.idle or math.isinf(self._busy_at):
+            self._busy_at = stamp
+        elif stamp - self._busy_at >= within:
+            self._busy_at = math.inf
+            text = f"{self.name}: idle for {within:g} s, released; `rtee recover` wakes it"
+            self._observers.event(Event("idle", self.name, text, stamp))
+            self.behave(Behaviour.RELEASE, text)
 
     def _reference(self, device: Supervisor, record: TickRecord) -> Reference:
         top = np.array(self.controller.max_velocity)
@@ -315,7 +329,12 @@ class HandTicks:
 
     def statuses(self) -> list[DeviceStatus]:
         """Return how the devices are doing."""
-        return [device.status() for device in self.devices.values()]
+        found = []
+        for device in self.devices.values():
+            status, heat = device.status(), self.controller.heat(device.indices)
+            said = "; ".join(text for text in (status.message, heat) if text)
+            found.append(replace(status, message=said) if heat else status)
+        return found
 
     def statistics(self) -> LoopStatistics:
         """Return how the clock is doing."""

@@ -90,6 +90,8 @@ class SafetySettings:
         on_error: When the loop itself fails.
         max_step: Largest change of a reference per tick [rad | m]; ``None``: one tick at the
             velocity limit.
+        idle_release: A hand that nobody has moved for this long, and that holds nothing, goes limp
+            [s]; ``None``: never.
     """
 
     on_exit: Behaviour = Behaviour.HOLD
@@ -97,6 +99,7 @@ class SafetySettings:
     on_link_lost: Behaviour = Behaviour.HOLD
     on_error: Behaviour = Behaviour.STOP
     max_step: float | None = None
+    idle_release: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

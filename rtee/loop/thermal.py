@@ -32,6 +32,20 @@ class Level(IntEnum):
     RELEASE = 3
     INVALID = 4
 
+    def words(self, name: str, factor: float) -> str:
+        """Return what it means for an actuator, of whose effort limit a factor is left."""
+        match self:
+            case Level.INVALID:
+                return f"the temperature sensor of {name} is invalid"
+            case Level.DERATE:
+                return f"{name} is hot, its effort limited to {factor:.0%}"
+            case Level.RELEASE:
+                return f"{name} is too hot"
+            case Level.WARN:
+                return f"{name} is warm"
+            case _:
+                return f"{name} is cool"
+
 
 _SAYING = {
     Level.OK: ("is cool again:", "info"),

@@ -262,6 +262,29 @@ def test_a_broken_sensor_is_invalid_and_trips_nothing() -> None:
     assert levels == [Level.INVALID, Level.OK]
 
 
+class StuckSensor(KinematicDriver):
+    """The first actuator's temperature is always the same, and none."""
+
+    async def sense(self) -> ActuatorState:
+        state = await super().sense()
+        temperature = state.temperature.copy()
+        temperature[0] = -886.0
+        return replace(state, temperature=temperature)
+
+
+async def test_a_stuck_sensor_is_named_and_the_hand_goes_on(hand: Hand) -> None:
+    one = device(hand, rate=50.0, temperatures=True)
+    driver = StuckSensor(one.spec, BusPool())
+    async with running(hand, LoopSettings(rate=50.0), [(one, driver)]) as rig:
+        await rig.run(2.0)
+        assert (await rig.do("Trig", "index")).reached
+        [status] = rig.loop.statuses()
+        assert status.lifecycle is Lifecycle.ACTIVE
+        assert status.message == "the temperature sensor of index_base is invalid"
+        assert rig.loop.snapshot().reference_effort[0] == 2.0
+        assert [e.severity for e in rig.watcher.events if e.kind == "thermal"] == ["warning"]
+
+
 def test_a_single_spike_changes_nothing() -> None:
     thermal = Thermal(ThermalSettings(60, 70, 80), 1)
     for k in range(100):

@@ -9,6 +9,7 @@ import pytest
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
 from rtee.loop.observer import Observer, TickRecord
 from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
@@ -325,6 +326,41 @@ async def test_the_end_is_shielded_from_cancellation(hand: Hand) -> None:
             scope.cancel()
             answers = await bring_to_rest(rig.loop, Behaviour.STOP, "cancelled", ticking=False)
         assert answers == [("dummy", True)]
+
+
+async def test_an_idle_hand_goes_limp_and_wakes_where_it_is(hand: Hand) -> None:
+    settings = LoopSettings(safety=SafetySettings(idle_release=2.0))
+    configured, driver = listening(hand)
+    async with running(hand, settings, [(configured, driver)]) as rig:
+        await rig.run(1.5)
+        assert (await rig.do("Trig", "index", intensity=0.5)).reached
+        await rig.run(1.5)
+        assert "release" not in driver.told, "the time counts from the end of the motion"
+        await rig.run(1.0)
+        assert driver.told[-2:] == ["release", "deactivate"]
+        assert rig.watcher.kinds().count("idle") == 1
+        with pytest.raises(GoalRejected, match="recover"):
+            rig.loop.submit(Goal("open"))
+        await rig.run(3.0)
+        assert rig.watcher.kinds().count("idle") == 1
+        driver.plants[0].position = 0.9
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.loop.recover)
+            await rig.run(0.5)
+        assert driver.plants[0].position == 0.9
+        assert (await rig.do("open")).reached
+
+
+async def test_a_hand_that_holds_something_is_not_idle(hand: Hand) -> None:
+    settings = LoopSettings(safety=SafetySettings(idle_release=0.5))
+    configured, driver = listening(hand, objects={"index": 0.4})
+    async with running(hand, settings, [(configured, driver)]) as rig:
+        assert (await rig.do("Trig", "index")).grasped
+        await rig.run(5.0)
+        assert "release" not in driver.told
+        driver.take_away()
+        await rig.run(2.0)
+        assert driver.told[-2:] == ["release", "deactivate"]
 
 
 async def test_a_goal_that_runs_at_the_end_gets_its_result(hand: Hand) -> None:
