@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 
 _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_SEPARATORS = re.compile(r"[\s_-]+")
 
 
 def normalise(name: str) -> str:
@@ -13,7 +12,7 @@ def normalise(name: str) -> str:
 
     ``pinchTight``, ``PinchTight``, ``pinch_tight`` and ``pinch tight`` all become ``pinchtight``.
     """
-    return _SEPARATORS.sub("", name).lower()
+    return "".join(name.split()).replace("_", "").replace("-", "").lower()
 
 
 def snake_case(name: str) -> str:

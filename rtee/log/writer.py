@@ -19,7 +19,7 @@ from rtee.log.sink import DiskSink
 from rtee.log.tickblock import TickChannels, TickEncoder
 from rtee.loop.observer import TickRecord
 from rtee.loop.plan import Plan
-from rtee.messages import convert, topics
+from rtee.messages import convert, encode_goal, topics
 from rtee.messages.schema import message_type
 from rtee.messages.topics import (
     ACTUATOR_STATES,
@@ -175,7 +175,7 @@ class LogWriter:
         wall = self.wall_of(stamp)
         match item:
             case Goal():
-                self._add(GOALS, wall, convert.encode_goal(item, time=stamp, wall=wall))
+                self._add(GOALS, wall, encode_goal(item, time=stamp, wall=wall))
             case Plan():
                 data = encode_plan(item, self._actuators, time=stamp, wall=wall)
                 self._add(PLANS, wall, data)

@@ -54,18 +54,23 @@ class HandLoop(HandTicks):
             self.hand,
             self.library,
             self.settings,
-            effort_accepted={
-                index
-                for device in self.devices.values()
-                if "max_effort" in device.driver.capabilities.accepts
-                for index in device.indices
-            },
+            effort_accepted=self._takes_effort() if goal.effort else (),
         )
-        able = self._able()
-        if partly and able & plan.involved:
-            plan = plan.only(able)
-        self._check_able(plan.involved, able)
+        if not all(self._was_active.values()):
+            able = self._able()
+            if partly and able & plan.involved:
+                plan = plan.only(able)
+            self._check_able(plan.involved, able)
         self._pending.append(plan)
+
+    def _takes_effort(self) -> set[int]:
+        """Return the actuators whose device takes effort limits."""
+        return {
+            index
+            for device in self.devices.values()
+            if "max_effort" in device.driver.capabilities.accepts
+            for index in device.indices
+        }
 
     def _able(self) -> set[int]:
         """Return the actuators that may be moved."""

@@ -104,9 +104,11 @@ def make_plan(
         intensity = _intensity(goal, action)
         legs = (Leg("", _targets(action.posture, hand, intensity)),)
         timed = False
-    involved = frozenset(index for leg in legs for index in leg.targets)
-    margins = sum(leg.before + leg.after for leg in legs)
-    timeout = settings.goal_timeout * len(legs) + margins if goal.timeout is None else goal.timeout
+    involved = frozenset().union(*[leg.targets for leg in legs])
+    timeout = goal.timeout
+    if timeout is None:
+        margins = sum([leg.before + leg.after for leg in legs])
+        timeout = settings.goal_timeout * len(legs) + margins
     return Plan(goal, action.name, legs, involved, effort, timeout, timed)
 
 
@@ -115,9 +117,9 @@ def _check_numbers(goal: Goal) -> None:
         raise GoalRejected(f"the intensity must be 0 to 1, not {goal.intensity:g}")
     if not 0.0 < goal.speed <= 1.0:
         raise GoalRejected(f"the speed must be above 0 and at most 1, not {goal.speed:g}")
-    if not (goal.tolerance > 0.0 and math.isfinite(goal.tolerance)):
+    if not 0.0 < goal.tolerance < math.inf:
         raise GoalRejected(f"the tolerance must be above 0, not {goal.tolerance:g}")
-    if goal.timeout is not None and not (goal.timeout > 0.0 and math.isfinite(goal.timeout)):
+    if goal.timeout is not None and not 0.0 < goal.timeout < math.inf:
         raise GoalRejected(f"the timeout must be above 0 s, not {goal.timeout:g}")
 
 

@@ -5,7 +5,6 @@ from rtee.messages.convert import (
     decode_device_status,
     decode_event,
     decode_feedback,
-    decode_goal,
     decode_loop_statistics,
     decode_result,
     decode_string,
@@ -13,11 +12,11 @@ from rtee.messages.convert import (
     encode_device_status,
     encode_event,
     encode_feedback,
-    encode_goal,
     encode_loop_statistics,
     encode_result,
     encode_string,
 )
+from rtee.messages.goal import decode_goal, encode_goal
 from rtee.messages.layout import JointStateEncoder
 from rtee.messages.schema import MessageType, message_type
 from rtee.messages.topics import log_topic, network_key

@@ -9,7 +9,7 @@ length as ``uint32`` and its elements.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,16 +41,21 @@ DTYPES: dict[str, np.dtype[Any]] = {
 }
 
 _LENGTH = SCALARS["uint32"]
+_DOUBLE = SCALARS["float64"]
 _PADDING = tuple(bytes(size) for size in range(8))
 
 
 class Writer:
-    """Builds the bytes of one message."""
+    """Builds the bytes of one message.
+
+    Args:
+        begin: What it begins with, encapsulation header included.
+    """
 
     __slots__ = ("_buffer",)
 
-    def __init__(self) -> None:
-        self._buffer = bytearray(HEADER)
+    def __init__(self, begin: bytes = HEADER) -> None:
+        self._buffer = bytearray(begin)
 
     def align(self, size: int) -> None:
         """Pad with zeros up to a multiple of ``size`` bytes."""
@@ -62,11 +67,24 @@ class Writer:
         buffer = self._buffer
         buffer += _PADDING[(4 - len(buffer)) % packer.size] + packer.pack(value)
 
+    def double(self, value: float) -> None:
+        """Append a ``float64``."""
+        buffer = self._buffer
+        buffer += _PADDING[(4 - len(buffer)) % 8] + _DOUBLE.pack(value)
+
     def string(self, value: str) -> None:
         """Append a string."""
         data = value.encode("utf-8", "replace")
         buffer = self._buffer
         buffer += _PADDING[-len(buffer) % 4] + _LENGTH.pack(len(data) + 1) + data + b"\0"
+
+    def strings(self, values: Collection[str]) -> None:
+        """Append a sequence of strings."""
+        if isinstance(values, str):
+            raise MessageError("a list of strings expected")
+        self.length(len(values))
+        for value in values:
+            self.string(value)
 
     def length(self, count: int) -> None:
         """Append the length of a sequence."""
@@ -139,6 +157,20 @@ class Reader:
         unpacker = SCALARS[kind]
         self._position += (4 - self._position) % unpacker.size
         return unpacker.unpack_from(self._data, self._take(unpacker.size))[0]
+
+    def skip(self, count: int) -> None:
+        """Skip as many bytes."""
+        self._take(count)
+
+    def double(self) -> float:
+        """Return a ``float64``."""
+        self._position += (4 - self._position) % 8
+        value: float = _DOUBLE.unpack_from(self._data, self._take(8))[0]
+        return value
+
+    def strings(self) -> list[str]:
+        """Return a sequence of strings."""
+        return [self.string() for _ in range(self.length(5))]
 
     def string(self) -> str:
         """Return a string."""

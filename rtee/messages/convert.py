@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rtee.errors import MessageError
+from rtee.messages.goal import paired, stage_of
 from rtee.messages.schema import message_type
 from rtee.types import (
     Command,
@@ -18,13 +19,11 @@ from rtee.types import (
     Lifecycle,
     LoopStatistics,
     Result,
-    Stage,
 )
 
 Data = bytes | bytearray | memoryview
 
 _SECOND = 1_000_000_000
-_GOAL = message_type("rtee_msgs/msg/Goal")
 _FEEDBACK = message_type("rtee_msgs/msg/Feedback")
 _RESULT = message_type("rtee_msgs/msg/Result")
 _EVENT = message_type("rtee_msgs/msg/Event")
@@ -61,59 +60,19 @@ def _taken(source: object, names: Sequence[str]) -> dict[str, Any]:
     return {name: getattr(source, name) for name in names}
 
 
-def _paired(what: str, names: Sequence[str], values: Sequence[Any]) -> dict[str, Any]:
-    if len(names) != len(values):
-        raise MessageError(f"{what}: {len(names)} names for {len(values)} values")
-    if len(set(names)) != len(names):
-        raise MessageError(f"{what}: a name occurs twice")
-    return dict(zip(names, values, strict=True))
-
-
 def _numbers(what: str, names: Sequence[str], values: Any) -> dict[str, float]:
-    return _paired(what, names, values.tolist())
-
-
-def encode_goal(goal: Goal, *, time: float = 0.0, wall: int = 0) -> bytes:
-    """Return a ``rtee_msgs/Goal``.
-
-    Args:
-        goal: The goal.
-        time: When it was taken, CLOCK_MONOTONIC [s].
-        wall: The same since 1970 [ns].
-    """
-    return _GOAL.encode(
-        _taken(goal, _GOAL_FIELDS)
-        | {
-            "header": header(wall),
-            "time": time,
-            "kind": goal.kind or "",
-            "elements": goal.elements,
-            "effort_name": list(goal.effort),
-            "effort": list(goal.effort.values()),
-            "timeout": math.nan if goal.timeout is None else goal.timeout,
-            "stage": str(goal.stage),
-        }
-    )
-
-
-def decode_goal(data: Data) -> Goal:
-    """Return the goal in a ``rtee_msgs/Goal``; raises `MessageError`."""
-    return goal_of(_GOAL.decode(data))
+    return paired(what, names, values.tolist())
 
 
 def goal_of(fields: Mapping[str, Any]) -> Goal:
     """Return the goal in the fields of a decoded ``rtee_msgs/Goal``; raises `MessageError`."""
-    try:
-        stage = Stage(fields["stage"])
-    except ValueError:
-        raise MessageError(f"stage '{fields['stage']}' is none of both, pre_grasp, grasp") from None
     return Goal(
         **{name: fields[name] for name in _GOAL_FIELDS},
         kind=fields["kind"] or None,
         elements=tuple(fields["elements"]),
         effort=_numbers("effort", fields["effort_name"], fields["effort"]),
         timeout=None if math.isnan(fields["timeout"]) else fields["timeout"],
-        stage=stage,
+        stage=stage_of(fields["stage"]),
     )
 
 
@@ -275,8 +234,8 @@ def device_status_of(fields: Mapping[str, Any]) -> DeviceStatus:
     return DeviceStatus(
         **{name: fields[name] for name in _DEVICE_FIELDS},
         lifecycle=lifecycle,
-        identity=_paired("identity", fields["identity_name"], fields["identity_value"]),
-        counters=_paired("counter", fields["counter_name"], fields["counter_value"].tolist()),
+        identity=paired("identity", fields["identity_name"], fields["identity_value"]),
+        counters=paired("counter", fields["counter_name"], fields["counter_value"].tolist()),
         gains=tuple(fields["gain"]),
     )
 

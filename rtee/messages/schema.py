@@ -157,18 +157,6 @@ def _short(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
-def _write_strings(writer: Writer, values: Any) -> None:
-    if isinstance(values, str):
-        raise MessageError("a list of strings expected")
-    writer.length(len(values))
-    for value in values:
-        writer.string(value)
-
-
-def _read_strings(reader: Reader) -> list[str]:
-    return [reader.string() for _ in range(reader.length(5))]
-
-
 def _writer_of(field: Field) -> Write:
     kind = field.kind
     if field.nested:
@@ -181,7 +169,7 @@ def _writer_of(field: Field) -> Write:
 
         return write_all if field.sequence else inner.write
     if kind == "string":
-        return _write_strings if field.sequence else Writer.string
+        return Writer.strings if field.sequence else Writer.string
     if field.sequence:
         return lambda writer, values: writer.array(kind, values)
     return lambda writer, value: writer.scalar(kind, value)
@@ -195,7 +183,7 @@ def _reader_of(field: Field) -> Read:
             return lambda reader: [inner.read(reader) for _ in range(reader.length(1))]
         return inner.read
     if kind == "string":
-        return _read_strings if field.sequence else Reader.string
+        return Reader.strings if field.sequence else Reader.string
     if field.sequence:
         return lambda reader: reader.array(kind)
     return lambda reader: reader.scalar(kind)

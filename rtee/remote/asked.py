@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import zenoh
@@ -18,8 +17,14 @@ log = logging.getLogger(__name__)
 LONGEST = 65536
 """Longest question that is looked at [bytes]."""
 
+LONGEST_NUMBERED = 200
+"""Longest number and client of what is put instead of asked [bytes]."""
+
 REPLY = message_type("rtee_msgs/msg/Reply")
 _EMPTY = message_type("rtee_msgs/msg/Empty")
+
+Reply = Callable[[bytes, bool], object]
+"""Sends an encoded answer, or, when ``False`` is given with it, a refusal."""
 
 
 def refusal(error: Exception) -> bytes:
@@ -42,18 +47,23 @@ class Asked:
 
     Attributes:
         request: Which request it is.
-        question: The question.
-        fields: Its fields.
+        question: The question, encoded.
     """
 
-    __slots__ = ("_key", "_query", "fields", "question", "request")
+    __slots__ = ("_fields", "_reply", "question", "request")
 
-    def __init__(self, query: zenoh.Query, key: str, request: Request, question: bytes) -> None:
-        self._query = query
-        self._key = key
+    def __init__(self, request: Request, question: bytes, reply: Reply) -> None:
         self.request = request
         self.question = question
-        self.fields = request.question.decode(question) if question else {}
+        self._reply = reply
+        self._fields: dict[str, Any] | None = None
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """The fields of the question; raises `MessageError`."""
+        if self._fields is None:
+            self._fields = self.request.question.decode(self.question) if self.question else {}
+        return self._fields
 
     def answer(self, fields: Mapping[str, Any]) -> None:
         """Answer with a message of the request's type."""
@@ -61,9 +71,7 @@ class Asked:
 
     def answer_bytes(self, data: bytes) -> None:
         """Answer with an encoded message of the request's type."""
-        # Whoever asked may be gone by now.
-        with contextlib.suppress(zenoh.ZError), self._query:
-            self._query.reply(self._key, data, express=True)
+        self._reply(data, True)
 
     def accept(self, text: str = "") -> None:
         """Answer that it was taken."""
@@ -71,31 +79,37 @@ class Asked:
 
     def refuse(self, error: Exception) -> None:
         """Answer why not."""
-        refuse(self._query, error)
+        self._reply(refusal(error), False)
 
 
-def refuse(query: zenoh.Query, error: Exception) -> None:
-    """Answer a query with why it was not taken."""
-    with contextlib.suppress(zenoh.ZError), query:
-        query.reply_err(refusal(error))
+def read(asked: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, bytes]:
+    """Take a question apart; cheap for junk of any size.
 
-
-def read(query: zenoh.Query, hand: str, group: str) -> Asked:
-    """Take a query apart; cheap for junk of any size.
+    Returns:
+        The request, and the question, encoded.
 
     Raises:
         MessageError: if it is no request of the group.
     """
-    name = str(query.key_expr).rpartition("/")[2]
+    name = str(asked.key_expr).rpartition("/")[2]
     request = REQUESTS.get(name)
     if request is None or request.group != group:
         raise MessageError(f"there is no request '{name[:50]}' in '{group}'")
-    payload = query.payload
+    payload = asked.payload
     size = 0 if payload is None else len(payload)
     if size > LONGEST:
         raise MessageError(f"{size} bytes are longer than any request")
     if payload is None or not size:
         if request.question is not _EMPTY:
             raise MessageError(f"the request '{name}' needs a {request.question.name}")
-        return Asked(query, request.key(hand), request, b"")
-    return Asked(query, request.key(hand), request, payload.to_bytes())
+        return request, b""
+    return request, payload.to_bytes()
+
+
+def numbered(sample: zenoh.Sample) -> tuple[str, str]:
+    """Return the number and the client under which something was put; empty if it was not so."""
+    attachment = sample.attachment
+    if attachment is None or len(attachment) > LONGEST_NUMBERED:
+        return "", ""
+    number, _, client = attachment.to_bytes().decode("ascii", "replace").partition(" ")
+    return number, client

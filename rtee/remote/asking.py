@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rtee.errors import RequestRejected, RteeError
+from rtee.hand.fingerprint import fingerprint
 from rtee.messages.convert import device_status_fields, loop_statistics_fields
 from rtee.remote.actions import action_fields, group_fields, made_of
 from rtee.remote.asked import Asked
@@ -61,13 +62,13 @@ class Asking:
         Raises:
             RteeError: if it cannot be answered.
         """
-        name = asked.request.name
+        name, fields = asked.request.name, asked.fields
         if name == "state":
             asked.answer_bytes(self._state())
         elif name in _CONSTANT:
             asked.answer_bytes(self._kept(asked))
         else:
-            asked.answer(self._answers[name](asked.fields))
+            asked.answer(self._answers[name](fields))
 
     def _kept(self, asked: Asked) -> bytes:
         """Return an answer that changes only with the actions; worked out once for each question.
@@ -140,12 +141,13 @@ class Asking:
         return {"accepted": True, "error": "", "reason": "", "text": self._server.recording()}
 
     def _trials(self) -> str:
-        """Return the text of the file with what trials found, or nothing."""
+        """Return the text of the file with what trials found, and of what the files are now."""
         folder = self._library.folder
         if folder is None:
             return ""
         with contextlib.suppress(OSError, UnicodeDecodeError):
-            return (folder.parent / _TRIALS).read_text(encoding="utf-8")
+            text = (folder.parent / _TRIALS).read_text(encoding="utf-8")
+            return f"{text}present: '{fingerprint(folder.parent)}'\n"
         return ""
 
     # --- actions

@@ -80,12 +80,16 @@ class RemoteHand(Library):
         link.subscribe(topics.RESULTS, self._on_result)
 
     def _on_feedback(self, data: bytes) -> None:
+        if not self._goals:  # it is about a goal of somebody else
+            return
         feedback = decode_feedback(data)
         running = self._goals.get(feedback.goal_id)
         if running is not None:
             running.tell(feedback)
 
     def _on_result(self, data: bytes) -> None:
+        if not self._goals:
+            return
         result = decode_result(data)
         running = self._goals.pop(result.goal_id, None)
         if running is not None:
@@ -271,6 +275,7 @@ async def connect(
     try:
         remote = RemoteHand(link)
         await link.ask("hello", {"client": identity, "what": ""})
+        await link.putting.found()
         yield remote
     finally:
         with anyio.CancelScope(shield=True):

@@ -7,16 +7,18 @@ loop's thread never takes it, so that it cannot be held up here.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from rtee.errors import GoalRejected, RequestRejected
+from rtee.errors import ConfigError, GoalRejected, RequestRejected
 from rtee.hand.names import check_name
-from rtee.messages.convert import goal_of
+from rtee.messages import decode_goal
 from rtee.remote.asked import Asked
 from rtee.remote.lease import Lease
+from rtee.types import Goal
 
 if TYPE_CHECKING:
     from rtee.remote.server import Server
@@ -38,7 +40,6 @@ class Control:
         self._greeting: dict[str, Asked] = {}
         self._handlers: dict[str, Callable[[Asked], str | None]] = {
             "hello": self._hello,
-            "do": self._do,
             "cancel": self._cancel,
             "hold": self._hold,
             "jog": self._jog,
@@ -54,21 +55,27 @@ class Control:
         Raises:
             RteeError: why not.
         """
-        client = check_name(asked.fields["client"], "client")
+        name = asked.request.name
+        goal = decode_goal(asked.question) if name == "do" else None
+        client = asked.fields["client"] if goal is None else goal.client
         with self._lock:
-            if asked.request.name != "hello" and client not in self._clients:
+            if client not in self._clients and name != "hello":
                 raise RequestRejected("who asks is not known here; say hello first")
-            done = self._handlers[asked.request.name](asked)
+            done = self._handlers[name](asked) if goal is None else self._do(goal)
         if done is not None:
             asked.accept(done)
 
+    def knows(self, client: str) -> bool:
+        """Return whether a client is there."""
+        return client in self._clients
+
     def came(self, client: str) -> None:
         """Note that a client is there."""
-        with self._lock:
-            self._clients.add(client)
+        with contextlib.suppress(ConfigError), self._lock:
+            self._clients.add(check_name(client, "client"))
             greeting = self._greeting.pop(client, None)
-        if greeting is not None:
-            greeting.accept()
+            if greeting is not None:
+                greeting.accept()
 
     def gone(self, client: str) -> None:
         """Note that a client is there no more; if it held the hand, nobody drives it now."""
@@ -79,7 +86,7 @@ class Control:
             self._server.call_soon(self._loop.client_lost, client)
 
     def _hello(self, asked: Asked) -> str | None:
-        client = asked.fields["client"]
+        client = check_name(asked.fields["client"], "client")
         if client in self._clients:
             return ""
         if len(self._greeting) >= _MOST_WAITING:
@@ -87,8 +94,7 @@ class Control:
         self._greeting[client] = asked
         return None
 
-    def _do(self, asked: Asked) -> str:
-        goal = goal_of(asked.fields)
+    def _do(self, goal: Goal) -> str:
         check_name(goal.goal_id, "goal")
         self.lease.check(goal.client)
         if self.lease.runs(goal.goal_id):

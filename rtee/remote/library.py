@@ -44,7 +44,8 @@ class Library(View):
     async def trials(self) -> str:
         """Return the text of the file with what trials of the actions found; empty for none.
 
-        `rtee.trials.store.parse_results` reads it.
+        `rtee.trials.store.parse_results` reads it. After it stands what the hand's files are now,
+        as ``present``; trials ``made_with`` others are out of date.
         """
         return str((await self._link.ask("trials"))["data"])
 

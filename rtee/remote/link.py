@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import zenoh
 
 from rtee.errors import LeaseHeld, MessageError, NoHand, RequestRejected
 from rtee.messages import network_key
-from rtee.messages.requests import ALIVE, CLIENTS, REQUESTS, STOP
+from rtee.messages.requests import ALIVE, CLIENTS, PUT, REQUESTS, STOP
 from rtee.messages.schema import message_type
+from rtee.remote.putting import Putting
 from rtee.remote.session import direct
 
 _REPLY = message_type("rtee_msgs/msg/Reply")
@@ -25,6 +27,9 @@ class Link:
         session: The network.
         hand: The hand's name.
         client: This client's name on the network.
+
+    Attributes:
+        putting: What is in a hurry goes this way.
     """
 
     def __init__(self, session: zenoh.Session, hand: str, client: str) -> None:
@@ -33,6 +38,7 @@ class Link:
         self._session = session
         self._loop = asyncio.get_running_loop()
         self._subscribers: list[zenoh.Subscriber[None]] = []
+        self.putting = Putting(session, hand, client, self._call_soon, self._error)
         self._token = session.liveliness().declare_token(network_key(hand, f"{CLIENTS}/{client}"))
 
     def _call_soon(self, function: Callable[..., object], *arguments: object) -> None:
@@ -56,6 +62,23 @@ class Link:
         subscriber = self._declared(key, take)
         try:
             yield
+        finally:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+    @contextlib.contextmanager
+    def collected(self, key: str, most: int) -> Iterator[deque[bytes]]:
+        """Collect messages on a key for as long as the context lasts; the newest ``most`` stay.
+
+        Zenoh's thread collects them: the event loop is not woken.
+        """
+        found: deque[bytes] = deque(maxlen=most)
+
+        def received(sample: zenoh.Sample) -> None:
+            found.append(sample.payload.to_bytes())
+
+        subscriber = self._session.declare_subscriber(key, direct(received))
+        try:
+            yield found
         finally:
             subscriber.undeclare()  # type: ignore[no-untyped-call]
 
@@ -98,6 +121,8 @@ class Link:
             LeaseHeld: if another client holds the hand.
             RequestRejected: if the hand refused; with its reason.
         """
+        if name in PUT:
+            return self.putting.send(name, question, within)
         request = REQUESTS[name]
         future: asyncio.Future[bytes] = self._loop.create_future()
 
@@ -147,6 +172,7 @@ class Link:
         with contextlib.suppress(zenoh.ZError):
             for subscriber in self._subscribers:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
+            self.putting.close()
             self._token.undeclare()  # type: ignore[no-untyped-call]
             self._session.close()  # type: ignore[no-untyped-call]
 

@@ -6,8 +6,10 @@ Results and events must not be lost, so that a thread of their own puts them and
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -16,7 +18,7 @@ from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
 from rtee.loop.observer import TickRecord
 from rtee.messages import JointStateEncoder, network_key
-from rtee.messages.requests import STATES
+from rtee.messages.requests import ANSWERS, STATES
 from rtee.messages.state import State, StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE
 from rtee.remote.session import direct
@@ -189,7 +191,7 @@ class Streams:
 
 
 class Outbox:
-    """Publishes what must arrive, in order, from a thread of its own.
+    """Publishes and answers what must arrive, in order, from a thread of its own.
 
     Attributes:
         dropped: Messages that were dropped because too much was waiting.
@@ -199,17 +201,37 @@ class Outbox:
         self._session, self._hand = session, hand
         self._publishers: dict[str, zenoh.Publisher] = {}
         self.dropped = 0
-        self._worker = Worker(f"publish {hand}", self._publish)
+        self._worker: Worker[Callable[[], object]] = Worker(f"publish {hand}", _call)
         self.close = self._worker.close
 
     def put(self, topic: str, encode: Callable[[int], bytes]) -> None:
         """Publish a message on a topic; ``encode`` is given the time since 1970 [ns]."""
-        if not self._worker.put((topic, encode, time.time_ns())):
+        self._later(partial(self._publish, topic, encode, time.time_ns()))
+
+    def answer(self, query: zenoh.Query, data: bytes, ok: bool) -> None:
+        """Answer a query with a message, or with a refusal."""
+        self._later(partial(answer, self._hand, query, data, ok))
+
+    def answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
+        """Answer what a client has put under a number with a message, or with a refusal."""
+        self._later(partial(self._answer_put, client, number, data, ok))
+
+    def _later(self, call: Callable[[], object]) -> None:
+        if not self._worker.put(call):
             self.dropped += 1
 
-    def _publish(self, item: tuple[str, Callable[[int], bytes], int]) -> None:
-        topic, encode, wall = item
+    def _publish(self, topic: str, encode: Callable[[int], bytes], wall: int) -> None:
         self._publisher(topic).put(encode(wall))
+
+    def _answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
+        self._session.put(
+            network_key(self._hand, f"{ANSWERS}/{client}"),
+            data,
+            attachment=f"{'+' if ok else '-'}{number}",
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            express=True,
+        )
 
     def _publisher(self, topic: str) -> zenoh.Publisher:
         if topic not in self._publishers:
@@ -220,3 +242,19 @@ class Outbox:
                 express=True,
             )
         return self._publishers[topic]
+
+
+def _call(function: Callable[[], object]) -> None:
+    function()
+
+
+def answer(hand: str, query: zenoh.Query, data: bytes, ok: bool) -> None:
+    """Answer a query with a message, or with a refusal; may wait for the network."""
+    # Whoever asked may be gone by now.
+    with contextlib.suppress(zenoh.ZError), query:
+        if ok:
+            # All hands may have been asked at once: this one answers under its own name.
+            asked = str(query.key_expr).split("/", 2)[2]
+            query.reply(network_key(hand, asked), data, express=True)
+        else:
+            query.reply_err(data)

@@ -31,11 +31,11 @@ from rtee.messages import (
     topics,
 )
 from rtee.messages.requests import ALIVE, ASK, CLIENTS, CONTROL, STOP
-from rtee.remote.asked import Asked, read, refuse
+from rtee.remote.asked import Asked, Reply, numbered, read, refusal
 from rtee.remote.asking import Asking
 from rtee.remote.control import Control
 from rtee.remote.directory import announced
-from rtee.remote.publishing import Outbox, Streams
+from rtee.remote.publishing import Outbox, Streams, answer
 from rtee.remote.session import direct, open_server
 from rtee.remote.worker import Worker
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
@@ -146,9 +146,7 @@ class Server(Observer):
             stack.push_async_callback(anyio.to_thread.run_sync, self._outbox.close)
             self._control = Control(self)
             self._asking = Asking(self)
-            self._worker: Worker[zenoh.Query] = Worker(
-                f"answer {self.hand.name}", partial(self._receive, ASK, self._asking.take)
-            )
+            self._worker: Worker[zenoh.Query] = Worker(f"answer {self.hand.name}", self._ask)
             stack.push_async_callback(anyio.to_thread.run_sync, self._worker.close)
             self.loop.add_observer(self)
             stack.callback(self.loop.remove_observer, self)
@@ -164,10 +162,11 @@ class Server(Observer):
         hand = self.hand.name
         # Control and stop wait for nothing: they are checked in Zenoh's own thread.
         takes: dict[str, Callable[[zenoh.Query], None]] = {
-            STOP: partial(self._receive, STOP, self._stop),
-            CONTROL: partial(self._receive, CONTROL, self._control.take),
+            STOP: partial(self._asked, STOP, self._stop),
+            CONTROL: partial(self._asked, CONTROL, self._control.take),
             ASK: self._pass_on,
         }
+        session.declare_subscriber(network_key(hand, f"{CONTROL}/*"), direct(self._put_here))
         for group, take in takes.items():
             session.declare_queryable(network_key(hand, f"{group}/*"), direct(take))
         clients = network_key(hand, f"{CLIENTS}/*")
@@ -210,15 +209,35 @@ class Server(Observer):
         """Run something in the background; called in the loop's thread."""
         self._tasks.start_soon(function)
 
-    def _receive(self, group: str, take: Callable[[Asked], None], query: zenoh.Query) -> None:
-        try:
-            take(read(query, self.hand.name, group))
-        except Exception as error:
-            refuse(query, error)
+    def _asked(self, group: str, take: Callable[[Asked], None], query: zenoh.Query) -> None:
+        self._receive(query, group, take, partial(self._outbox.answer, query))
+
+    def _put_here(self, sample: zenoh.Sample) -> None:
+        """Take what was put instead of asked; who is not known gets no answer."""
+        number, client = numbered(sample)
+        if self._control.knows(client):
+            reply = partial(self._outbox.answer_put, client, number)
+            self._receive(sample, CONTROL, self._control.take, reply)
 
     def _pass_on(self, query: zenoh.Query) -> None:
         if not self._worker.put(query):
-            refuse(query, RequestRejected("too many requests are waiting"))
+            error = RequestRejected("too many requests are waiting")
+            self._outbox.answer(query, refusal(error), False)
+
+    def _ask(self, query: zenoh.Query) -> None:
+        self._receive(query, ASK, self._asking.take, partial(answer, self.hand.name, query))
+
+    def _receive(
+        self,
+        asked: zenoh.Query | zenoh.Sample,
+        group: str,
+        take: Callable[[Asked], None],
+        reply: Reply,
+    ) -> None:
+        try:
+            take(Asked(*read(asked, group), reply))
+        except Exception as error:
+            reply(refusal(error), False)
 
     def _client(self, sample: zenoh.Sample) -> None:
         client = str(sample.key_expr).rpartition("/")[2]
@@ -228,11 +247,11 @@ class Server(Observer):
             self._control.gone(client)
 
     def _stop(self, asked: Asked) -> None:
-        self.call_soon(self._start_stop, asked)
+        self.call_soon(self._start_stop, asked, asked.fields["client"] or "a client")
 
-    def _start_stop(self, asked: Asked) -> None:
+    def _start_stop(self, asked: Asked, client: str) -> None:
         async def stop() -> None:
-            confirmed = await self.loop.stop(f"stopped by {asked.fields['client'] or 'a client'}")
+            confirmed = await self.loop.stop(f"stopped by {client}")
             names = [name for name, _ in confirmed]
             asked.answer({"device": names, "confirmed": [done for _, done in confirmed]})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import socket
 from collections.abc import Callable, Sequence
@@ -11,6 +12,14 @@ from typing import Any, TypeVar
 import zenoh
 
 from rtee.errors import ConfigError, NoHand
+
+RUNTIME = "(rx:(worker_threads:1),tx:(worker_threads:1)"
+RUNTIME += ",acc:(handover:rx),net:(handover:rx),app:(handover:rx))"
+"""Zenoh's threads: one that sends and one for all else, so that a message wakes only those two.
+
+Where the one that sends has to wait, the other must be able to; callbacks never wait."""
+
+os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)  # read when the first session is opened
 
 LEASE = 1000
 """After this long without a sign of life a peer counts as dead [ms]; four signs are sent in it."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import weakref
+from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from rtee.errors import NoHand
+from rtee.errors import MessageError, NoHand
 from rtee.messages import decode_event, topics
 from rtee.messages.convert import device_status_of, loop_statistics_of
 from rtee.messages.state import State, decode_state
@@ -46,6 +48,27 @@ class HandStatus:
     devices: tuple[DeviceStatus, ...]
 
 
+class CollectedStates:
+    """States that have come and nobody has looked at yet."""
+
+    def __init__(self, found: deque[bytes]) -> None:
+        self._found = found
+
+    def take(self, step: int = 1) -> list[State]:
+        """Return the states since the last call, oldest first, and forget them.
+
+        Args:
+            step: Only every so many of them, and the newest.
+        """
+        states: list[State] = []
+        for number in range(len(self._found) - 1, -1, -1):
+            data = self._found.popleft()
+            if number % step == 0:
+                with contextlib.suppress(MessageError):  # anybody may publish on a key
+                    states.append(decode_state(data))
+        return states
+
+
 class View:
     """A running hand as it can be watched.
 
@@ -71,6 +94,7 @@ class View:
 
     def _on_gone(self) -> None:
         self._gone = True
+        self._link.putting.lost()
         for watcher in tuple(self._watchers):
             _put(watcher, None)
         for stream in self._streams:
@@ -103,6 +127,22 @@ class View:
         finally:
             self._streams.discard(queue)
         raise NoHand(f"the hand '{self.name}' has gone")
+
+    @contextlib.asynccontextmanager
+    async def collected_states(
+        self, rate: float = 100.0, most: int = _MOST_WAITING
+    ) -> AsyncIterator[CollectedStates]:
+        """Collect states while the context lasts, for those who look at them now and then.
+
+        Other than with `states`, this process is not woken for each of them.
+
+        Args:
+            rate: How many it wants [Hz]; the nearest that divides the loop's rate.
+            most: How many are kept; the newest stay.
+        """
+        reply = await self._link.ask("stream", {"client": self.client, "rate": rate})
+        with self._link.collected(reply["text"], most) as found:
+            yield CollectedStates(found)
 
     def events(self) -> AsyncIterator[Event]:
         """Iterate over what happens from this call on.

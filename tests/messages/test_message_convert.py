@@ -102,6 +102,23 @@ def test_stamps_are_kept() -> None:
     assert convert.wall_ns(fields) == 1_700_000_000_123_456_789
 
 
+@pytest.mark.parametrize(
+    "goal", [GOAL, replace(GOAL, kind=None, timeout=None, effort={}, elements=(), client="größer")]
+)
+def test_a_goal_is_written_and_read_as_its_definition_says(goal: Goal) -> None:
+    kind = message_type("rtee_msgs/Goal")
+    data = messages.encode_goal(goal, time=7.25, wall=1_700_000_000_123_456_789)
+    fields = kind.decode(data)
+    assert kind.encode(fields) == data
+    assert convert.goal_of(fields) == messages.decode_goal(data) == goal
+
+
+@pytest.mark.parametrize("wrong", [{"intensity": "much"}, {"effort": None}, {"elements": "index"}])
+def test_a_goal_with_a_value_of_the_wrong_kind_is_no_message(wrong: dict[str, Any]) -> None:
+    with pytest.raises(MessageError):
+        messages.encode_goal(replace(GOAL, **wrong))
+
+
 def _with(name: str, encoded: bytes, **changes: Any) -> bytes:
     kind = message_type(name)
     return kind.encode(kind.decode(encoded) | changes)

@@ -3,9 +3,11 @@ from __future__ import annotations
 import os
 import random
 from collections.abc import Iterator
+from functools import partial
 
 import anyio.to_thread
 import pytest
+import zenoh
 
 import rtee
 from rtee.actions.library import ActionLibrary
@@ -131,6 +133,27 @@ async def test_damaged_requests_end_in_an_answer(
                 if request.name == "hello":
                     break
         await _still_well(remote)
+
+
+async def test_junk_that_is_put_is_refused_or_ignored(
+    hand: Hand, library: ActionLibrary, rude: list[Rude]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        rude.append(Rude(served.server.endpoint))
+        session, client = rude[0].session, remote.client
+        put = partial(session.put, congestion_control=zenoh.CongestionControl.BLOCK)
+        with session.declare_subscriber(f"rtee/small/answers/{client}") as answers:
+            for name in ("do", "dance"):
+                for junk in (b"", b"junk", bytes(LONGEST + 1)):
+                    key = f"rtee/small/control/{name}"
+                    for attachment in (None, "", f"7 {'x' * 500}", "7 nobody", "\u00fc 7 **"):
+                        put(key, junk, attachment=attachment)
+                    put(key, junk, attachment=f"7 {client}")
+                    sample = await anyio.to_thread.run_sync(answers.recv)
+                    assert sample.attachment.to_string() == "-7"
+                    assert REPLY.decode(sample.payload.to_bytes())["reason"]
+        await _still_well(remote)
+        assert [goal.client for goal in served.watcher.goals] == [client]
 
 
 async def test_who_is_not_there_moves_nothing(
