@@ -16,6 +16,7 @@ import viser
 from rtee.actions.types import Action, ActionKind, Evidence, Posture
 from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.bridge import Bridge
+from rtee.gui.history import LONGEST
 from rtee.gui.panels.actions import ActionsPanel
 from rtee.gui.panels.cards import Card
 from rtee.gui.panels.header import Header
@@ -33,6 +34,8 @@ from rtee.types import Event, FloatArray
 
 _STATE_RATE = 100.0
 _SCENE_PERIOD = 1 / 30
+_UNWATCHED_PERIOD = 0.25
+_UNWATCHED_STEP = 5
 _PLOT_PERIOD = 1 / 8
 _TABLE_PERIOD = 1 / 4
 _STATUS_PERIOD = 0.5
@@ -62,6 +65,7 @@ class Session:
         self._scene = HandScene(server, hand)
         self._state: State | None = None
         self._pressed = False
+        self._plots_due = self._table_due = 0.0
         self._playback: Playback | None = None
         with top:
             self._header = Header(bridge, remote)
@@ -135,23 +139,15 @@ class Session:
         events = self._remote.events()  # before the actions are asked for: no change is missed
         await self._refresh()
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(self._follow_states)
             tasks.start_soon(self._follow_events, events)
             tasks.start_soon(self._follow_status)
-            tasks.start_soon(self._draw)
-            tasks.start_soon(self._ask_trials)
+            tasks.start_soon(self._follow_states)
+            await self._ask_trials()
 
     async def _ask_trials(self) -> None:
         with contextlib.suppress(RequestRejected, ConfigError):
             text = await self._remote.trials()
             self._actions.tell(await anyio.to_thread.run_sync(tried_in, text))
-
-    async def _follow_states(self) -> None:
-        async for state in self._remote.states(_STATE_RATE):
-            if state.joint_names != self._hand.joint_names:
-                state = self._in_order(state)
-            self._state = state
-            self._plots.history.add(state)
 
     async def _follow_events(self, events: AsyncIterator[Event]) -> None:
         async for event in events:
@@ -160,6 +156,7 @@ class Session:
     async def _on_event(self, event: Event) -> None:
         if event.kind == "actions_changed":
             await self._refresh()
+            await self._ask_trials()
         elif event.kind not in ("limited", "at_rest"):
             title = event.kind.replace("_", " ")
             self._bridge.tell(title, event.text, _COLOURS.get(event.severity, "blue"))
@@ -173,26 +170,41 @@ class Session:
             self._recordings.show_status(status)
             await anyio.sleep(_STATUS_PERIOD)
 
-    async def _draw(self) -> None:
-        plots_due = table_due = 0.0
-        while True:
-            await anyio.sleep(_SCENE_PERIOD)
-            if not self._bridge.watched:
-                continue
-            state, now, playback = self._state, time.monotonic(), self._playback
-            self._recordings.advance()
-            if playback is not None:
-                state = playback.state()
-            if state is not None:
-                self._draw_hand(state)
-                if now >= plots_due:
-                    plots_due = now + _PLOT_PERIOD
-                    self._plots.draw()
-                if now >= table_due:
-                    table_due = now + _TABLE_PERIOD
-                    self._table.show_state(state)
-                    if playback is None:
-                        self._making.show_state(state)
+    async def _follow_states(self) -> None:
+        """Draw what has come since, in one go: 30 times a second while anybody looks."""
+        most = round(_STATE_RATE * LONGEST)
+        async with self._remote.collected_states(_STATE_RATE, most) as states:
+            while True:
+                watched = self._bridge.watched
+                await anyio.sleep(_SCENE_PERIOD if watched else _UNWATCHED_PERIOD)
+                for state in states.take(1 if watched else _UNWATCHED_STEP):
+                    self._take(state)
+                if watched:
+                    with self._bridge.server.atomic():
+                        self._draw(time.monotonic())
+
+    def _take(self, state: State) -> None:
+        if state.joint_names != self._hand.joint_names:
+            state = self._in_order(state)
+        self._state = state
+        self._plots.history.add(state)
+
+    def _draw(self, now: float) -> None:
+        state, playback = self._state, self._playback
+        self._recordings.advance()
+        if playback is not None:
+            state = playback.state()
+        if state is None:
+            return
+        self._draw_hand(state)
+        if now >= self._plots_due:
+            self._plots_due = now + _PLOT_PERIOD
+            self._plots.draw()
+        if now >= self._table_due:
+            self._table_due = now + _TABLE_PERIOD
+            self._table.show_state(state)
+            if playback is None:
+                self._making.show_state(state)
 
     def _draw_hand(self, state: State) -> None:
         self._scene.show(state.joint_position)

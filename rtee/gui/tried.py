@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
 from rtee.actions.types import Action, Primitive
 from rtee.trials.result import TrialResult
-from rtee.trials.store import FILE_NAME, parse_results
+from rtee.trials.store import FILE_NAME, outdated, parse_results
 
 Key = tuple[str, tuple[str, ...]]
 """Name and elements of an action."""
 
-Tried = Mapping[Key, Sequence[TrialResult]]
-"""The results of trials by action."""
-
 _CELL = "padding:0 0.5em 0 0;text-align:left;vertical-align:top"
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What trials found.
+
+    Attributes:
+        results: The results by action.
+        outdated: They were made with other files of the hand than it has now.
+    """
+
+    results: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
+    outdated: bool = False
 
 
 def key_of(action: Action) -> Key:
@@ -34,13 +45,14 @@ def tried_in(text: str) -> Tried:
     for result in parse_results(text, Path(FILE_NAME)).values():
         trial = result.trial
         found.setdefault((trial.action, trial.elements), []).append(result)
-    return found
+    return Tried(found, outdated(text, Path(FILE_NAME)))
 
 
-def line(results: Sequence[TrialResult]) -> str:
+def line(results: Sequence[TrialResult], *, outdated: bool = False) -> str:
     """Return what trials of an action came to: ``held 7 of 12 objects``."""
     held = sum(result.held for result in results)
-    return f"held {held} of {len(results)} object{'s' if len(results) != 1 else ''}"
+    words = f"held {held} of {len(results)} object{'s' if len(results) != 1 else ''}"
+    return f"{words}, with other files of this hand" if outdated else words
 
 
 def table(results: Sequence[TrialResult]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,20 +9,12 @@ from typing import Any
 from rtee.actions.yamltext import emit
 from rtee.errors import ConfigError
 from rtee.hand.files import write_atomically
+from rtee.hand.fingerprint import fingerprint as fingerprint
 from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
 from rtee.trials.result import Trial, TrialResult
 
 FILE_NAME = "trials.yaml"
 """Where the results stand in a hand's folder."""
-
-
-def fingerprint(folder: Path) -> str:
-    """Return a word that changes with the hand's model, configuration or actions."""
-    digest = hashlib.sha256()
-    files = [*folder.glob("*.urdf"), *folder.glob("*.srdf"), folder / "hand.yaml"]
-    for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
-        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def to_document(result: TrialResult) -> dict[str, Any]:
@@ -119,6 +110,24 @@ def parse_results(text: str, path: Path) -> dict[str, TrialResult]:
         ConfigError: if the text is something else.
     """
     return _results(parse_yaml(text, path, "the trials"), None) if text else {}
+
+
+def outdated(text: str, path: Path) -> bool:
+    """Return whether the text of such a file says that the hand's files are others now.
+
+    A running hand sends the text with the fingerprint of its present files, as ``present``.
+
+    Args:
+        text: The text.
+        path: The file it is from, for messages.
+
+    Raises:
+        ConfigError: if the text is something else.
+    """
+    document = parse_yaml(text, path, "the trials").data if text else {}
+    if not isinstance(document, dict) or "present" not in document:
+        return False
+    return bool(document["present"] != document.get("made_with"))
 
 
 def _results(read: YamlDocument, made_with: str | None) -> dict[str, TrialResult]:

@@ -21,7 +21,7 @@ from rtee.gui.panels.choice import options_at
 from rtee.gui.panels.header import device_line
 from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table
-from rtee.gui.tried import key_of, line, tried_in
+from rtee.gui.tried import Tried, key_of, line, tried_in
 from rtee.gui.tried import table as tried_table
 from rtee.gui.wording import described, said
 from rtee.hand.load import load_hand
@@ -219,7 +219,8 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
         TrialResult(Trial("fist", (), "drill"), True),
     ]
     write_results(file, "0", results)
-    found = tried_in(file.read_text())
+    tried = tried_in(file.read_text() + "present: '0'\n")
+    found = tried.results
     posture = full_posture(hand, {hand.actuator_names[1]: 0.1})
     trig = Primitive(PrimitiveKind.TRIG, ("index",), (posture,))
     assert line(found[key_of(trig)]) == "held 1 of 2 objects"
@@ -227,6 +228,11 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
     picture = tried_table(found[key_of(trig)])
     assert picture.index("sphere:0.03") < picture.index("sphere:0.01"), "what was held comes first"
     assert "it slipped &lt;out&gt;" in picture
-    assert tried_in("") == {}
+    assert not tried.outdated
+    assert tried_in(file.read_text() + "present: '1'\n").outdated
+    assert line(found["fist", ()], outdated=True) == (
+        "held 1 of 1 object, with other files of this hand"
+    )
+    assert tried_in("") == Tried()
     with pytest.raises(ConfigError, match="no results of trials"):
         tried_in("trials: [1]")

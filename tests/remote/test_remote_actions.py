@@ -10,6 +10,7 @@ from rtee.actions.build import StepPlan
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
 from rtee.errors import RequestRejected
+from rtee.hand.fingerprint import fingerprint
 from rtee.hand.model import Hand
 
 from .serving import make_library, serving
@@ -149,6 +150,8 @@ async def test_what_trials_found_is_told(hand: Hand, tmp_path: Path) -> None:
     ):
         assert await remote.trials() == ""
         (tmp_path / "trials.yaml").write_text("trials: []\n")
-        assert await remote.trials() == "trials: []\n"
+        text = await remote.trials()
+        assert text.startswith("trials: []\n")
+        assert text.endswith(f"present: '{fingerprint(tmp_path)}'\n")
     async with serving(hand, make_library(hand)), rtee.connect("small") as remote:
         assert await remote.trials() == ""

@@ -210,6 +210,32 @@ async def test_states_come_at_the_rate_asked_for(hand: Hand, library: ActionLibr
             await anext(remote.states(math.nan))
 
 
+async def test_states_are_collected_until_somebody_looks(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with (
+        serving(hand, library),
+        rtee.connect("small") as remote,
+        remote.collected_states(RATE, most=8) as states,
+    ):
+        found = []
+        while len(found) < 3:
+            found += states.take()
+            await anyio.sleep(0.01)
+        first = (await remote.state()).tick
+        while (await remote.state()).tick < first + 20:  # noqa: ASYNC110
+            await anyio.sleep(0.01)
+        kept = [state.tick for state in states.take()]
+        assert kept == sorted(kept)
+        assert len(kept) <= 8
+        while (await remote.state()).tick < kept[-1] + 20:  # noqa: ASYNC110
+            await anyio.sleep(0.01)
+        few = [state.tick for state in states.take(4)]
+        assert few[0] > kept[-1]
+        assert len(few) == 2
+        assert few[1] - few[0] >= 4
+
+
 async def test_a_single_state(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library), rtee.connect("small") as remote:
         first, second = await remote.state(), await remote.state()

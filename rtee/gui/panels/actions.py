@@ -45,7 +45,7 @@ class ActionsPanel:
         self._folders = {kind: gui.add_folder(title) for kind, title in _TITLES.items()}
         self._cards: dict[tuple[ActionKind, str], Card] = {}
         self._known: dict[tuple[ActionKind, str], tuple[object, ...]] = {}
-        self._tried: Tried = {}
+        self._tried = Tried()
 
     @property
     def cards(self) -> dict[tuple[ActionKind, str], Card]:

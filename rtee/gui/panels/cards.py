@@ -74,7 +74,7 @@ class Card:
         self._choice: ElementChoice | None = None
         self._stage: viser.GuiDropdownHandle[str] | None = None
         self._contact: float | None = None
-        self._tried: Tried = {}
+        self._tried = Tried()
         gui = bridge.server.gui
         self._folder = gui.add_folder(self.name, expand_by_default=expanded, order=order)
         with self._folder:
@@ -182,11 +182,15 @@ class Card:
         self._show_tried()
 
     def _show_tried(self) -> None:
-        results = self._tried.get(key_of(self.action), ())
+        results = self._tried.results.get(key_of(self.action), ())
         if results:
+            outdated = self._tried.outdated
             title = "Of the objects it was tried on in simulation (rtee try --all)"
+            if outdated:
+                title += "; its model, configuration or actions have changed since: try them again"
+            said = tried_line(results, outdated=outdated)
             self._found.content = small(
-                f'<details><summary title="{title}">{tried_line(results)}</summary>'
+                f'<details><summary title="{title}">{said}</summary>'
                 f"{tried_table(results)}</details>"
             )
         self._found.visible = bool(results)

@@ -51,7 +51,7 @@ def test_effort_and_pressure_are_seen(squeezer: Window) -> None:
 def test_what_trials_found_is_on_the_card(squeezer: Window) -> None:
     window = squeezer
     card = window.folder("Grasp")
-    window.says("held 1 of 2 objects", card).click()
+    window.says("held 1 of 2 objects, with other files of this hand", card).click()
     window.says("sphere:0.05", card)
     window.says("too wide for it", card)
 
