@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -92,6 +93,22 @@ def _byte(draw: st.DrawFn, text: str) -> str:
     return text[:at] + draw(st.characters(codec="utf-8")) + text[at + 1 :]
 
 
+SCALARS = (
+    *("0", "-1", "0.5", "1e9", "1e-9", "1e999", ".nan", ".inf", "~", "true", "[]", "{}", "[1, 2]"),
+    *("left", "right", "gripper.urdf", "../x", "a: b", "'", "*a", "hold", "kinematic", "x" * 5000),
+)
+
+
+@st.composite
+def revalued(draw: st.DrawFn, text: str) -> str:
+    """Draw a YAML text with another value in one to three places, where it stays YAML mostly."""
+    for _ in range(draw(st.integers(1, 3))):
+        places = list(re.finditer(r"(?<=: )[^\n{\[,}]+", text))
+        place = draw(st.sampled_from(places))
+        text = text[: place.start()] + draw(st.sampled_from(SCALARS)) + text[place.end() :]
+    return text
+
+
 def load_or_refuse(load: Callable[[], T]) -> T | None:
     """Return what is loaded; ``None`` if it is refused by one sentence and exit status 2."""
     try:
@@ -101,6 +118,13 @@ def load_or_refuse(load: Callable[[], T]) -> T | None:
     assert len(str(refusal).splitlines()) == 1
     assert refusal.exit_status == 2
     return None
+
+
+def link_meshes(folder: Path, there: Path) -> None:
+    """Make the meshes of a hand reachable from another folder, so that they are read."""
+    for entry in folder.iterdir():
+        if entry.is_dir() and not (there / entry.name).exists():
+            (there / entry.name).symlink_to(entry)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -113,6 +137,7 @@ def load_or_refuse(load: Callable[[], T]) -> T | None:
 def test_damaged_models(name: str, shared: Path, tmp_path: Path, data: st.DataObject) -> None:
     folder = shared / "hands" / name
     urdf, srdf = folder / f"{name}.urdf", folder / f"{name}.srdf"
+    link_meshes(folder, tmp_path)
     which = data.draw(st.sampled_from(["urdf", "srdf", "both"]))
     if which != "srdf":
         text = data.draw(damaged(urdf.read_text(errors="replace")))
@@ -143,7 +168,8 @@ def test_damaged_models(name: str, shared: Path, tmp_path: Path, data: st.DataOb
 def test_damaged_configurations(configured: Path, data: st.DataObject) -> None:
     file = configured / "gripper" / "hand.yaml"
     text = YAML.replace("left", '"left"').replace("gripper.urdf", '"gripper.urdf"')
-    file.write_text(data.draw(damaged(text)), errors="replace")
+    change = data.draw(st.sampled_from([revalued, revalued, damaged]))
+    file.write_text(data.draw(change(text)), errors="replace")
     hand = load_or_refuse(lambda: load_hand(configured / "gripper"))
     if hand is not None:
         assert np.all((hand.lower <= hand.rest) & (hand.rest <= hand.upper))
