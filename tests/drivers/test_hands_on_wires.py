@@ -1,0 +1,195 @@
+"""Whole hands with real drivers on emulated wires: cables that are pulled, runs that end."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+import anyio
+import pytest
+
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import Simulation
+from rtee.drivers.emulators import owner_of
+from rtee.drivers.objects import ObjectInHand
+from rtee.drivers.registry import find_driver
+from rtee.drivers.robotiq_2f.codec import Command
+from rtee.loop import exchange, supervisor
+from rtee.loop.clock import Clock
+from rtee.loop.handloop import HandLoop
+from rtee.loop.observer import Observer
+from rtee.loop.settings import Behaviour
+from rtee.loop.stopping import bring_to_rest
+from rtee.loop.supervisor import Supervisor
+from rtee.loop.ticker import drive
+from rtee.prepare import RunOptions, prepare
+from rtee.testing.session import open_files
+from rtee.types import Event, Goal, Lifecycle, Result
+
+pytestmark = pytest.mark.anyio
+RATE = 200.0
+
+
+class Wired(Observer):
+    """A hand and what plays its device."""
+
+    def __init__(self, loop: HandLoop, pool: BusPool) -> None:
+        self.loop = loop
+        self.device: Supervisor = next(iter(loop.devices.values()))
+        self.results: list[Result] = []
+        self.events: list[Event] = []
+        self._pool = pool
+        loop.add_observer(self)
+
+    @property
+    def emulator(self) -> Any:
+        return self._pool.played(owner_of(self.device.spec))
+
+    @property
+    def wire(self) -> Simulation:
+        return self._pool.simulation(owner_of(self.device.spec))
+
+    @property
+    def position(self) -> float:
+        return float(self.loop.snapshot().position[0])
+
+    def on_result(self, result: Result) -> None:
+        self.results.append(result)
+
+    def on_event(self, event: Event) -> None:
+        self.events.append(event)
+
+    async def result(self) -> Result:
+        await until(lambda: bool(self.results))
+        return self.results.pop(0)
+
+
+async def until(true: Callable[[], bool], within: float = 30.0) -> None:
+    with anyio.fail_after(within):
+        while not true():  # noqa: ASYNC110 - what is waited for has no event
+            await anyio.sleep(0.005)
+
+
+@asynccontextmanager
+async def on_wires(*names: str, **options: Any) -> AsyncIterator[list[Wired]]:
+    """Run hands on one clock, active; options are those of all of them."""
+    async with BusPool(wire_time=False) as pool, AsyncExitStack() as stack:
+        found = []
+        for name in names:
+            ready = prepare(name, RunOptions(emulated=True, rate=RATE, **options))
+            devices = [(d, find_driver(d.spec.driver)(d.spec, pool)) for d in ready.devices]
+            loop = HandLoop(ready.hand, ready.library, ready.settings, devices)
+            await stack.enter_async_context(loop)
+            await loop.ready()
+            found.append(Wired(loop, pool))
+        async with anyio.create_task_group() as running:
+            running.start_soon(drive, [one.loop for one in found], Clock(RATE))
+            await until(lambda: all(one.device.states > 2 and one.device.active for one in found))
+            yield found
+            running.cancel_scope.cancel()
+
+
+async def test_a_cable_pulled_in_the_middle_of_an_action_concerns_its_hand_alone() -> None:
+    async with on_wires("robotiq_2f_85", "onrobot_3fg15") as (gripper, other):
+        start = gripper.position
+        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2"), speed=0.4))
+        other.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+        await until(lambda: gripper.position > start + 0.1)
+        gripper.wire.unplug()
+        broken = await gripper.result()
+        assert (broken.aborted, broken.reached) == (True, False)
+        assert "device 'gripper': it is lost" in broken.reason
+        assert not other.results, "it went on meanwhile"
+        assert (await other.result()).reached
+        [status] = other.loop.statuses()
+        assert (status.lifecycle, status.errors) == (Lifecycle.ACTIVE, 0)
+
+        moves, at = gripper.emulator.moves, gripper.emulator.axis.target
+        gripper.wire.replug()
+        await until(lambda: gripper.device.lifecycle is Lifecycle.INACTIVE)
+        assert gripper.loop.statuses()[0].reconnects == 1
+        await gripper.loop.recover()
+        await until(lambda: gripper.device.active)
+        here = gripper.emulator.axis.position
+        exchanges = gripper.loop.statuses()[0].exchanges
+        await until(lambda: gripper.loop.statuses()[0].exchanges > exchanges + 20)
+        assert gripper.emulator.moves == moves, "not a word of motion after it came back"
+        assert gripper.emulator.axis.target == at
+        assert gripper.emulator.axis.position == pytest.approx(here, abs=1.0)
+        gripper.loop.submit(Goal("open"))
+        assert (await gripper.result()).reached
+
+
+async def test_a_hundred_cables_pulled_leave_no_task_and_no_file(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in (exchange, supervisor):
+        monkeypatch.setattr(module, "BACKOFF", (0.005, 0.01))
+    async with on_wires("robotiq_2f_85") as (gripper,):
+        files, tasks, moves = open_files(), len(asyncio.all_tasks()), gripper.emulator.moves
+        for _ in range(100):
+            gripper.wire.unplug()
+            await until(lambda: gripper.device.lifecycle is Lifecycle.UNCONFIGURED)
+            gripper.wire.replug()
+            await until(lambda: gripper.device.lifecycle is Lifecycle.INACTIVE)
+            await gripper.loop.recover()
+        assert gripper.loop.statuses()[0].reconnects == 100
+        assert gripper.emulator.moves == moves
+        assert len(asyncio.all_tasks()) == tasks
+        assert open_files() == files
+
+
+@pytest.mark.parametrize("behaviour", list(Behaviour))
+async def test_the_last_frame_is_the_configured_one(behaviour: Behaviour) -> None:
+    async with on_wires("robotiq_2f_85") as (gripper,):
+        start = gripper.position
+        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2"), speed=0.5))
+        await until(lambda: gripper.position > start + 0.1)
+        assert await bring_to_rest(gripper.loop, behaviour, "the end") == [("gripper", True)]
+        last = Command.from_registers(gripper.emulator.output)
+        position = gripper.emulator.axis.position
+    match behaviour:
+        case Behaviour.HOLD:
+            assert last.go
+            # A byte of position is 0.4 % of the way; meanwhile it moved on a little.
+            assert abs(last.position - position) < 30
+        case Behaviour.STOP | Behaviour.RELEASE:
+            assert (last.activate, last.go) == (True, False)
+        case Behaviour.OPEN:
+            assert last.go
+            assert abs(last.position - position) <= 2
+            assert position < 3 + 0.02 * 227, "at rest, within the tolerance of a goal"
+
+
+async def test_a_grip_survives_the_end_of_the_run_and_the_next_one_drops_nothing() -> None:
+    async with on_wires("robotiq_2f_85", object_in_hand="50mm") as (gripper,):
+        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+        assert (await gripper.result()).grasped
+        await bring_to_rest(gripper.loop, Behaviour.HOLD, "the end")
+        moves, effort = gripper.emulator.moves, gripper.emulator.axis.effort
+        assert effort > 20.0
+        gripper.wire.unplug()
+        await until(lambda: gripper.device.lifecycle is Lifecycle.UNCONFIGURED)
+        gripper.wire.replug()
+        await until(lambda: gripper.device.lifecycle is Lifecycle.INACTIVE)
+        gripper.device.muted = False
+        await gripper.loop.recover()
+        exchanges = gripper.loop.statuses()[0].exchanges
+        await until(lambda: gripper.loop.statuses()[0].exchanges > exchanges + 20)
+        assert gripper.emulator.moves == moves
+        assert gripper.emulator.axis.effort == pytest.approx(effort, rel=0.01)
+
+
+async def test_an_object_taken_away_is_told() -> None:
+    async with on_wires("robotiq_2f_85", object_in_hand="50mm") as (gripper,):
+        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+        assert (await gripper.result()).grasped
+        gripper.wire.call(gripper.emulator.take_away)
+        await until(lambda: "grasp_lost" in [event.kind for event in gripper.events])
+        gripper.loop.submit(Goal("open"))
+        assert (await gripper.result()).reached
+        gripper.wire.call(lambda: gripper.emulator.place(ObjectInHand.parse("40mm")))
+        gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+        assert (await gripper.result()).grasped
