@@ -30,6 +30,7 @@ from typing import Any
 import anyio
 import anyio.to_thread
 import zenoh
+from witness import child
 
 import rtee
 from rtee.remote.client import RemoteHand
@@ -237,9 +238,7 @@ def measure(arguments: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as log:
         words = [sys.executable, __file__, *sys.argv[1:], "--log", log]
         hand, other = (
-            subprocess.Popen(
-                [*words, "--role", role], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-            )
+            child([*words, "--role", role], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
             for role in ("serve", "echo")
         )
         assert other.stdout is not None

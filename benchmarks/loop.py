@@ -22,6 +22,11 @@ with real-time set-up. `--beside` measures the first set in other circumstances,
 - `idle-junk`: as many megabytes to another hand's keys, where nobody takes them: what the sender
   alone costs the computer.
 
+`--witness` has `cyclictest` run beside the loop, too, above its priority, and tells of every tick
+that was missed whose it was: the computer's, if a witness was late at that moment, or the loop's
+own.
+The witness takes one to two per cent of every CPU.
+
 Memory is given after 10 s, after 2 minutes (when the flight recorder has long been full) and at the
 end; with `--flight 10` the flight recorder keeps 10 s, so that shorter runs show it, too. `--hogs`
 starts programs that keep CPUs busy meanwhile.
@@ -30,6 +35,7 @@ starts programs that keep CPUs busy meanwhile.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import shutil
@@ -41,6 +47,8 @@ import threading
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+from witness import Missed, Witness, child, judged
 
 from rtee.hand.catalog import find_hand
 
@@ -56,6 +64,35 @@ PRINTED = re.compile(
 """The line that the loop prints at its end."""
 
 HOG = "while True: pass"
+RUN = """
+import json, os, resource
+from rtee.cli import main
+from rtee.loop.histogram import TickStatistics
+
+add, found, last = TickStatistics.add, [], [0, 0]
+
+def usage():
+    used = resource.getrusage(resource.RUSAGE_THREAD)
+    return used.ru_nivcsw, used.ru_majflt + used.ru_minflt
+
+def noted(self, woken_ns, lateness_ns, busy_ns, missed):
+    add(self, woken_ns, lateness_ns, busy_ns, missed)
+    now = usage()
+    if missed:
+        since = woken_ns - lateness_ns - (missed + 1) * 1e9 / self.rate
+        changed = [a - b for a, b in zip(now, last)]
+        found.append([woken_ns * 1e-9, since * 1e-9, missed, busy_ns * 1e-9, *changed])
+    last[:] = now
+
+TickStatistics.add = noted
+try:
+    main()
+finally:
+    with open(os.environ["RTEE_MISSED"], "w") as file:
+        json.dump(found, file)
+"""
+"""`rtee run`, which also notes when it missed ticks."""
+
 CLIENT = """
 import sys, anyio, rtee
 from rtee.errors import RemoteError
@@ -181,11 +218,13 @@ class Row:
         printed: What the loop printed, by name; times in µs.
         memory: Resident memory every 10 s [MB].
         log_rate: Recordings of all hands [MB per minute].
+        missed: The ticks that were missed.
     """
 
     printed: dict[str, int]
     memory: list[float]
     log_rate: float
+    missed: list[Missed]
 
 
 def how_of(name: str) -> How:
@@ -237,19 +276,22 @@ def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
     return names
 
 
-def run(how: How, hand: str, seconds: float, folder: Path, flight: float | None) -> Row:
+def run(
+    how: How, hand: str, seconds: float, folder: Path, flight: float | None, witness: bool
+) -> Row:
     """Run hands as users do, with a client each, and read what the loop says of itself."""
     extra = "\nrealtime: {helper_priority: 10}\n" if how.helpers else ""
     kept = flight if how.record else 0.0
     extra += "" if kept is None else f"\nlog: {{flight_recorder: {kept:g}}}\n"
     hands = copies(hand, how.count, folder, extra)
     logs = folder / "logs" / hands[0]
-    environment = os.environ | {"RTEE_CONFIG_PATH": str(folder)}
-    words = [sys.executable, "-c", "from rtee.cli import main; main()", "run", *hands]
+    notes = folder / "missed.json"
+    environment = os.environ | {"RTEE_CONFIG_PATH": str(folder), "RTEE_MISSED": str(notes)}
+    words = [sys.executable, "-c", RUN, "run", *hands]
     words += ["--driver", "kinematic", "--rate", str(how.rate)]
     words += ["--realtime"] if how.realtime else []
     words += ["--log", str(logs)] if how.record else ["--no-log"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
+    process = child(words, stdout=subprocess.PIPE, env=environment)
     assert process.stdout is not None
     for _ in hands:
         print(f"  {process.stdout.readline().strip()[:100]}", file=sys.stderr)
@@ -260,7 +302,8 @@ def run(how: How, hand: str, seconds: float, folder: Path, flight: float | None)
     others = [[CLIENT, name] for name in hands if how.client and how.junk != "hand"]
     if how.junk:
         others.append([JUNK, hands[0], hands[0] if how.junk == "hand" else "somebody_else"])
-    clients = [subprocess.Popen([sys.executable, "-c", *other]) for other in others]
+    clients = [child([sys.executable, "-c", *other]) for other in others]
+    watching = Witness() if witness else None
     memory: list[float] = []
     begin = time.monotonic()
     while (passed := time.monotonic() - begin) < seconds:
@@ -268,6 +311,8 @@ def run(how: How, hand: str, seconds: float, folder: Path, flight: float | None)
         memory.append(memory_of(process.pid))
     failed = [client.args for client in clients if client.poll() is not None]
     assert not failed, f"a client ended early: {failed}"
+    stood_still = watching.stop() if watching else None
+    until = time.monotonic()
     process.send_signal(signal.SIGTERM)
     process.wait(timeout=30)
     drain.join(10.0)
@@ -279,7 +324,10 @@ def run(how: How, hand: str, seconds: float, folder: Path, flight: float | None)
     assert found is not None, "".join(said)
     printed = {name: int(value) for name, value in found.groupdict().items()}
     size = sum(file.stat().st_size for file in logs.glob("*_0*.mcap")) / 1e6
-    return Row(printed, memory, size / seconds * 60)
+    missed = [judged(Missed(*values), stood_still) for values in json.loads(notes.read_text())]
+    unseen = [one for one in missed if one.woken > until or one.woken < begin]
+    missed = [replace(one, computer=None) if one in unseen else one for one in missed]
+    return Row(printed, memory, size / seconds * 60, missed)
 
 
 def cyclictest(seconds: float, period_us: int = 1000) -> str | None:
@@ -320,6 +368,12 @@ def cells(row: Row) -> str:
     memory = " → ".join(f"{value:.1f}" for value in points)
     numbers = " | ".join(map(str, micro))
     missed = f"{s['missed']} ({share:.3f} %)"
+    if any(one.computer is not None for one in row.missed):
+        whose = {
+            words: sum(one.count for one in row.missed if one.computer is computer)
+            for words, computer in (("the computer's", True), ("own", False), ("unseen", None))
+        }
+        missed += ": " + ", ".join(f"{count} {words}" for words, count in whose.items() if count)
     return f"{s['ticks']} | {missed} | {numbers} | {memory} | {row.log_rate:.1f}"
 
 
@@ -331,6 +385,7 @@ def main() -> None:
     parser.add_argument("--hogs", type=int, default=0, help="programs that keep CPUs busy")
     parser.add_argument("--only", nargs="+", choices=SETS, default=list(SETS))
     parser.add_argument("--beside", nargs="*", choices=BESIDE, default=[])
+    parser.add_argument("--witness", action="store_true", help="cyclictest beside the loop")
     parser.add_argument("--flight", type=float, help="what the flight recorder keeps [s]")
     arguments = parser.parse_args()
     load = os.getloadavg()[0]
@@ -346,15 +401,19 @@ def main() -> None:
         text = found or "not installed" + " |" * 9
         print(f"| cyclictest, SCHED_FIFO 80, {when} | {text} |", flush=True)
 
-    hogs = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(arguments.hogs)]
+    hogs = [child([sys.executable, "-c", HOG]) for _ in range(arguments.hogs)]
     reference("before")
     with tempfile.TemporaryDirectory(prefix="rtee-loop-") as text:
         folder = Path(text)
         chosen = [how_of(name) for name in arguments.only]
         chosen[1:1] = [beside(chosen[0], name) for name in arguments.beside]
         for how in chosen:
-            row = run(how, arguments.hand, arguments.seconds, folder, arguments.flight)
+            seconds, flight = arguments.seconds, arguments.flight
+            row = run(how, arguments.hand, seconds, folder, flight, arguments.witness)
             print(f"| rtee, {how.label} | {cells(row)} |", flush=True)
+            for one in row.missed:
+                if one.computer is not True:
+                    print(f"  not the computer's: {one}", file=sys.stderr)
     reference("after")
     for hog in hogs:
         hog.kill()

@@ -1,0 +1,93 @@
+"""Was it the computer? A witness of moments at which a CPU stood still, and when it was not one.
+
+A virtual machine is stopped by its host now and then, for milliseconds; whatever runs on it then is
+late. `cyclictest` (Debian: rt-tests), the kernel's own C program, runs beside the loop as a
+witness, with one thread per CPU, above the loop's priority, and notes when it was woken late
+itself. A tick that the loop missed while a witness was late, too, is the computer's; the others are
+the loop's own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+PERIOD_US = 500
+"""The witness wakes up this often: half a period of the loop [µs]."""
+
+LATE_US = 300
+"""A witness that is woken later than this saw its CPU stand still [µs]."""
+
+PRIORITY = 90
+
+_SPIKE = re.compile(r"(?m)^T:\s*\d+ Spike:\s*(\d+): TS:\s*(\d+)")
+_PR_SET_PDEATHSIG = 1
+_C = ctypes.CDLL(None)
+
+
+def child(words: Sequence[str], **options: Any) -> subprocess.Popen[str]:
+    """Start a program that is killed when this one ends, however it ends."""
+
+    def die_with_parent() -> None:
+        _C.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+    return subprocess.Popen(words, text=True, preexec_fn=die_with_parent, **options)
+
+
+@dataclass(frozen=True)
+class Missed:
+    """Ticks that the loop missed in a row.
+
+    Attributes:
+        woken: When it woke up at last, CLOCK_MONOTONIC [s].
+        since: When the last tick before was due [s].
+        count: How many.
+        busy: Processor time that its thread had used in the tick before [s].
+        switches: How often its thread was taken off its CPU meanwhile.
+        faults: Pages that were missing meanwhile.
+        computer: A witness was late, too; ``None``: there was none.
+    """
+
+    woken: float
+    since: float
+    count: int
+    busy: float
+    switches: int
+    faults: int
+    computer: bool | None = None
+
+
+class Witness:
+    """Notes when CPUs stood still, until `stop`; without cyclictest it notes nothing."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[str] | None = None
+        if shutil.which("cyclictest") is None:
+            return
+        words = ["cyclictest", "-q", "-m", f"-p{PRIORITY}", "-S", f"-i{PERIOD_US}", "-d0"]
+        # Its usual set-up of the whole computer would make the loop look better than it is alone.
+        words += ["--default-system", f"--spike={LATE_US}", "--spike-nodes=1000000"]
+        self._process = child(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+
+    def stop(self) -> list[tuple[float, float]] | None:
+        """Return when a CPU stood still, from and to [s]; ``None``: nobody looked."""
+        if self._process is None or self._process.poll() is not None:
+            return None
+        self._process.send_signal(signal.SIGINT)
+        said = self._process.communicate(timeout=10)[0]
+        late = [(int(found[1]), int(found[2])) for found in _SPIKE.finditer(said)]
+        return [((stamp - lateness) * 1e-6, stamp * 1e-6) for lateness, stamp in late]
+
+
+def judged(missed: Missed, stood_still: Sequence[tuple[float, float]] | None) -> Missed:
+    """Return missed ticks with whose they are."""
+    if stood_still is None:
+        return missed
+    found = any(begin <= missed.woken and end >= missed.since for begin, end in stood_still)
+    return Missed(**{**vars(missed), "computer": found})
