@@ -24,6 +24,9 @@ from rtee.hand.names import check_name
 VARIABLE = "RTEE_RUNTIME_DIR"
 """Environment variable that names another folder."""
 
+SERVICES = Path("/run/rtee")
+"""Where hands that run as services are announced, for those who may read it."""
+
 _ATTEMPTS = 20
 _PAUSE = 0.01
 _LONGEST = 65536
@@ -103,7 +106,7 @@ def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
 def _locked(path: Path, hand: str) -> int:
     for _ in range(_ATTEMPTS):
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640)
         except OSError as error:
             raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
         if _lock(descriptor, fcntl.LOCK_EX) and _same_file(descriptor, path):
@@ -150,9 +153,11 @@ def _in_use(path: Path) -> bool:
 
 
 def running() -> dict[str, Running]:
-    """Return the hands that run on this computer for this user, by name."""
+    """Return the hands that run on this computer for this user or as services, by name."""
     found: dict[str, Running] = {}
-    for path in sorted(runtime_folder().glob("*.json")):
+    own = sorted(runtime_folder().glob("*.json"))
+    services = [] if os.environ.get(VARIABLE) else sorted(SERVICES.glob("*.json"))
+    for path in (*services, *own):
         entry = _read(path)
         pid, endpoints = entry.get("pid"), entry.get("endpoints")
         if isinstance(pid, int) and isinstance(endpoints, list) and _in_use(path):

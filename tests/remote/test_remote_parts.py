@@ -17,6 +17,7 @@ from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.messages.requests import REQUESTS
 from rtee.messages.schema import message_type
+from rtee.remote import directory
 from rtee.remote.actions import action_fields, action_of
 from rtee.remote.directory import announced, running, runtime_folder
 from rtee.remote.lease import JOGGING, Lease
@@ -142,6 +143,25 @@ def test_names_do_not_become_paths(runtime: Path) -> None:
     with pytest.raises(ConfigError, match="name"), announced("../svh", []):
         pass
     assert not runtime.parent.joinpath("svh.json").exists()
+
+
+def test_services_are_found_beside_the_own_hands(
+    runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.umask(umask := os.umask(0o022))
+    services = tmp_path / "services"
+    services.mkdir(mode=0o750)
+    monkeypatch.setattr(directory, "SERVICES", services)
+    monkeypatch.setenv(directory.VARIABLE, str(services))
+    with announced("svh", ["tcp/127.0.0.1:1"]) as path:
+        assert path.parent == services
+        assert path.stat().st_mode & 0o777 == 0o640 & ~umask
+        monkeypatch.delenv(directory.VARIABLE)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
+        with announced("gripper", ["a"]):
+            assert set(running()) == {"svh", "gripper"}
+        monkeypatch.setenv(directory.VARIABLE, str(runtime))
+        assert not running(), "a folder that was named is the only one"
 
 
 def test_where_the_folder_is(monkeypatch: pytest.MonkeyPatch, runtime: Path) -> None:
