@@ -17,6 +17,9 @@ from rtee.loop.settings import RealtimeSettings
 SWITCH_INTERVAL = 50e-6
 """Longest time another thread runs Python while the loop waits [s]."""
 
+HELPERS_NICE = -15
+"""Nice value of the loop's helper threads, where that is permitted."""
+
 SLICE = 100_000
 """Processor time asked for at a time by an ordinary loop, the shortest that Linux gives [ns]."""
 
@@ -47,26 +50,40 @@ def set_up(settings: RealtimeSettings) -> list[str]:
         warnings += _lock_memory()
     if settings.cpus:
         warnings += _pin(settings.cpus)
-    warnings += _schedule(settings.priority)
-    if settings.helper_priority and not warnings:
-        _schedule_helpers(min(settings.helper_priority, settings.priority - 1))
-    return warnings
+    refused = _schedule(settings.priority)
+    if not refused:
+        refused = _favour_helpers(min(settings.helper_priority, settings.priority - 1))
+    return warnings + refused
 
 
-def _schedule_helpers(priority: int) -> None:
-    """Give the threads that run already a lower real-time priority.
+def _favour_helpers(priority: int) -> list[str]:
+    """Let the threads that run already go before other programs; they stay ordinary ones.
 
     They share the interpreter with the loop: one that is interrupted by another program while it
     holds the interpreter holds up the loop, whatever the loop's own priority.
+
+    Args:
+        priority: A real-time priority for them; 0: none.
     """
-    if priority < 1:
-        return
     own = threading.get_native_id()
     for thread in map(int, os.listdir("/proc/self/task")):
-        if thread != own:
-            with contextlib.suppress(OSError):  # it may have ended meanwhile
-                policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-                os.sched_setscheduler(thread, policy, os.sched_param(priority))
+        if thread == own:
+            continue
+        with contextlib.suppress(ProcessLookupError):  # it may have ended meanwhile
+            try:
+                if priority > 0:
+                    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+                    os.sched_setscheduler(thread, policy, os.sched_param(priority))
+                else:
+                    os.setpriority(os.PRIO_PROCESS, thread, HELPERS_NICE)
+            except PermissionError:
+                return [
+                    f"the nice value {HELPERS_NICE} of the loop's helper threads is not permitted;"
+                    f" allow it by a line '<user> - nice {HELPERS_NICE}' in"
+                    " /etc/security/limits.d/rtee.conf and a new login, or"
+                    f" 'LimitNICE={HELPERS_NICE}' in the systemd unit"
+                ]
+    return []
 
 
 def ask_for_short_slices() -> bool:

@@ -94,13 +94,15 @@ def test_helpers_that_run_already_stay_ordinary_unless_they_are_given_a_priority
         f"{helpers})\n"
         "print(set_up(settings))\n"
         "policy = os.sched_getscheduler(helper.native_id) & ~os.SCHED_RESET_ON_FORK\n"
-        "print(policy == os.SCHED_FIFO, os.sched_getparam(helper.native_id).sched_priority)\n"
+        "print(policy == os.SCHED_FIFO, os.sched_getparam(helper.native_id).sched_priority,"
+        " os.getpriority(os.PRIO_PROCESS, helper.native_id))\n"
         "over.set()\n"
     )
     warnings, found = output.splitlines()
     if warnings != "[]":
         pytest.skip("real-time scheduling is not permitted here")
-    assert found == {0: "False 0", 7: "True 7", 50: "True 9"}[helpers]
+    nice = os.nice(0)
+    assert found == {0: "False 0 -15", 7: f"True 7 {nice}", 50: f"True 9 {nice}"}[helpers]
 
 
 class Cycle:
