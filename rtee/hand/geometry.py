@@ -18,6 +18,7 @@ from rtee.hand.meshparts import mended
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
+from rtee.hand.urdfread import FARTHEST
 from rtee.types import FloatArray
 
 _FLAT: Final = 1e-4
@@ -241,6 +242,8 @@ class _Meshes:
             raise self._refusal(source, "has no triangles")
         if not np.isfinite(mesh.vertices()).all():
             raise self._refusal(source, "has a vertex that is not finite")
+        if np.abs(mesh.vertices()).max() > FARTHEST:
+            raise self._refusal(source, "is larger than 1 km; its scale should bring it to metres")
         if path.suffix.lower() == ".stl":  # a single part
             return mesh
         return mended(mesh, self._loader)

@@ -104,3 +104,10 @@ def test_a_convex_part_is_nowhere_narrower_than_its_least_width(real_hand: Hand)
     for shape in HandGeometry(real_hand).shapes:
         assert shape.least_width > 0.0
         assert np.ptp(shape.points @ directions.T, axis=0).min() > shape.least_width
+
+
+def test_a_mesh_that_is_not_in_metres_at_all_is_refused(tmp_path: Path) -> None:
+    far = np.array([[[0, 0, 0], [2000, 0, 0], [0, 1, 1]]])
+    path = write_stl(tmp_path / "far.stl", far)
+    with pytest.raises(ModelError, match=r"far\.stl' is larger than 1 km"):
+        HandGeometry(hand_with(tmp_path, mesh(path)))
