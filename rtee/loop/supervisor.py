@@ -8,7 +8,8 @@ import math
 from collections.abc import Awaitable, Callable, Mapping
 
 from rtee.errors import DriverError
-from rtee.loop.exchange import BACKOFF, Exchange
+from rtee.loop.connection import BACKOFF
+from rtee.loop.exchange import Exchange
 from rtee.types import DeviceStatus, Lifecycle, Reference
 
 log = logging.getLogger(__name__)
