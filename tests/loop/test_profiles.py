@@ -233,6 +233,24 @@ def test_filter_preempts_without_a_jump_in_acceleration(
     assert np.all(np.abs(np.diff(accelerations)) <= jerk * dt)
 
 
+@pytest.mark.parametrize("rate", [100.0, 1000.0])
+@pytest.mark.parametrize("target", [50.0, -50.0])
+def test_filter_comes_to_its_velocity_limit_within_the_jerk_limit(
+    rate: float, target: float
+) -> None:
+    profile = Filter(LIMITS, 1 / rate, 2.0)
+    profile.seed(dict.fromkeys(range(SIZE), 0.0))
+    profile.go({3: target})
+    speeds = [0.0]
+    while speeds[-1] < 0.999 * LIMITS.velocity[3]:
+        profile.advance()
+        speeds.append(abs(profile.velocity[3]))
+        assert len(speeds) < rate
+    changes = np.diff(np.diff(speeds)) * rate**2
+    assert max(np.diff(speeds)) * rate > 0.9 * LIMITS.acceleration[3]
+    assert min(changes) >= -1.01 * LIMITS.jerk[3]
+
+
 def test_filter_brakes_to_rest_ahead_and_does_not_come_back() -> None:
     profile = unlimited_filter(1000.0, 2.0)
     profile.go({0: 1.0})

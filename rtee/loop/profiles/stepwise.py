@@ -149,7 +149,25 @@ class Filter(Stepwise):
         impulse = self._slope[i] + self._omega * error
         after = (error + impulse * dt) * self._decay
         self._next[i] = (self._slope[i] - self._omega * impulse * dt) * self._decay
-        return (after - error) / dt
+        wanted = (after - error) / dt
+        eased = self._eased(i, wanted)
+        if eased != wanted:
+            self._next[i] = eased
+        return eased
+
+    def _eased(self, i: int, wanted: float) -> float:
+        """Return a velocity that comes to its limit with the acceleration brought down to none.
+
+        From an acceleration a, that takes a² / 2j of velocity with the jerk limit j; a of the next
+        period must leave as much: a² / 2j + a·dt = room.
+        """
+        speed, change = abs(self.velocity[i]), self.limits.jerk[i] * self.period
+        room = self._top[i] - speed
+        if room <= 0.0 or wanted * self.velocity[i] <= 0.0:
+            return wanted
+        most = math.sqrt(change * change + 2.0 * self.limits.jerk[i] * room) - change
+        top = speed + most * self.period
+        return wanted if abs(wanted) <= top else math.copysign(top, wanted)
 
     def _move(self, i: int, wanted: float, allowed: float) -> None:
         super()._move(i, wanted, allowed)
