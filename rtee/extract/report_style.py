@@ -31,6 +31,8 @@ th, td { padding: 5px 14px 5px 0; border-bottom: 1px solid var(--line); vertical
 tr:last-child > td { border-bottom: 0; }
 td.number, th.number { text-align: right; white-space: nowrap; }
 code, .name { white-space: nowrap; }
+.tried th, .tried td { padding-right: 9px; }
+.tried td:first-child { overflow-wrap: anywhere; min-width: 11em; }
 .card code { white-space: normal; }
 code { font: 13px/1.4 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; }
 .grid { display: grid; grid-template-columns: repeat(auto-fill, minmax(330px, 1fr)); gap: 16px;

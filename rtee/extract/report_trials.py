@@ -37,7 +37,7 @@ def section(tried: Iterable[Tried]) -> str:
         '<p class="soft">Each action was tried on each object in simulation: approach, grasp, '
         "lift, hold, shake. Sizes in mm (radius and height of cylinders, radius of spheres). "
         "● held, ○ lost; a pointer on a sign tells more.</p>"
-        f'<div class="panel">{_table(found)}</div>'
+        f'<div class="panel tried">{_table(found)}</div>'
     )
 
 
