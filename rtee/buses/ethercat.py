@@ -102,6 +102,12 @@ class PysoemRing(Ring):
     def request(self, state: State, within: float) -> None:
         """Bring all slaves to a state."""
         master = self._master
+        master.read_state()
+        failed = self._soem.STATE_ERROR
+        for slave in master.slaves:
+            if slave.state & failed:  # it has left its state by itself, and wants that acknowledged
+                slave.state = (slave.state & ~failed) | self._soem.STATE_ACK
+                slave.write_state()
         master.state = int(state)
         master.write_state()
         reached = master.state_check(int(state), round(within * 1e6))

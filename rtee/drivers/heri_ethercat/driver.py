@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rtee.buses.ethercat import EthercatBus, Ring, State
+from rtee.buses.patience import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.heri_ethercat import codec
@@ -33,6 +34,7 @@ from rtee.drivers.heri_ethercat.emulator import HeriEmulator
 from rtee.drivers.heri_ethercat.options import HeriEthercatOptions
 from rtee.drivers.options import read_options
 from rtee.errors import (
+    BusTimeout,
     ConfigError,
     DeviceFault,
     FrameError,
@@ -110,11 +112,26 @@ class HeriEthercatDriver(Driver):
                 "firmware": ", ".join(dict.fromkeys(firmware)),
             },
         )
-        await bus.run(self._to_safe, 5.0)
-        await self._exchange()
-        self._seed()
-        await bus.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
-        await self._exchange()
+        await self._operate()
+
+    async def _operate(self) -> None:
+        """Bring the boards into operation, told to stand where they are.
+
+        A board leaves operation when the frames stop for longer than its watchdog, as they do on a
+        computer that is busy for a moment. Before there is power that costs nothing but this.
+
+        Raises:
+            BusError: if the network fails, or they do not stay in operation.
+        """
+
+        async def begin() -> None:
+            await self._ring.run(self._to_safe, 5.0)
+            await self._exchange()
+            self._seed()
+            await self._ring.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
+            await self._exchange()
+
+        await patiently(begin)
 
     def _identify(self, bus: EthercatBus) -> None:
         if len(bus.slaves) < self._boards:
@@ -174,7 +191,7 @@ class HeriEthercatDriver(Driver):
 
     async def activate(self) -> None:
         """Power the motors where they stand."""
-        await self._exchange()
+        await self._in_operation()
         self._seed()
         for code in (Order.POWER_OFF, Order.DIRECT, Order.POWER_ON, Order.POSITION):
             for position in range(self._boards):
@@ -182,6 +199,13 @@ class HeriEthercatDriver(Driver):
             if code is Order.POWER_ON:
                 await self._clear_faults()
         self._powered = True
+
+    async def _in_operation(self) -> None:
+        """Exchange; boards that have left operation are brought back first."""
+        try:
+            await self._exchange()
+        except BusTimeout:
+            await self._operate()
 
     async def _order(self, position: int, code: Order) -> None:
         """Command a board's controller and wait for its word, keeping the frames going.
@@ -311,7 +335,7 @@ class HeriEthercatDriver(Driver):
     async def recover(self) -> None:
         """Acknowledge faults; the motors are powered again by `activate`."""
         self._powered = False
-        await self._exchange()
+        await self._in_operation()
         await self._clear_faults()
 
 

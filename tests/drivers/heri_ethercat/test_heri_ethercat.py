@@ -157,6 +157,18 @@ async def test_four_motors_of_two_boards_move_by_name() -> None:
 
 
 @pytest.mark.anyio
+async def test_boards_that_left_operation_are_brought_back_before_they_get_power() -> None:
+    async with BusPool() as pool, connected(pool, device(watchdog=0.2)) as made:
+        hand(pool).state = State.SAFE_OPERATIONAL
+        hand(pool)._dropped = True
+        with pytest.raises(BusTimeout):
+            await made.move(Reference.at([0.3] * 4))
+        await made.activate()
+        assert hand(pool).state is State.OPERATIONAL
+        assert (await made.sense()).position == pytest.approx([0.3] * 4, abs=1e-3)
+
+
+@pytest.mark.anyio
 async def test_activation_does_not_jump_and_pressures_are_told() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         await made.activate()
