@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import threading
 import time
 from collections.abc import Callable
@@ -203,7 +204,7 @@ class CanBus(Bus):
         try:
             bus = await loop.run_in_executor(None, self._opened)
         except (can.CanError, OSError, ValueError) as error:
-            raise BusBroken(self.name, f"cannot be opened: {error}") from error
+            raise BusBroken(self.name, _reason(error)) from error
         if self._simulation is not None:
             self._simulation.on_unplug = lambda: self._failed_elsewhere("the adapter was unplugged")
         self._bus = bus
@@ -293,3 +294,13 @@ def wake(bus: Any) -> None:
 
 def _traced(frame: CanFrame) -> bytes:
     return frame.id.to_bytes(4, "big") + frame.data
+
+
+def _reason(error: Exception) -> str:
+    """Return in words why a bus cannot be opened."""
+    code = getattr(error, "errno", None)
+    if code == errno.EAFNOSUPPORT:
+        return "this computer's kernel has no SocketCAN"
+    if code == errno.ENODEV:
+        return "there is no such CAN interface; `ip link` lists them"
+    return f"cannot be opened: {error}"

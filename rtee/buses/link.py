@@ -10,6 +10,7 @@ import contextlib
 import errno
 import os
 import select
+import socket
 import sys
 import termios
 import threading
@@ -143,7 +144,9 @@ def _open_port(url: str, line: Line) -> Any:
 
 def explained(name: str, error: OSError | ValueError) -> BusError:
     """Return the error of opening a port as a sentence with a hint."""
-    code = getattr(error, "errno", None)
+    code, cause = getattr(error, "errno", None), error.__context__
+    if code is None and isinstance(cause, termios.error):  # pyserial tells it in words only
+        code = cause.args[0]
     if code in (errno.EAGAIN, errno.EBUSY):
         return BusBusy(name, "another program has it open; `rtee doctor` names it")
     if code == errno.ENOENT:
@@ -156,6 +159,10 @@ def explained(name: str, error: OSError | ValueError) -> BusError:
         )
     if code == errno.ECONNREFUSED:
         return BusBroken(name, "connection refused; nothing listens there")
+    if code == errno.ENOTTY:
+        return BusBroken(name, "is no serial port; `rtee scan` lists the ports")
+    if isinstance(error, socket.gaierror):
+        return BusBroken(name, "nobody knows this name; use the IP address")
     return BusBroken(name, f"cannot be opened: {error}")
 
 

@@ -54,7 +54,7 @@ def emulate(
     interface: Annotated[
         str, typer.Option(help="python-can interface of the channel.")
     ] = "udp_multicast",
-    baudrate: Annotated[int | None, typer.Option(help="Bits per second.")] = None,
+    baudrate: Annotated[int | None, typer.Option(min=1, help="Bits per second.")] = None,
     strict_rate: Annotated[
         bool, typer.Option("--strict-rate", help="On a tty, hear only what comes at that rate.")
     ] = False,

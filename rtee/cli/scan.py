@@ -30,13 +30,19 @@ def scan(
         list[str] | None, typer.Option(metavar="CHANNEL", help="A CAN channel, such as can0.")
     ] = None,
     interface: Annotated[str, typer.Option(help="python-can interface.")] = "socketcan",
-    bitrate: Annotated[int, typer.Option(help="Bits per second of the CAN bus.")] = 1_000_000,
+    bitrate: Annotated[
+        int, typer.Option(min=1, help="Bits per second of the CAN bus.")
+    ] = 1_000_000,
     unit: Annotated[
-        list[int] | None, typer.Option(metavar="N", help="Modbus number to ask; else the usual.")
+        list[int] | None,
+        typer.Option(metavar="N", min=0, max=255, help="Modbus number to ask; else the usual."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find devices: their ports, rates and numbers. Nothing moves by it."""
+    """Find devices: their ports, rates and numbers. Nothing moves by it.
+
+    Ends with status 1 where a port could not be asked.
+    """
     import asyncio
 
     from rtee.buses.pool import BusPool
@@ -57,6 +63,7 @@ def scan(
         print(json.dumps({"addresses": [asdict(one) for one in results]}, indent=2))
     else:
         _print(results)
+    raise typer.Exit(1 if any(one.problem for one in results) else 0)
 
 
 def _plans(

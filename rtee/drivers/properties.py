@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from rtee.errors import ConfigError, suggestion
 
 P = TypeVar("P")
+
+Byte = Annotated[int, Field(ge=0, le=255)]
+"""A count or number that fits into a byte."""
+
+Rate = Annotated[int, Field(gt=0, le=100_000_000)]
+"""Bits per second."""
+
+Duration = Annotated[float, Field(ge=0.0, le=1e6)]
+"""A time [s]."""
+
+Positive = Annotated[float, Field(gt=0.0, le=1e12)]
+"""An amount above 0."""
 
 
 def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) -> P:

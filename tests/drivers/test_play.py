@@ -80,6 +80,10 @@ def test_mistakes_are_named() -> None:
         Player("robotik")
     with pytest.raises(ConfigError, match="unknown property 'modell'"):
         Player("robotiq_2f", {"modell": "2f_85"})
+    with pytest.raises(ConfigError, match="'unit' of the emulated device: input should be less"):
+        Player("robotiq_2f", {"unit": 999})
+    with pytest.raises(ConfigError, match="'rate' of the emulated device: input should be great"):
+        Player("xbot2", {"rate": 0})
     with pytest.raises(ConfigError, match="'allegro' is a device on a CAN bus"):
         Player("allegro")
     with pytest.raises(ConfigError, match="'qb_softhand' is no device on a CAN bus"):

@@ -26,7 +26,7 @@ from rtee.drivers.allegro.codec import (
 )
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Duration, Positive, read_properties
 
 _STEP = 0.0005
 _MOST_STEPS = 400
@@ -56,12 +56,12 @@ class AllegroProperties:
     version: int = 4
     left: bool = False
     serial: str = "SAH040AR"
-    torque_timeout: float = 0.0
-    inertia: float = 5e-4
+    torque_timeout: Duration = 0.0
+    inertia: Positive = 5e-4
     damping: float = 0.02
     friction: float = 0.005
     start: float = 0.4
-    closed: float = 1.6
+    closed: Positive = 1.6
     hot: float = 90.0
 
 

@@ -18,7 +18,7 @@ from rtee.drivers.cia402.cia301 import Abort, Emergency, NmtState
 from rtee.drivers.cia402.codec import Mode, Object, State, StatusBit
 from rtee.drivers.cia402.node import Entry, Node
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Positive, read_properties
 
 _TRANSITIONS = {
     (State.SWITCH_ON_DISABLED, 0x06): State.READY,
@@ -71,7 +71,7 @@ class DriveProperties:
     start: float = 0.0
     lower: float = -1e9
     upper: float = 1e9
-    speed: float = 40_000.0
+    speed: Positive = 40_000.0
     closed: float = 40_000.0
     following_error: int = 0
     homed: bool = True

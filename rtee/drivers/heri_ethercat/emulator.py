@@ -26,7 +26,7 @@ from rtee.drivers.heri_ethercat.codec import (
     Reply,
 )
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Positive, read_properties
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class BoardProperties:
     product: int = 0x0013
     firmware: str = "emulated"
     start: float = 0.3
-    speed: float = 3.0
-    current: float = 1.0
+    speed: Positive = 3.0
+    current: Positive = 1.0
     pressure: float = 2000.0
     lower: float = -0.05
     upper: float = 2.6

@@ -20,7 +20,7 @@ from rtee.buses.modbus_slave import (
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.onrobot_3fg.codec import Control, Fingers, GripType, Status
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 
 _GATEWAY_NO_TARGET = 0x0B
 _APPROACH_FORCE = 50.0
@@ -56,20 +56,20 @@ class OnRobot3FGProperties:
         haste: How much faster than the real one it moves.
     """
 
-    unit: int = 65
+    unit: Byte = 65
     framing: Framing = "tcp"
-    baudrate: int = 1_000_000
-    force: float = 240.0
-    smallest: float = 0.020
-    largest: float = 0.150
-    speed: float = 0.080
-    force_time: float = 0.3
+    baudrate: Rate = 1_000_000
+    force: Positive = 240.0
+    smallest: Positive = 0.020
+    largest: Positive = 0.150
+    speed: Positive = 0.080
+    force_time: Duration = 0.3
     busy_ignores: Literal["grip", "all"] = "grip"
     grip: Literal["external", "internal"] = "external"
     position: float | None = None
     product: int = 0x70
     serial: str = "3FG15-EMULATED"
-    haste: float = 1.0
+    haste: Positive = 1.0
 
 
 class OnRobot3FGEmulator(ModbusEmulator, Grasps):

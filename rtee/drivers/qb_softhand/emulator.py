@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, Self
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Byte, Duration, Positive, read_properties
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
 from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
@@ -45,7 +45,7 @@ class QbOptions:
         text: Its information text.
     """
 
-    device: int = 1
+    device: Byte = 1
     motors: Literal[1, 2] = 1
     generation: Literal["legacy", "modern"] = "legacy"
     limit: int = 19_000
@@ -53,12 +53,12 @@ class QbOptions:
     watchdog: bool = False
     inputs_ack: bool = False
     startup_active: bool = False
-    boot_time: float = 0.0
-    speed: float = 25_000.0
-    current_limit_ma: float = 1500.0
+    boot_time: Duration = 0.0
+    speed: Positive = 25_000.0
+    current_limit_ma: Positive = 1500.0
     friction_ma: float = 120.0
-    gain_ma: float = 0.25
-    turnaround: float = codec.TURNAROUND
+    gain_ma: Positive = 0.25
+    turnaround: Duration = codec.TURNAROUND
     text: str = "Firmware: SoftHand (emulated)\r\nMotor control: position\r\n"
 
     @property

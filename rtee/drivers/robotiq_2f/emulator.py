@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, Self
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 from rtee.drivers.robotiq_2f.codec import (
     INPUT,
     MODELS,
@@ -57,20 +57,20 @@ class Robotiq2FProperties:
         functions: Function codes that it knows.
     """
 
-    unit: int = 9
+    unit: Byte = 9
     framing: Framing = "rtu"
-    baudrate: int = 115200
+    baudrate: Rate = 115200
     model: Literal["2f_85", "2f_140", "hand_e"] = "2f_85"
-    activation_time: float = 1.5
+    activation_time: Duration = 1.5
     activated: bool = False
     position: float = 3.0
-    open_count: int = 3
-    closed_count: int = 230
+    open_count: Byte = 3
+    closed_count: Byte = 230
     output: int = OUTPUT
     input: int = INPUT
     release_opens: bool | None = None
-    watch: float = 1.0
-    haste: float = 1.0
+    watch: Duration = 1.0
+    haste: Positive = 1.0
     functions: tuple[int, ...] = (3, 4, 6, 16, 23)
 
 

@@ -14,7 +14,7 @@ from rtee.buses.modbus_frames import READ_INPUT
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 from rtee.drivers.robotiq_3f.codec import (
     COUNT,
     FAULTS,
@@ -55,14 +55,14 @@ class Robotiq3FProperties:
         haste: How much faster than the real one it moves and activates.
     """
 
-    unit: int = 9
+    unit: Byte = 9
     framing: Framing = "rtu"
-    baudrate: int = 115200
-    activation_time: float = 3.0
-    mode_time: float = 1.0
+    baudrate: Rate = 115200
+    activation_time: Duration = 3.0
+    mode_time: Duration = 1.0
     activated: bool = False
     functions: tuple[int, ...] = (3, 4, 6, 16, 23)
-    haste: float = 1.0
+    haste: Positive = 1.0
 
 
 class Robotiq3FEmulator(ModbusEmulator, Grasps):

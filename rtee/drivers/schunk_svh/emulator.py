@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Duration, Positive, read_properties
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import (
     channels_for,
@@ -51,12 +51,12 @@ class SvhOptions:
     start: float = 0.3
     padded: bool = True
     echo_index: bool = True
-    turnaround: float = codec.TURNAROUND
+    turnaround: Duration = codec.TURNAROUND
     strict_gap: bool = False
     supply_mask: int = 0x1FF
     friction_ma: float = 40.0
     hot: float = 90.0
-    haste: float = 1.0
+    haste: Positive = 1.0
     latch_echo: bool = False
 
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 from rtee.buses.emulator import Emulator
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
-from rtee.drivers.properties import read_properties
+from rtee.drivers.properties import Positive, read_properties
 from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
@@ -37,9 +37,9 @@ class ServerProperties:
     lower: float = 0.0
     upper: float = 1.0
     start: float = 0.2
-    speed: float = 2.0
-    effort: float = 10.0
-    rate: float = 100.0
+    speed: Positive = 2.0
+    effort: Positive = 10.0
+    rate: Positive = 100.0
 
 
 class XBot2Emulator(Emulator, Grasps):

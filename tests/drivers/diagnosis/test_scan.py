@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
@@ -100,6 +101,22 @@ async def test_a_missing_or_busy_port_says_so() -> None:
             await other.serial(line.address, owner="x")
             [found] = await scan([Plan(line.address, probes=serial_probes([9]))], pool)
     assert "another program" in found.problem
+
+
+async def test_what_is_no_port_and_no_name_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    plans = [
+        Plan(str(tmp_path / "file"), probes=serial_probes([9])),
+        Plan("tcp://no-such-host.invalid", probes=network_probes([9])),
+        Plan("can9", probes=(probes.can("socketcan", 1_000_000),)),
+        Plan("can9", probes=(probes.can("no_such_interface", 1_000_000),)),
+    ]
+    async with BusPool() as pool:
+        file, name, channel, interface = [one.problem for one in await scan(plans, pool)]
+    assert file.startswith("is no serial port")
+    assert name == "nobody knows this name; use the IP address"
+    assert "SocketCAN" in channel or "no such CAN interface" in channel
+    assert "no_such_interface" in interface
 
 
 async def test_nodes_on_a_can_bus_are_found() -> None:
