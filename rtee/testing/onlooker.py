@@ -64,6 +64,23 @@ def messages(frame: bytes) -> list[dict[str, Any]]:
     return found
 
 
+def controls(connection: Connection) -> list[dict[str, Any]]:
+    """Return the messages that make the page's controls; call it first of all."""
+    found: list[dict[str, Any]] = []
+    for frame in connection:
+        news = messages(frame) if isinstance(frame, bytes) else []
+        found += [message for message in news if "label" in message.get("props", ())]
+        if any(message["type"] == "ReplayDoneMessage" for message in news):
+            break
+    return found
+
+
+def use(connection: Connection, control: dict[str, Any], value: object = True) -> None:
+    """Use a control as the page does: set what it is, or click a button."""
+    update = {"type": "GuiUpdateMessage", "uuid": control["uuid"], "updates": {"value": value}}
+    connection.send(msgspec.msgpack.encode(update))
+
+
 def kinds(frames: Iterable[bytes]) -> Counter[str]:
     """Return how many messages of which kind are in frames; updates by what they change."""
     found: Counter[str] = Counter()
