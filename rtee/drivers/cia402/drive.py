@@ -17,6 +17,9 @@ from rtee.drivers.cia402.options import NodeOptions
 from rtee.errors import BusBroken, BusTimeout, DriverError
 
 _SYNCHRONOUS = 1
+_TRIES = 3
+"""How often an SDO transfer is begun: a frame may be lost, or this computer busy for a moment."""
+_LATE = 0.01
 
 
 @dataclass
@@ -106,21 +109,32 @@ class DriveLink:
 
         Raises:
             DriverError: if the drive refuses.
-            BusTimeout: if it does not answer.
+            BusTimeout: if it does not answer, whenever it is asked.
         """
         return bytes(self._transfer(lambda: self._remote.sdo.upload(index, subindex), index))
 
-    def download(self, index: int, subindex: int, form: str, value: int) -> None:
-        """Write an object; in the worker thread. Raises as `upload`."""
+    def download(
+        self, index: int, subindex: int, form: str, value: int, *, tries: int = _TRIES
+    ) -> None:
+        """Write an object, asked for so many times; in the worker thread. Raises as `upload`."""
         data = struct.pack(f"<{form}", value)
-        self._transfer(lambda: self._remote.sdo.download(index, subindex, data), index)
+        self._transfer(lambda: self._remote.sdo.download(index, subindex, data), index, tries)
 
-    def _transfer(self, transfer: Callable[[], Any], index: int) -> Any:
+    def _transfer(self, transfer: Callable[[], Any], index: int, tries: int = _TRIES) -> Any:
         import can
         import canopen
 
         try:
-            return transfer()
+            while True:
+                tries -= 1
+                try:
+                    return transfer()
+                except canopen.SdoCommunicationError:
+                    if tries <= 0:
+                        raise
+                    # Nothing here has a cycle to keep; a late answer must not meet the next try.
+                    self.bus.counters.retries += 1
+                    time.sleep(_LATE)
         except canopen.SdoAbortedError as error:
             raise DriverError(
                 self.name, f"node {self.id} refuses object {index:04X}h: {error}"

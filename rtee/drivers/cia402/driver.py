@@ -119,7 +119,7 @@ class Cia402Driver(Cia402Cycle):
 
     def _disarm(self) -> None:
         for drive in self.drives:
-            drive.download(Object.CONSUMER_HEARTBEAT, 1, "I", 0)
+            drive.download(Object.CONSUMER_HEARTBEAT, 1, "I", 0, tries=1)
 
     # --- enabling ----------------------------------------------------------------------------
 

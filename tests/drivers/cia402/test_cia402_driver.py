@@ -15,6 +15,7 @@ import pytest
 from canopen.objectdictionary import ODVariable, datatypes
 from canopen.profiles.p402 import BaseNode402
 
+from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.cia402.codec import State
@@ -216,6 +217,26 @@ async def test_a_restarted_drive_has_to_be_set_up_anew() -> None:
         await made.configure()
         await made.activate()
         assert np.isfinite((await made.sense()).position).all()
+
+
+class Losing(Faults):
+    """Loses the first frames."""
+
+    left = 2
+
+    def copies(self) -> list[float]:
+        self.left -= 1
+        return [] if self.left >= 0 else [0.0]
+
+
+@pytest.mark.anyio
+async def test_lost_frames_do_not_end_the_set_up() -> None:
+    spec = device(heartbeat=60.0, sdo_timeout=0.1)
+    async with BusPool() as pool, connected(pool, spec) as made:
+        await made.close()
+        pool.simulation("jaws/gripper").faults = Losing()
+        await made.configure()
+        assert made.counters()["retries"] > 0
 
 
 @pytest.mark.anyio
