@@ -81,7 +81,8 @@ async def _connected(
         return [*found, wrong("fault", f"{fault.code}: {fault.name}", fault.hint or "recover it")]
     except RteeError as error:
         return [*found, wrong("state", str(error), "check the cable")]
-    return [*found, *_state(state, driver.capabilities.homing), _rate(driver), _wire(driver)]
+    found += _state(state, driver.capabilities.homing)
+    return [*found, _rate(driver), _wire(driver), _watchdog(driver)]
 
 
 async def _elsewhere(driver: Driver, pool: BusPool, address: str) -> str:
@@ -136,6 +137,12 @@ def _rate(driver: Driver) -> Check:
             f"set every: {math.ceil(driver.spec.rate / best)} in hand.yaml, or leave it out",
         )
     return ok("rate", f"up to {best:.0f} Hz")
+
+
+def _watchdog(driver: Driver) -> Check:
+    if driver.capabilities.watchdog:
+        return ok("watchdog", "armed: it stops by itself when this program falls silent")
+    return ok("watchdog", "none armed; its page tells what it does when this program falls silent")
 
 
 def _wire(driver: Driver) -> Check:

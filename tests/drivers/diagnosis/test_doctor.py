@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,15 @@ async def test_all_is_well() -> None:
     assert named(checks, "wire").verdict is not Verdict.WRONG
     assert "model 2F-85" in named(checks, "identity").text
     assert named(checks, "rate").text == "up to 164 Hz"
+    assert named(checks, "watchdog").text.startswith("none armed")
+
+
+async def test_an_armed_watchdog_is_told() -> None:
+    options = {"watchdog": 0.5, "emulator": {"watchdog": True}}
+    spec = replace(gripper(emulated=True), driver="qb_softhand", options=options)
+    async with BusPool() as pool:
+        checks = await check_device(spec, pool)
+    assert named(checks, "watchdog").text.startswith("armed")
 
 
 async def test_a_port_that_is_not_there() -> None:
