@@ -29,6 +29,8 @@ def write_atomically(path: Path | str, data: str | bytes) -> None:
 def write_together(files: Mapping[Path, str | bytes]) -> None:
     """Write several files, each as `write_atomically` does; none unless there is room for all.
 
+    Links stay; the files they lead to are written. Devices and pipes are not files.
+
     Raises:
         ConfigError: The folder or disk does not allow one of them; nothing has changed.
     """
@@ -37,21 +39,20 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
     try:
         for target, data in files.items():
             content = data.encode() if isinstance(data, str) else data
-            descriptor, staged[target] = tempfile.mkstemp(
-                dir=target.parent, prefix=f".{target.name[:40]}.", suffix=".tmp"
+            place = _place_of(target)
+            descriptor, staged[place] = tempfile.mkstemp(
+                dir=place.parent, prefix=f".{place.name[:40]}.", suffix=".tmp"
             )
             with os.fdopen(descriptor, "wb") as file:
-                os.fchmod(file.fileno(), _mode_of(target))
+                os.fchmod(file.fileno(), _mode_of(place))
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-        for target in list(staged):
-            if target.is_dir():
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        folders = {place.parent for place in staged}
         for target in list(staged):
             os.replace(staged[target], target)
             del staged[target]
-        for folder in {target.parent for target in files}:
+        for folder in folders:
             _sync_folder(folder)
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot be written: {reason(error)}", path=target) from error
@@ -76,8 +77,8 @@ def check_writable(path: Path | str, *, folder: bool = False) -> None:
     while folder and not there.exists() and there != there.parent:
         there = there.parent
     try:
-        if not folder and target.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not folder:
+            there = _place_of(target).parent
         with tempfile.TemporaryFile(dir=there):
             pass
     except (OSError, ValueError) as error:
@@ -175,6 +176,20 @@ def reason(error: Exception) -> str:
     else:
         text = str(error) or type(error).__name__
     return text[:1].lower() + text[1:]
+
+
+def _place_of(target: Path) -> Path:
+    """Return where a file is written: where links lead to.
+
+    Raises:
+        OSError: Something that is no file is there.
+    """
+    place = Path(os.path.realpath(target))
+    if place.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if place.exists() and not place.is_file():
+        raise OSError(errno.EINVAL, "not a regular file")
+    return place
 
 
 def _mode_of(target: Path) -> int:

@@ -108,6 +108,9 @@ def read_srdf(path: Path | str) -> Srdf:
     root, _ = read_xml(path, "SRDF")
     if root.tag != "robot":
         raise root.error(f"is <{root.tag}>, not an SRDF, whose root element is <robot>")
+    joint = next(root.all("joint"), None)
+    if joint is not None:
+        raise joint.error("a joint is defined here, as in a URDF; an SRDF only names joints")
     groups: dict[str, SrdfGroup] = {}
     for element in root.all("group"):
         group = _group(element)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.errors import ConfigError
-from rtee.hand.files import make_folder, read_bytes, write_atomically
+from rtee.hand.files import check_writable, make_folder, read_bytes, write_atomically
 from rtee.hand.names import check_name, common_prefix, safe_name
 
 
@@ -70,6 +70,27 @@ def test_written_whole_and_replaced(tmp_path: Path) -> None:
     assert file.read_bytes() == b"second"
     assert stat.S_IMODE(file.stat().st_mode) == 0o640
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_links_stay_and_lead_to_what_is_written(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    file, link = tmp_path / "there" / "file", tmp_path / "link"
+    file.write_text("first")
+    link.symlink_to(file)
+    write_atomically(link, "second")
+    assert link.is_symlink()
+    assert file.read_text() == "second"
+    assert list(file.parent.iterdir()) == [file]
+
+
+def test_devices_and_pipes_are_no_files(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for check in (check_writable, lambda path: write_atomically(path, "x")):
+        with pytest.raises(ConfigError, match="pipe: cannot be written: not a regular file"):
+            check(pipe)
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert list(tmp_path.iterdir()) == [pipe]
 
 
 def test_nothing_is_left_when_the_disk_is_full(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hand.models import SRDF, line_of
+from hand.models import GRIPPER, SRDF, line_of
 from rtee.errors import ModelError
 from rtee.hand.model import Hand
 
@@ -29,6 +29,12 @@ def test_fingers_are_the_members_of_the_group_of_groups(load: Load) -> None:
     assert finger.actuators == finger.own == ("left",)
     assert f"line {line_of(srdf, CHAIN)}" in finger.reason
     assert "group 'fingers'" in finger.reason
+
+
+def test_a_urdf_in_its_place_is_refused(load: Load) -> None:
+    with pytest.raises(ModelError, match=r"a joint is defined here, as in a URDF") as refusal:
+        load(srdf=GRIPPER)
+    assert refusal.value.line == GRIPPER[: GRIPPER.index("<joint")].count("\n") + 1
 
 
 def test_without_a_group_of_groups_every_chain_is_a_finger(load: Load) -> None:
