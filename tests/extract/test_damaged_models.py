@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hand.test_mutations import damaged, link_meshes, load_or_refuse
+from hand.test_mutations import damaged, load_or_refuse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -36,7 +36,6 @@ def distorted(draw: st.DrawFn, text: str) -> str:
 @given(data=st.data())
 def test_damaged_models(name: str, shared: Path, tmp_path: Path, data: st.DataObject) -> None:
     folder = shared / "hands" / name
-    link_meshes(folder, tmp_path)
     change = data.draw(st.sampled_from([distorted, distorted, damaged]))
     urdf = tmp_path / "hand.urdf"
     urdf.write_text(data.draw(change((folder / f"{name}.urdf").read_text())), errors="replace")

@@ -120,13 +120,6 @@ def load_or_refuse(load: Callable[[], T]) -> T | None:
     return None
 
 
-def link_meshes(folder: Path, there: Path) -> None:
-    """Make the meshes of a hand reachable from another folder, so that they are read."""
-    for entry in folder.iterdir():
-        if entry.is_dir() and not (there / entry.name).exists():
-            (there / entry.name).symlink_to(entry)
-
-
 @pytest.mark.parametrize("name", NAMES)
 @settings(
     max_examples=60,
@@ -137,7 +130,6 @@ def link_meshes(folder: Path, there: Path) -> None:
 def test_damaged_models(name: str, shared: Path, tmp_path: Path, data: st.DataObject) -> None:
     folder = shared / "hands" / name
     urdf, srdf = folder / f"{name}.urdf", folder / f"{name}.srdf"
-    link_meshes(folder, tmp_path)
     which = data.draw(st.sampled_from(["urdf", "srdf", "both"]))
     if which != "srdf":
         text = data.draw(damaged(urdf.read_text(errors="replace")))
