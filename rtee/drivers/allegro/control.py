@@ -34,6 +34,7 @@ class JointControl:
         smoothing: float,
         ki: float = 0.0,
         most_integral: float = 0.0,
+        period: float = 0.0,
     ) -> None:
         self.scale = scale
         self.kp = kp
@@ -45,6 +46,7 @@ class JointControl:
         self.stamp = -math.inf
         self.sets = 0
         self._smoothing = smoothing
+        self._least = 0.9 * period
         self._most_integral = most_integral
         self._integral = [0.0] * JOINTS
         self._period = 0.0
@@ -86,6 +88,9 @@ class JointControl:
 
     def _measure(self, measured: list[float], stamp: float) -> None:
         dt = stamp - self.stamp
+        if dt < self._least:
+            # The hand sends no faster: these have waited in this computer, and then came at once.
+            dt = self._least
         self._period = dt if 0.0 < dt < 0.1 else 0.0
         if 0.0 < dt < 0.1 and self.sets:
             share = dt / (dt + self._smoothing)

@@ -97,6 +97,7 @@ class AllegroDriver(Driver):
             most_integral=options.max_integral,
             max_torque=options.max_torque,
             smoothing=options.smoothing,
+            period=self._period(version) * 1e-3,
         )
 
     def _period(self, version: int) -> int:
@@ -195,8 +196,7 @@ class AllegroDriver(Driver):
         await self._can.send(codec.order(Command.SYSTEM_ON, self.options.hand))
         await asyncio.sleep(_PAUSE)
         self._driving = True
-        info = await self._read_info()
-        self._refuse(info)
+        self._refuse(await self._read_info(_PATIENCE * self.options.deadline))
         self._hold()
 
     def _hold(self) -> None:
@@ -332,7 +332,7 @@ class AllegroDriver(Driver):
         await self._can.send(Periods(self._period(self.control.scale.version)).to_frame(hand))
         await self._can.send(codec.order(Command.SYSTEM_ON, hand))
         await asyncio.sleep(_PAUSE)
-        self._refuse(await self._read_info())
+        self._refuse(await self._read_info(_PATIENCE * self.options.deadline))
 
 
 def _wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:

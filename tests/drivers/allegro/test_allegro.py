@@ -106,6 +106,18 @@ def test_a_joint_without_reference_gets_no_torque() -> None:
     assert made.take(3, (0, 0, 0, 0), 1.0) == [[120, 0, 0, 0], *[[0] * 4] * 3]
 
 
+def test_sets_that_waited_in_the_computer_make_no_speed_of_their_own() -> None:
+    made = JointControl(
+        codec.SCALES[4], kp=0.0, kd=0.1, max_torque=1.0, smoothing=0.005, period=0.003
+    )
+    for number in range(60):
+        stamp = 1.0 + 0.03 * (number // 10) + 1e-4 * (number % 10)  # ten at once, every 30 ms
+        for finger in range(4):
+            made.take(finger, (10 * number,) * 4, stamp)
+    step = made.scale.to_rad(10) - made.scale.to_rad(0)
+    assert abs(made.velocity[0]) < 1.2 * abs(step) / 0.003
+
+
 # --- driver --------------------------------------------------------------------------------------
 
 
@@ -118,7 +130,7 @@ def device(n: int = 16, **options: Any) -> DeviceSpec:
             ActuatorSpec(f"j{i}", JointKind.REVOLUTE, -0.5, 1.7, 8.0, 20.0, 400.0, 0.4, 0.0)
             for i in range(n)
         ),
-        options=options,
+        options={"deadline": 0.5, **options},
         emulated=True,
     )
 
