@@ -389,6 +389,9 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=SETS, default=list(SETS))
     parser.add_argument("--beside", nargs="*", choices=BESIDE, default=[])
     parser.add_argument("--witness", action="store_true", help="cyclictest beside the loop")
+    parser.add_argument(
+        "--reference", type=float, default=60.0, help="length of cyclictest, at most [s]"
+    )
     parser.add_argument("--flight", type=float, help="what the flight recorder keeps [s]")
     arguments = parser.parse_args()
     load = os.getloadavg()[0]
@@ -400,7 +403,7 @@ def main() -> None:
     print("|" + " --- |" * 11, flush=True)
 
     def reference(when: str) -> None:
-        found = cyclictest(min(arguments.seconds, float(os.environ.get("CYC", "60"))))
+        found = cyclictest(min(arguments.seconds, arguments.reference))
         text = found or "not installed" + " |" * 9
         print(f"| cyclictest, SCHED_FIFO 80, {when} | {text} |", flush=True)
 
@@ -414,6 +417,7 @@ def main() -> None:
             seconds, flight = arguments.seconds, arguments.flight
             row = run(how, arguments.hand, seconds, folder, flight, arguments.witness)
             print(f"| rtee, {how.label} | {cells(row)} |", flush=True)
+            print("  memory every 10 s:", *(f"{m:.1f}" for m in row.memory), file=sys.stderr)
             own = [one for one in row.missed if one.computer is not True]
             for one in own[:SHOWN]:
                 print(f"  not the computer's: {one}", file=sys.stderr)

@@ -64,8 +64,8 @@ class PackedChunk:
         compression: How: ``zstd``, ``lz4`` or empty.
     """
 
-    record: bytes
-    index: bytes
+    record: bytes | memoryview
+    index: bytes | memoryview
     index_offsets: Mapping[int, int]
     counts: Mapping[int, int]
     start: int

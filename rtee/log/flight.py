@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import mmap
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import replace
 
 from rtee.log.chunks import PackedChunk
 
@@ -43,7 +45,7 @@ class FlightRecorder:
 
     def add(self, chunk: PackedChunk) -> None:
         """Keep a chunk; forget those that are too old or too many."""
-        self._chunks.append(chunk)
+        self._chunks.append(_in_memory_of_its_own(chunk))
         self._size += chunk.size
         oldest = chunk.end - int(self._seconds * _SECOND)
         while self._chunks[0].end < oldest or (self._size > self._limit and len(self._chunks) > 1):
@@ -52,3 +54,15 @@ class FlightRecorder:
     def chunks(self) -> Iterable[PackedChunk]:
         """Return the chunks, oldest first."""
         return tuple(self._chunks)
+
+
+def _in_memory_of_its_own(chunk: PackedChunk) -> PackedChunk:
+    """Return a chunk whose memory goes back to the system when it is forgotten.
+
+    Pieces of many sizes that live for a minute would leave holes in the process' memory for ever.
+    """
+    memory = mmap.mmap(-1, chunk.size)
+    memory.write(chunk.record)
+    memory.write(chunk.index)
+    view, end = memoryview(memory), len(chunk.record)
+    return replace(chunk, record=view[:end], index=view[end:])

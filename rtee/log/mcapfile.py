@@ -101,7 +101,9 @@ class McapFile:
         self.path = path
         self._sync = sync
         self._preamble = preamble
-        self._chunks: list[ChunkIndex] = []
+        # One record after the other, as they will stand in the summary: a file may have 100,000.
+        self._chunks = bytearray()
+        self._chunk_count = 0
         self._counts: dict[int, int] = {}
         self._start = 0
         self._end = 0
@@ -169,7 +171,7 @@ class McapFile:
             data += record_bytes(definition)
         return bytes(data)
 
-    def _append(self, *parts: bytes) -> None:
+    def _append(self, *parts: bytes | memoryview) -> None:
         """Write all parts or nothing."""
         try:
             for part in parts:
@@ -195,7 +197,8 @@ class McapFile:
         offset = self._size
         self._append(chunk.record, chunk.index)
         after = offset + len(chunk.record)
-        self._chunks.append(
+        self._chunk_count += 1
+        self._chunks += record_bytes(
             ChunkIndex(
                 message_start_time=chunk.start,
                 message_end_time=chunk.end,
@@ -234,7 +237,7 @@ class McapFile:
             attachment_count=len(self._preamble.attachments),
             channel_count=len(self._preamble.channels),
             channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunk_count,
             message_count=sum(self._counts.values()),
             metadata_count=len(self._preamble.metadata),
             message_start_time=self._start,
@@ -245,26 +248,21 @@ class McapFile:
     def _ending(self) -> bytes:
         data_end = record_bytes(DataEnd(0))
         summary_start = self._size + len(data_end)
-        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
-            (Opcode.SCHEMA, self._preamble.schemas),
-            (Opcode.CHANNEL, self._preamble.channels),
-            (Opcode.STATISTICS, [self._statistics()]),
+        attachments = [index for index in self._indexes if isinstance(index, AttachmentIndex)]
+        metadata = [index for index in self._indexes if isinstance(index, MetadataIndex)]
+        groups: list[tuple[Opcode, bytes | bytearray]] = [
+            (Opcode.SCHEMA, _joined(self._preamble.schemas)),
+            (Opcode.CHANNEL, _joined(self._preamble.channels)),
+            (Opcode.STATISTICS, _joined([self._statistics()])),
             (Opcode.CHUNK_INDEX, self._chunks),
-            (
-                Opcode.ATTACHMENT_INDEX,
-                [index for index in self._indexes if isinstance(index, AttachmentIndex)],
-            ),
-            (
-                Opcode.METADATA_INDEX,
-                [index for index in self._indexes if isinstance(index, MetadataIndex)],
-            ),
+            (Opcode.ATTACHMENT_INDEX, _joined(attachments)),
+            (Opcode.METADATA_INDEX, _joined(metadata)),
         ]
         summary = bytearray()
         offsets = bytearray()
         for opcode, records in groups:
             begin = len(summary)
-            for record in records:
-                summary += record_bytes(record)
+            summary += records
             if len(summary) > begin:
                 offsets += record_bytes(
                     SummaryOffset(
@@ -282,3 +280,7 @@ class McapFile:
             summary_crc=zlib.crc32(footer_head, zlib.crc32(summary)),
         )
         return data_end + bytes(summary) + record_bytes(footer) + MAGIC
+
+
+def _joined(records: Sequence[McapRecord]) -> bytes:
+    return b"".join(map(record_bytes, records))
