@@ -92,8 +92,10 @@ class Session:
         end = time.monotonic() + self.case.within
         while True:
             state = await self.cycle(reference)
-            if state is not None and (self.near(state, goal) or time.monotonic() > end):
+            if state is not None and self.near(state, goal):
                 return state
+            if time.monotonic() > end:
+                return state or await self.sense()
             await asyncio.sleep(0.002)
 
     def near(self, state: ActuatorState, goal: Sequence[float]) -> bool:
