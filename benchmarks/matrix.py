@@ -157,17 +157,19 @@ async def _returned(session: Session, case: DeviceCase, name: str, *, good: bool
 
 
 async def _error(session: Session) -> str:
-    end = time.monotonic() + 0.5
+    """Return the name of the error that the device leads to; a time-out only if it lasts."""
+    end, name = time.monotonic() + 0.5, "nothing"
     while time.monotonic() < end:
         try:
             state = await session.driver.sense()
             await session.driver.move(Reference.at(state.position))
-        except TimeoutError:
-            continue
+            name = "nothing"
+        except (BusTimeout, FrameError) as error:
+            name = type(error).__name__
         except RteeError as error:
             return type(error).__name__
         await asyncio.sleep(0.002)
-    return "nothing"
+    return name
 
 
 Trial = Callable[[Session, DeviceCase], Awaitable[Outcome]]
