@@ -40,7 +40,7 @@ from rtee.types import Reference
 
 SHARE = 0.05
 """Part of the messages that suffer."""
-STRETCH = 0.2
+STRETCH = 0.15
 """Shortest stretch of a measurement of the lateness [s]."""
 FASTEST = 100.0
 """Pace of the driver while the lateness is measured, at most [Hz]."""

@@ -15,7 +15,7 @@ from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.options import DynamixelOptions
 from rtee.drivers.dynamixel.setup import Found
-from rtee.drivers.dynamixel.units import Scale
+from rtee.drivers.dynamixel.units import Scale, Scales
 from rtee.drivers.emulators import owner_of
 from rtee.drivers.options import read_options
 from rtee.errors import ConfigError, DeviceFault, NotConnected
@@ -54,6 +54,7 @@ class DynamixelCycle(Driver):
         self._ids = [servo.id for servo in self._servos]
         self._names = dict(zip(self._ids, names, strict=True))
         self.scales = [Scale(s.zero, s.direction, s.gear) for s in self._servos]
+        self._units = Scales(self._ids, self.scales)
         self._link: DynamixelLink | None = None
         self._found: dict[int, Found] = {}
         self._active = False
@@ -95,15 +96,7 @@ class DynamixelCycle(Driver):
         stamp = time.monotonic()
         if self._active:
             setup.refuse(link, self.spec.name, self._names, errors)
-        n = len(self._ids)
-        position, velocity = np.empty(n), np.empty(n)
-        effort, current = np.empty(n), np.empty(n)
-        for i, (number, scale) in enumerate(zip(self._ids, self.scales, strict=True)):
-            amount, speed, pulses = STATE.unpack(data[number])
-            position[i] = scale.to_rad(pulses)
-            velocity[i] = scale.to_speed(speed)
-            current[i] = scale.to_current(amount)
-            effort[i] = scale.to_effort(amount)
+        position, velocity, effort, current = self._units.measured(data)
         return ActuatorState.measured(
             position,
             stamp,
@@ -152,11 +145,18 @@ class DynamixelCycle(Driver):
         speeds: dict[int, int] = {}
         most = self._most_current()
         limited = "max_effort" in self.capabilities.accepts
-        for i, (number, scale) in enumerate(zip(self._ids, self.scales, strict=True)):
-            if not reference.mask[i]:
+        for number, scale, commanded, pulses, effort, velocity in zip(
+            self._ids,
+            self.scales,
+            reference.mask.tolist(),
+            self._units.pulses(reference.position),
+            reference.max_effort.tolist(),
+            reference.max_velocity.tolist(),
+            strict=True,
+        ):
+            if not commanded:
                 continue
-            goals[number] = scale.to_pulses(float(reference.position[i]))
-            effort, velocity = float(reference.max_effort[i]), float(reference.max_velocity[i])
+            goals[number] = pulses
             if limited:
                 wanted = scale.to_current_counts(effort) if math.isfinite(effort) else most[number]
                 currents[number] = min(wanted, most[number])

@@ -21,6 +21,7 @@ from rtee.drivers.dynamixel.cycle import STATE, DynamixelCycle
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.table import model_of
+from rtee.drivers.dynamixel.units import Scales
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.errors import (
     BusError,
@@ -163,6 +164,7 @@ class DynamixelDriver(DynamixelCycle):
                     f"device '{self.spec.name}': the range of '{actuator.name}' crosses the turn "
                     "of its servo; use mode 'extended_position' or 'current_based_position'"
                 )
+        self._units = Scales(self._ids, self.scales)
 
     async def activate(self) -> None:
         """Set up and power the servos that are without torque, where they stand."""
@@ -266,6 +268,7 @@ class DynamixelDriver(DynamixelCycle):
             scale.zero, scale.turn = 0.0, 0
             pulses = STATE.unpack(data[number])[2]
             scale.zero = float((pulses - scale.to_pulses(float(angle))) % table.PULSES)
+        self._units = Scales(self._ids, self.scales)
         found = self._as_calibrated()
         write_calibration(path, found)
         return found

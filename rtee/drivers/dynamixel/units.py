@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from rtee.drivers.dynamixel.table import PULSES, RAD_PER_PULSE, VELOCITY_UNIT
+from rtee.types import FloatArray
+
+_STATE = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 
 
 @dataclass(slots=True)
@@ -80,3 +86,44 @@ class Scale:
         self.turn = round(away)
         angle = self.to_rad(pulses)
         return max(lower - angle, angle - upper, 0.0)
+
+
+class Scales:
+    """The units of all joints at once, as they are when this is made; see `Scale`.
+
+    Args:
+        ids: The joints' servos.
+        scales: Their units.
+    """
+
+    def __init__(self, ids: Sequence[int], scales: Sequence[Scale]) -> None:
+        self._ids = tuple(ids)
+        sense = np.array([float(s.direction) for s in scales])
+        gear = np.array([s.gear for s in scales])
+        self._turns = np.array([float(s.turn * PULSES) for s in scales])
+        self._zero = np.array([s.zero for s in scales])
+        self._rad = sense * RAD_PER_PULSE / gear
+        self._speed = sense * VELOCITY_UNIT / gear
+        self._current = sense * np.array([s.current_unit for s in scales])
+        self._effort = self._current * np.array([s.torque_per_ampere for s in scales]) * gear
+
+    def measured(
+        self, data: Mapping[int, bytes]
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return positions [rad], velocities [rad/s], efforts [N·m] and currents [A].
+
+        Args:
+            data: What each servo tells, by id: current, velocity and position side by side.
+        """
+        told = np.frombuffer(b"".join([data[number] for number in self._ids]), _STATE)
+        amount = told["current"]
+        return (
+            (told["position"] - (self._zero + self._turns)) * self._rad,
+            told["velocity"] * self._speed,
+            amount * self._effort,
+            amount * self._current,
+        )
+
+    def pulses(self, angles: FloatArray) -> list[int]:
+        """Return the servos' positions [pulse] for the joints' angles [rad]."""
+        return [int(p) for p in (np.rint(angles / self._rad + self._zero) + self._turns).tolist()]
