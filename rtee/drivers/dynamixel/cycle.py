@@ -62,6 +62,7 @@ class DynamixelCycle(Driver):
         self._temperature = np.full(len(names), math.nan)
         self._extras: Mapping[str, FloatArray] = {}
         self._sent: dict[str, dict[int, int]] = {}
+        self._settled: tuple[list[float], list[float], list[bool]] | None = None
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "current", "temperature"}),
             accepts=frozenset({"position", "max_velocity"}),
@@ -139,24 +140,29 @@ class DynamixelCycle(Driver):
         await self._line.run(lambda: self._move(reference))
 
     def _move(self, reference: Reference) -> None:
-        link = self._line
-        goals: dict[int, int] = {}
+        mask = reference.mask.tolist()
+        asked = reference.max_effort.tolist(), reference.max_velocity.tolist(), mask
+        if asked != self._settled:
+            self._settled = None
+            self._write_limits(*asked)
+            self._settled = asked
+        pulses = self._units.pulses(reference.position)
+        goals = {n: p for n, p, asked_for in zip(self._ids, pulses, mask, strict=True) if asked_for}
+        self._line.write_group(table.GOAL_POSITION, goals)
+
+    def _write_limits(
+        self, efforts: list[float], velocities: list[float], mask: list[bool]
+    ) -> None:
+        """Write limits of current and speed that have changed."""
         currents: dict[int, int] = {}
         speeds: dict[int, int] = {}
         most = self._most_current()
         limited = "max_effort" in self.capabilities.accepts
-        for number, scale, commanded, pulses, effort, velocity in zip(
-            self._ids,
-            self.scales,
-            reference.mask.tolist(),
-            self._units.pulses(reference.position),
-            reference.max_effort.tolist(),
-            reference.max_velocity.tolist(),
-            strict=True,
+        for number, scale, commanded, effort, velocity in zip(
+            self._ids, self.scales, mask, efforts, velocities, strict=True
         ):
             if not commanded:
                 continue
-            goals[number] = pulses
             if limited:
                 wanted = scale.to_current_counts(effort) if math.isfinite(effort) else most[number]
                 currents[number] = min(wanted, most[number])
@@ -166,7 +172,6 @@ class DynamixelCycle(Driver):
             self._write_changed("current", table.GOAL_CURRENT, currents)
         if not any(f.drive_mode & 0x04 for f in self._found.values()):
             self._write_changed("speed", table.PROFILE_VELOCITY, speeds)
-        link.write_group(table.GOAL_POSITION, goals)
 
     def _write_changed(self, what: str, register: table.Register, values: dict[int, int]) -> None:
         sent = self._sent.setdefault(what, {})

@@ -187,7 +187,7 @@ class DynamixelDriver(DynamixelCycle):
         # What a servo does when a tripped watchdog is cleared must not depend on its old goal.
         tripped = {n: STATE.unpack(state[n])[2] for n in self._ids if guard[n][0] == 0xFF}
         link.write_group(table.GOAL_POSITION, tripped)
-        self._sent = {}
+        self._sent, self._settled = {}, None
         if off:
             self._found = setup.find(
                 link, self.spec.name, dict(self.options.servos), self.options.port
