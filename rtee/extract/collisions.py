@@ -20,7 +20,7 @@ _FINE: Final = 0.0005
 """Step of the search for the first contact of two tips whose convex parts overlap [m]."""
 
 _MOST: Final = 4096
-"""Most steps of that search."""
+"""Most steps on a way, however long it is."""
 
 _COARSE_PARTS: Final = 16
 """Into how many parts a way is halved for links whose convex parts overlap."""
@@ -198,7 +198,7 @@ class Watch:
     def _first_in(self, pair: LinkPair, way: Way, ends: Sequence[float]) -> float | None:
         """Return where a pair first touches on a run of the way."""
         travelled = self._motion.travelled(pair, way, ends)
-        steps = max(1, int(np.ceil(travelled[-1] / STEP)))
+        steps = min(max(1, int(np.ceil(travelled[-1] / STEP))), _MOST)
         before = ends[0]
         for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:
             t = float(np.interp(goal, travelled, ends)) if travelled[-1] > 0.0 else ends[-1]

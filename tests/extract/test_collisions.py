@@ -13,11 +13,11 @@ from rtee.extract.scene import Scene
 from rtee.hand.load import load_hand
 
 
-def gantry(*posts: str) -> Model:
+def gantry(*posts: str, length: float = 1.0) -> Model:
     """Return a ball that moves in the x-z plane, among posts that stand."""
     model = Model().link("posts", *posts).joint("stand", "base", "posts", kind="fixed")
     model.link("carriage").link("ball", sphere(0.01))
-    model.joint("x", "base", "carriage", kind="prismatic", axis=(1, 0, 0), limits=(0, 1))
+    model.joint("x", "base", "carriage", kind="prismatic", axis=(1, 0, 0), limits=(0, length))
     model.joint("z", "carriage", "ball", kind="prismatic", axis=(0, 0, 1), limits=(0, 1))
     return model.finger("ball", "ball")
 
@@ -49,6 +49,16 @@ def test_a_way_past_a_post_is_free_though_a_way_through_it_is_not(tmp_path: Path
     assert found.along(np.array([1.0, 0.1])) is not None
     assert found.at(np.array([1.0, 0.1])) == []
     assert [pair.links for pair in found.at(np.array([0.5, 0.0]))] == [("posts", "ball")]
+
+
+def test_a_long_way_is_checked_in_a_bounded_number_of_places(tmp_path: Path) -> None:
+    rail = box((900, 0.2, 0.01), (450, 0, -0.016))  # a millimetre below the ball
+    inspector = Inspector.of(gantry(rail, length=900).load(tmp_path))
+    places: list[object] = []
+    place = inspector.scene.place
+    inspector.scene.place = lambda u: (places.append(u), place(u))[1]  # type: ignore[method-assign]
+    assert watch(inspector).along(np.array([900.0, 0.0])) is None
+    assert 1000 < len(places) < 5000
 
 
 def two_arms(gap: float) -> Model:

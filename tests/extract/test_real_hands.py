@@ -178,7 +178,7 @@ def test_depth_is_at_least_98_percent_of_what_256_starts_find(
     assert max(evidence.depth for evidence in found.evidence) >= 0.98 * -least
 
 
-def test_repetition_and_jobs_change_nothing(shared: Path) -> None:
-    hand = load(shared, "robotiq_3f")
-    results = [extract(hand, jobs=jobs).primitives for jobs in (1, 2, 1)]
-    assert results[0] == results[1] == results[2]
+@pytest.mark.parametrize(("name", "jobs"), [("robotiq_3f", 1), ("qbhand", 1), ("qbhand", 2)])
+def test_repetition_and_jobs_change_nothing(name: str, jobs: int, shared: Path) -> None:
+    again = extract(load(shared, name), jobs=jobs).primitives
+    assert again == extracted(shared, name).primitives  # one job per processor
