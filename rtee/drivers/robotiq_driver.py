@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import time
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 from rtee.buses.emulator import EmulatorFactory
-from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
-from rtee.drivers.base import Driver
+from rtee.drivers.blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.emulators import owner_of
-from rtee.drivers.robotiq import PATIENT, Blocks, ExchangeKind
 from rtee.drivers.robotiq_faults import NOT_ACTIVATED, Fault
+from rtee.drivers.robotiq_kinds import RobotiqSettings, RobotiqStatus
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -34,68 +32,10 @@ SAME = 2
 """A position this near to the measured one asks for no motion [counts]."""
 
 
-class RobotiqStatus(Protocol):
-    """What all of Robotiq's grippers say."""
-
-    @property
-    def activated(self) -> bool:
-        """GACT."""
-        ...
-
-    @property
-    def ready(self) -> bool:
-        """Whether it is activated and takes commands."""
-        ...
-
-    @property
-    def reset(self) -> bool:
-        """Whether it is not activated, nor about to be."""
-        ...
-
-    @property
-    def fault(self) -> int:
-        """GFLT."""
-        ...
-
-
-class RobotiqSettings(Protocol):
-    """The options that all of Robotiq's grippers have."""
-
-    @property
-    def port(self) -> str:
-        """The address."""
-        ...
-
-    @property
-    def unit(self) -> int:
-        """The gripper's Modbus number."""
-        ...
-
-    @property
-    def baudrate(self) -> int:
-        """Bits per second."""
-        ...
-
-    @property
-    def home(self) -> Literal["on_demand", "on_connect"]:
-        """When it is activated."""
-        ...
-
-    @property
-    def exchange(self) -> ExchangeKind:
-        """How it is exchanged with."""
-        ...
-
-    @property
-    def activation_timeout(self) -> float:
-        """Longest time of an activation [s]."""
-        ...
-
-
 S = TypeVar("S", bound=RobotiqStatus)
 
 
-class RobotiqDriver(Driver, Generic[S]):
+class RobotiqDriver(BlocksDriver, Generic[S]):
     """A Robotiq gripper on Modbus.
 
     It attaches to a gripper that is active without writing anything: the first write comes with the
@@ -120,10 +60,7 @@ class RobotiqDriver(Driver, Generic[S]):
     def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqSettings) -> None:
         super().__init__(spec, buses)
         self._settings = settings
-        self._bus: ModbusBus | None = None
-        self._blocks: Blocks | None = None
         self._status = self._told(())
-        self._active = False
         self._home_asked = False
         self.capabilities = self._abilities(100.0)
 
@@ -199,8 +136,7 @@ class RobotiqDriver(Driver, Generic[S]):
         best = self._blocks.best_rate(self.COUNT)
         self.capabilities = self._abilities(best)
         await self._identify()
-        every = self.spec.every or math.ceil(self.spec.rate / best)
-        self._blocks.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
+        self._pace(best)
 
     async def _identify(self) -> None:
         try:
@@ -279,29 +215,11 @@ class RobotiqDriver(Driver, Generic[S]):
             self._refuse(status)
             await asyncio.sleep(0.01)
 
-    async def deactivate(self) -> None:
-        """Stop; the gripper stays activated, for it would lose its grip otherwise."""
-        await self.stop()
-        self._active = False
-
-    async def close(self) -> None:
-        """Give the line back."""
-        self._active = False
-        bus, self._bus, self._blocks = self._bus, None, None
-        if bus is not None:
-            await bus.release(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the line."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
-
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return what the last exchange brought, or read it."""
-        blocks = self._open()
-        period = (self.spec.every or 1) / self.spec.rate
-        kept = blocks.fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
+        kept = self._last_read()
         if kept is None:
             self._status = await self._read()
         stamp = time.monotonic() if kept is None else kept[1]
@@ -326,14 +244,8 @@ class RobotiqDriver(Driver, Generic[S]):
 
     async def stop(self) -> None:
         """Clear rGTO: the fingers stop where they are, and what they hold stays held."""
-        if self._blocks is None:
-            return
-        registers = self._stopping()
-        for _ in range(3):
-            with contextlib.suppress(BusError):
-                await self._blocks.write(registers)
-                self._forget()
-                return
+        if self._blocks is not None and await self._insist(self._stopping()):
+            self._forget()
 
     async def recover(self) -> None:
         """Clear a fault; where that costs the activation, the next `activate` may move."""
@@ -372,11 +284,6 @@ class RobotiqDriver(Driver, Generic[S]):
         return (fault.name,) if fault is not None and fault.warning else ()
 
     # --- the wire ----------------------------------------------------------------------------
-
-    def _open(self) -> Blocks:
-        if self._blocks is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._blocks
 
     async def _read(self) -> S:
         return self._told(await self._open().read())

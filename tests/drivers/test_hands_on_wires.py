@@ -16,7 +16,7 @@ from rtee.drivers.emulators import owner_of
 from rtee.drivers.objects import ObjectInHand
 from rtee.drivers.registry import find_driver
 from rtee.drivers.robotiq_2f.codec import Command
-from rtee.loop import exchange, supervisor
+from rtee.loop import connection, supervisor
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
@@ -125,7 +125,7 @@ async def test_a_cable_pulled_in_the_middle_of_an_action_concerns_its_hand_alone
 async def test_a_hundred_cables_pulled_leave_no_task_and_no_file(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in (exchange, supervisor):
+    for module in (connection, supervisor):
         monkeypatch.setattr(module, "BACKOFF", (0.005, 0.01))
     async with on_wires("robotiq_2f_85") as (gripper,):
         files, tasks, moves = open_files(), len(asyncio.all_tasks()), gripper.emulator.moves

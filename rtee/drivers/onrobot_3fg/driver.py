@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from collections.abc import Mapping
 from typing import ClassVar
@@ -12,7 +11,7 @@ from pydantic import BaseModel
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
-from rtee.drivers.base import Driver
+from rtee.drivers.blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.onrobot_3fg.codec import (
     FIRMWARE,
@@ -35,7 +34,6 @@ from rtee.drivers.onrobot_3fg.codec import (
 from rtee.drivers.onrobot_3fg.emulator import OnRobot3FGEmulator
 from rtee.drivers.onrobot_3fg.options import OnRobot3FGOptions
 from rtee.drivers.options import read_options
-from rtee.drivers.robotiq import PATIENT, Blocks
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -59,7 +57,7 @@ _STUCK_BUSY = 0.5
 _GATEWAY = (0x0A, 0x0B)
 
 
-class OnRobot3FGDriver(Driver):
+class OnRobot3FGDriver(BlocksDriver):
     """A 3FG15 or 3FG25.
 
     The gripper takes no speed, and force only with the command *grip*, which it ignores while it is
@@ -79,10 +77,7 @@ class OnRobot3FGDriver(Driver):
             )
         self.scale = self._scaled(self.options.largest or 0.150)
         self._kind = GripType[self.options.grip.upper()]
-        self._bus: ModbusBus | None = None
-        self._blocks: Blocks | None = None
         self._status = Status()
-        self._active = False
         self._sent: Command | None = None
         self._wanted: tuple[int, int] = (0, 0)
         self._wanted_since = 0.0
@@ -141,8 +136,7 @@ class OnRobot3FGDriver(Driver):
         except FrameError as error:
             raise HandshakeError(self.spec.name, "an OnRobot 3FG", error.message) from error
         self.capabilities = self._abilities(best, identity)
-        every = self.spec.every or math.ceil(self.spec.rate / best)
-        self._blocks.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
+        self._pace(best)
 
     def _absent(self, what: str) -> NotConnected:
         return NotConnected(
@@ -195,29 +189,11 @@ class OnRobot3FGDriver(Driver):
         self._sent = None
         self._active = True
 
-    async def deactivate(self) -> None:
-        """Stop; the gears hold what is gripped."""
-        await self.stop()
-        self._active = False
-
-    async def close(self) -> None:
-        """Give the connection back."""
-        self._active = False
-        bus, self._bus, self._blocks = self._bus, None, None
-        if bus is not None:
-            await bus.release(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the connection."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
-
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return what the last exchange brought, or read it."""
-        blocks = self._open()
-        period = (self.spec.every or 1) / self.spec.rate
-        kept = blocks.fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
+        kept = self._last_read()
         if kept is None:
             self._note(await self._read())
         stamp = time.monotonic() if kept is None else kept[1]
@@ -296,11 +272,8 @@ class OnRobot3FGDriver(Driver):
         status = self._status
         force = self._sent.force if self._sent else status.force
         command = self._command(force, status.raw_diameter, Control.STOP)
-        for _ in range(3):
-            with contextlib.suppress(BusError):
-                await self._blocks.write(command.to_registers())
-                self._sent = None
-                return
+        if await self._insist(command.to_registers()):
+            self._sent = None
 
     async def recover(self) -> None:
         """Stop, and see that the calibration is valid again."""
@@ -320,11 +293,6 @@ class OnRobot3FGDriver(Driver):
             )
 
     # --- the wire ----------------------------------------------------------------------------
-
-    def _open(self) -> Blocks:
-        if self._blocks is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._blocks
 
     async def _read(self) -> Status:
         return Status.from_registers(await self._open().read(), self.options.address)
