@@ -99,3 +99,13 @@ async def test_every_control_says_what_it_is_for(server: viser.ViserServer, tmp_
     controls = [handle for handle in handles if hasattr(handle, "hint")]
     silent = [control.label for control in controls if not control.hint]
     assert silent == []
+    quantities = [control for control in controls if "[" in (control.label or "")]
+    unclear = [
+        control.label
+        for control in quantities
+        if control.label[control.label.index("[") :] not in control.hint
+    ]
+    assert len(quantities) > 15
+    assert unclear == [], "the tooltip does not say the unit"
+    sliders = [c for c in controls if isinstance(c, viser.GuiSliderHandle | viser.GuiNumberHandle)]
+    assert [c.label for c in sliders if "[" not in c.label and c.label != "Value"] == []

@@ -125,7 +125,8 @@ class Card:
             1,
             value,
             marks=marks,
-            hint="0 % is the rest posture, 100 % the action's; the mark is where the tips touch",
+            hint="How far it goes [%]: 0 is the rest posture, 100 the action's; "
+            "the mark is where the tips touch",
             visible=not isinstance(self._actions[0], Timed),
             order=1,
         )
@@ -136,10 +137,10 @@ class Card:
         self._found = gui.add_html("", visible=False, order=2)
         with gui.add_folder("More", expand_by_default=False, order=3):
             self._speed = gui.add_slider(
-                "Speed [%]", 5, 100, 5, 100, hint="Share of the hand's velocity limits"
+                "Speed [%]", 5, 100, 5, 100, hint="Share of the hand's velocity limits [%]"
             )
             self._effort = gui.add_slider(
-                "Effort [%]", 5, 100, 5, 100, hint="Share of the actuators' effort limits"
+                "Effort [%]", 5, 100, 5, 100, hint="Share of the actuators' effort limits [%]"
             )
             if self._contact is not None:
                 self._stage = gui.add_dropdown(

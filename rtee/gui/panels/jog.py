@@ -29,7 +29,7 @@ class JogPanel:
             "Jog (holds the hand)", False, hint="While ticked, nobody else can move the hand"
         )
         self._speed = gui.add_slider(
-            "Jog speed [%]", 5, 100, 5, 25, hint="Share of the actuators' velocity limits"
+            "Jog speed [%]", 5, 100, 5, 25, hint="Share of the actuators' velocity limits [%]"
         )
         self._sliders: list[viser.GuiSliderHandle[float]] = []
         with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):

@@ -27,13 +27,23 @@ class PartsPanel:
         self._parts: list[StepPlan] = []
         self._what = gui.add_dropdown("Action", (_NONE,), hint="What to add")
         self._scale = gui.add_slider(
-            "Scale [%]", 0, 100, 1, 100, hint="Share of the way from rest to the action's posture"
+            "Scale [%]",
+            0,
+            100,
+            1,
+            100,
+            hint="Share of the way from rest to the action's posture [%]",
         )
         self._before = gui.add_number(
-            "Before [s]", 0.0, min=0.0, max=60.0, step=0.1, hint="Margin before it, in a sequence"
+            "Before [s]",
+            0.0,
+            min=0.0,
+            max=60.0,
+            step=0.1,
+            hint="Margin before it, in a sequence [s]",
         )
         self._after = gui.add_number(
-            "After [s]", 0.0, min=0.0, max=60.0, step=0.1, hint="Margin after it, in a sequence"
+            "After [s]", 0.0, min=0.0, max=60.0, step=0.1, hint="Margin after it, in a sequence [s]"
         )
         self._add = gui.add_button("Add part", hint="Add it at the end of the list below")
         self._list = gui.add_html("")
