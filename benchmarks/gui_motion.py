@@ -130,14 +130,16 @@ def tried(
             times[1:3] = [noted(folder, what, start) for what in ("click", "asked")]
         found.append([after - before for before, after in itertools.pairwise(times)])
         hand.stop()
+        while hand.status().holder:
+            time.sleep(0.01)
     return found
 
 
 def clicked(page: Page) -> float:
     """Click on Do as a person would; returns when, CLOCK_MONOTONIC [s]."""
     page.evaluate(
-        "window.released = new Promise(done => addEventListener('pointerup', event =>"
-        "done(performance.timeOrigin + event.timeStamp), {once: true, capture: true}))"
+        "void (window.released = new Promise(done => addEventListener('pointerup', event =>"
+        "done(performance.timeOrigin + event.timeStamp), {once: true, capture: true})))"
     )
     page.get_by_role("button", name="Do", exact=True).first.click()
     at = page.evaluate("window.released")

@@ -48,7 +48,12 @@ def window(address: str) -> Iterator[Connection]:
     protocol = Subprotocol(f"viser-v{version}")
     place = address.replace("http", "ws", 1)
     with connect(
-        place, subprotocols=[protocol], compression=None, max_size=_LARGEST, proxy=None
+        place,
+        subprotocols=[protocol],
+        compression=None,
+        max_size=_LARGEST,
+        proxy=None,
+        close_timeout=1.0,
     ) as connection:
         # The server takes a window for open when it first says where it looks from.
         connection.send(msgspec.msgpack.encode(_CAMERA))
