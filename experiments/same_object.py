@@ -5,17 +5,16 @@ First in dynamics, then each with its real driver against its device emulated on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import anyio
 import numpy as np
 
 from experiments.common import Outcome, main, plot_of, recording, strip
 from experiments.wires import on_the_wire, wired
-from rtee.drivers.axis import VirtualObject
 from rtee.log import read
 from rtee.log.recording import outcome_of
 from rtee.loop.plan import OPEN
@@ -26,20 +25,8 @@ from rtee.types import Goal
 
 RADIUS = 0.025
 OBJECT = f"cylinder:{RADIUS:g}x0.14"
+WIDTH = f"{2e3 * RADIUS:g}mm:500"
 HOLD = 2.0
-
-
-def _in_2f_85(emulator: Any) -> None:
-    least, most = 3.0, 230.0
-    emulator.axis.obstacle = VirtualObject(most - (most - least) * 2.0 * RADIUS / 0.085, 20.0)
-
-
-def _in_softhand(emulator: Any) -> None:
-    emulator.hold(0.6)
-
-
-def _in_3fg15(emulator: Any) -> None:
-    emulator.axis.obstacle = VirtualObject(2.0 * RADIUS, 1e6, closing=-1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,27 +38,26 @@ class Gripper:
         action: The primitive that grasps.
         actuator: Its element.
         reach: From where the hand comes.
-        put: Puts the object between the fingers of its emulator.
+        wired: The object between the fingers of its emulated device: its width and stiffness, or
+            where on the way it is met.
     """
 
     name: str
     action: str
     actuator: str
     reach: Literal["down", "level"]
-    put: Callable[[Any], None]
+    wired: str
 
 
 GRIPPERS = (
-    Gripper("robotiq_2f_85", "SingleJointMultipleTips_2", "finger_joint", "level", _in_2f_85),
-    Gripper(
-        "qb_softhand", "SingleJointMultipleTips_5", "qbhand_synergy_joint", "level", _in_softhand
-    ),
+    Gripper("robotiq_2f_85", "SingleJointMultipleTips_2", "finger_joint", "level", WIDTH),
+    Gripper("qb_softhand", "SingleJointMultipleTips_5", "qbhand_synergy_joint", "level", "0.6"),
     Gripper(
         "onrobot_3fg15",
         "SingleJointMultipleTips_3",
         "robot_onrobot_3fg15_finger_joint1",
         "down",
-        _in_3fg15,
+        WIDTH,
     ),
 )
 
@@ -140,7 +126,7 @@ def _action_of(grippers: Sequence[Gripper], path: Path) -> str:
 
 
 async def _on_wire(gripper: Gripper, folder: Path, outcome: Outcome) -> None:
-    async with on_the_wire(wired(gripper.name), folder, gripper.put) as hand:
+    async with on_the_wire(wired(gripper.name, thing=gripper.wired), folder) as hand:
         grasp = await hand.do(Goal(gripper.action, (gripper.actuator,), goal_id="grasp"))
         at = hand.loop.snapshot().position
         await anyio.sleep(HOLD)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
@@ -75,9 +75,15 @@ class WiredHand(Observer):
         return self._results[goal.goal_id]
 
 
-def wired(name: str, rate: float | None = None) -> PreparedHand:
-    """Read a hand that is to run against its emulated devices, at a rate [Hz] or its own."""
-    return prepare(name, RunOptions(emulated=True, rate=rate))
+def wired(name: str, rate: float | None = None, *, thing: str | None = None) -> PreparedHand:
+    """Read a hand that is to run against its emulated devices.
+
+    Args:
+        name: The hand.
+        rate: Ticks per second [Hz]; ``None``: its own.
+        thing: What is between its fingers, such as ``50mm``.
+    """
+    return prepare(name, RunOptions(emulated=True, rate=rate, object_in_hand=thing))
 
 
 async def _activate(loop: HandLoop) -> None:
@@ -99,15 +105,12 @@ async def _activate(loop: HandLoop) -> None:
 
 
 @asynccontextmanager
-async def on_the_wire(
-    prepared: PreparedHand, folder: Path | None, put: Callable[[Emulator], None] = lambda _: None
-) -> AsyncIterator[WiredHand]:
+async def on_the_wire(prepared: PreparedHand, folder: Path | None) -> AsyncIterator[WiredHand]:
     """Run a hand against its emulated devices for as long as the context lasts, recorded.
 
     Args:
         prepared: The hand with its emulated devices; see `wired`.
         folder: Where the recording goes; ``None``: nowhere.
-        put: Prepares the emulator once the hand is active: an object between the fingers.
     """
     async with BusPool() as pool:
         devices = [
@@ -135,6 +138,5 @@ async def on_the_wire(
                 await loop.ready()
                 group.start_soon(drive, [loop], Clock(prepared.settings.rate))
                 await _activate(loop)
-                put(hand.emulator)
                 yield hand
                 group.cancel_scope.cancel()
