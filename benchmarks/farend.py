@@ -23,6 +23,7 @@ from pathlib import Path
 
 from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.link import Line
+from rtee.buses.played import PlayedEnds
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_ends import Pty
 from rtee.buses.wire import Wire
@@ -94,48 +95,55 @@ class FarEnd:
             _NOTES.pack_into(self._notes, 0, 1.0, wire.busy, answers, late)
 
 
+class ApartEnds(PlayedEnds):
+    """Far ends of which those of serial lines are processes of their own."""
+
+    def __init__(self) -> None:
+        super().__init__(wire_time=True)
+        self.apart: dict[str, FarEnd] = {}
+
+    def line(self, url: str, owner: str, line: Line, factory: EmulatorFactory) -> Callable[[], str]:
+        """Play a device on a line, and return what tells where the host finds it now."""
+        if "://" in url:
+            return super().line(url, owner, line, factory)
+        end = self.apart.get(url)
+        if end is None:
+            end = self.apart[url] = FarEnd(factory, line)
+        return lambda: end.address
+
+    def close(self) -> None:
+        """End every simulation and every process; idempotent."""
+        super().close()
+        for end in self.apart.values():
+            end.close()
+        self.apart.clear()
+
+
 class ApartPool(BusPool):
     """A pool that plays the devices of serial lines in processes of their own."""
 
     def __init__(self) -> None:
         super().__init__(wire_time=True)
-        self.ends: dict[str, FarEnd] = {}
-
-    def _simulated_line(
-        self, url: str, owner: str, line: Line, factory: EmulatorFactory | None
-    ) -> Callable[[], str] | None:
-        if factory is None or "://" in url:
-            return super()._simulated_line(url, owner, line, factory)
-        end = self.ends.get(url)
-        if end is None:
-            end = self.ends[url] = FarEnd(factory, line)
-        return lambda: end.address
+        self._ends: ApartEnds = ApartEnds()
 
     def busy(self) -> float:
         """Return the time that all wires were taken so far [s]."""
         wires = [getattr(simulation, "wire", None) for simulation in self.simulations.values()]
         played = sum(float(getattr(wire, "busy", 0.0)) for wire in wires)
-        return played + sum(end.busy for end in self.ends.values())
+        return played + sum(end.busy for end in self._ends.apart.values())
 
     def late(self) -> tuple[float, float]:
         """Return the far ends' answered requests and lateness in all; see `FarEnd.late`."""
-        said = [end.late() for end in self.ends.values()]
+        said = [end.late() for end in self._ends.apart.values()]
         return sum(answers for answers, _ in said), sum(late for _, late in said)
 
     @contextlib.contextmanager
     def processors(self) -> Iterator[None]:
         """Leave the last processor to the far ends."""
         every = os.sched_getaffinity(0)
-        if self.ends and len(every) > 1:
+        if self._ends.apart and len(every) > 1:
             os.sched_setaffinity(0, every - {max(every)})
         try:
             yield
         finally:
             os.sched_setaffinity(0, every)
-
-    async def aclose(self) -> None:
-        """Close every bus, every simulation and every far end; idempotent."""
-        await super().aclose()
-        for end in self.ends.values():
-            end.close()
-        self.ends.clear()

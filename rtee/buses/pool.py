@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Self, TypeVar, cast
 
 from rtee.buses.bus import Bus, TraceHook
 from rtee.buses.emulator import Emulator, EmulatorFactory
 from rtee.buses.link import Line
+from rtee.buses.played import PlayedEnds
 from rtee.errors import BusBusy
 
 if TYPE_CHECKING:
     from rtee.buses.can import CanBus
     from rtee.buses.canopen import CanopenBus
     from rtee.buses.dynamixel import DynamixelBus
-    from rtee.buses.ethercat import EthercatBus, Ring
+    from rtee.buses.ethercat import EthercatBus
     from rtee.buses.modbus import ModbusBus
     from rtee.buses.serial import SerialBus
     from rtee.buses.simulated import Simulation
-    from rtee.buses.simulated_can import SimulatedCan
-    from rtee.buses.simulated_zmq import SimulatedZmq
-    from rtee.buses.zmq import Endpoints, ZmqBus
+    from rtee.buses.zmq import ZmqBus
 
 B = TypeVar("B", bound=Bus)
+C = TypeVar("C", bound="CanBus")
 
 
 class BusPool:
@@ -43,13 +43,12 @@ class BusPool:
         self.trace = trace
         self.wire_time = wire_time
         self._buses: dict[str, tuple[Bus, type[Bus], object]] = {}
-        self._simulations: dict[str, Simulation] = {}
-        self._played: dict[str, Emulator] = {}
+        self._ends = PlayedEnds(wire_time=wire_time)
 
     @property
     def simulations(self) -> Mapping[str, Simulation]:
         """The simulated ends by the address they stand in for."""
-        return MappingProxyType(self._simulations)
+        return MappingProxyType(self._ends.simulations)
 
     @property
     def buses(self) -> tuple[Bus, ...]:
@@ -58,12 +57,12 @@ class BusPool:
 
     def played(self, owner: str) -> Emulator:
         """Return the emulator that is played for a device; raises `KeyError`."""
-        return self._played[owner]
+        return self._ends.emulators[owner]
 
     def simulation(self, owner: str) -> Simulation:
         """Return the simulated wire of an emulated device; raises `KeyError`."""
-        emulator = self._played[owner]
-        return next(s for s in self._simulations.values() if emulator in s.emulators)
+        emulator = self._ends.emulators[owner]
+        return next(s for s in self._ends.simulations.values() if emulator in s.emulators)
 
     async def serial(
         self,
@@ -95,7 +94,7 @@ class BusPool:
         from rtee.buses.serial import SerialBus
 
         line = Line(baudrate, parity, stopbits)
-        address = self._simulated_line(url, owner, line, emulator)
+        address = emulator and self._ends.line(url, owner, line, emulator)
         return await self._acquire(
             url,
             SerialBus,
@@ -122,7 +121,7 @@ class BusPool:
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
-        address = self._simulated_line(url, owner, line, emulator)
+        address = emulator and self._ends.line(url, owner, line, emulator)
         gap = None if emulator is None or self.wire_time else 0.0
         return await self._acquire(
             url, ModbusBus, line, owner, lambda: ModbusBus(url, line, address=address, gap=gap)
@@ -140,7 +139,7 @@ class BusPool:
         from rtee.buses.dynamixel import DynamixelBus
 
         line = Line(baudrate)
-        address = self._simulated_line(port, owner, line, emulator)
+        address = emulator and self._ends.line(port, owner, line, emulator)
         return await self._acquire(
             port, DynamixelBus, line, owner, lambda: DynamixelBus(port, line, address=address)
         )
@@ -169,19 +168,7 @@ class BusPool:
         """
         from rtee.buses.can import CanBus
 
-        interface, channel = self._simulated_can(channel, interface, bitrate, owner, emulator)
-        return await self._acquire(
-            channel,
-            CanBus,
-            (interface, bitrate),
-            owner,
-            lambda: CanBus(
-                channel,
-                interface=interface,
-                bitrate=bitrate,
-                simulation=self._can_simulation(channel),
-            ),
-        )
+        return await self._on_can(CanBus, channel, owner, interface, bitrate, emulator)
 
     async def canopen(
         self,
@@ -195,19 +182,7 @@ class BusPool:
         """Return the CANopen network at a channel, connected. Arguments and errors as for `can`."""
         from rtee.buses.canopen import CanopenBus
 
-        interface, channel = self._simulated_can(channel, interface, bitrate, owner, emulator)
-        return await self._acquire(
-            channel,
-            CanopenBus,
-            (interface, bitrate),
-            owner,
-            lambda: CanopenBus(
-                channel,
-                interface=interface,
-                bitrate=bitrate,
-                simulation=self._can_simulation(channel),
-            ),
-        )
+        return await self._on_can(CanopenBus, channel, owner, interface, bitrate, emulator)
 
     async def zmq(
         self,
@@ -231,14 +206,12 @@ class BusPool:
         """
         from rtee.buses.zmq import Endpoints, ZmqBus
 
-        places = self._simulated_zmq(address, owner, emulator)
-        if places is None:
+        if emulator is not None:
+            places = self._ends.zmq(address, owner, emulator)
+        else:
             given = Endpoints(*(f"{address}:{port}" for port in ports))
             places = lambda: given  # noqa: E731 - the same shape as the simulated ones
-        endpoints = places
-        return await self._acquire(
-            address, ZmqBus, ports, owner, lambda: ZmqBus(address, endpoints)
-        )
+        return await self._acquire(address, ZmqBus, ports, owner, lambda: ZmqBus(address, places))
 
     async def ethercat(
         self, interface: str, *, owner: str, emulator: EmulatorFactory | None = None
@@ -256,7 +229,7 @@ class BusPool:
         """
         from rtee.buses.ethercat import EthercatBus, PysoemRing
 
-        ring = self._simulated_ethercat(interface, owner, emulator)
+        ring = emulator and self._ends.ethercat(interface, owner, emulator)
         return await self._acquire(
             interface,
             EthercatBus,
@@ -270,10 +243,7 @@ class BusPool:
         for bus, _, _ in list(self._buses.values()):
             await bus.close()
         self._buses.clear()
-        for simulation in self._simulations.values():
-            simulation.close()
-        self._simulations.clear()
-        self._played.clear()
+        self._ends.close()
 
     async def __aenter__(self) -> Self:
         return self
@@ -307,89 +277,23 @@ class BusPool:
             raise
         return found
 
-    def _simulated_line(
-        self, url: str, owner: str, line: Line, factory: EmulatorFactory | None
-    ) -> Callable[[], str] | None:
-        if factory is None:
-            return None
-        from rtee.buses.simulated import SimulatedLine
-
-        simulation = self._simulations.get(url)
-        if simulation is None:
-            network = url.startswith(("tcp://", "socket://", "rfc2217://"))
-            scheme = "tcp" if url.startswith("tcp://") else "socket"
-            simulation = SimulatedLine(
-                [],
-                name=url,
-                tcp=network,
-                scheme=scheme,
-                line=line,
-                wire_time=self.wire_time,
-            ).start()
-            self._simulations[url] = simulation
-        self._play(owner, simulation, factory)
-        return lambda: cast("Any", simulation).address
-
-    def _simulated_can(
+    async def _on_can(
         self,
+        kind: type[C],
         channel: str,
+        owner: str,
         interface: str,
         bitrate: int,
-        owner: str,
-        factory: EmulatorFactory | None,
-    ) -> tuple[str, str]:
-        if factory is None:
-            return interface, channel
-        from rtee.buses.simulated_can import SimulatedCan
-
-        channel = f"emulated-{channel}-{id(self):x}"
-        simulation = self._simulations.get(channel)
-        if simulation is None:
-            simulation = SimulatedCan(
-                [], name=channel, channel=channel, bitrate=bitrate if self.wire_time else None
-            ).start()
-            self._simulations[channel] = simulation
-        self._play(owner, simulation, factory)
-        return "virtual", channel
-
-    def _simulated_zmq(
-        self, address: str, owner: str, factory: EmulatorFactory | None
-    ) -> Callable[[], Endpoints] | None:
-        if factory is None:
-            return None
-        from rtee.buses.simulated_zmq import SimulatedZmq
-
-        simulation = self._simulations.get(address)
-        if simulation is None:
-            simulation = SimulatedZmq(name=address).start()
-            self._simulations[address] = simulation
-        self._play(owner, simulation, factory)
-        return lambda: cast("SimulatedZmq", simulation).endpoints
-
-    def _simulated_ethercat(
-        self, interface: str, owner: str, factory: EmulatorFactory | None
-    ) -> Callable[[], Ring] | None:
-        if factory is None:
-            return None
-        from rtee.buses.simulated_ethercat import SimulatedEthercat, SimulatedRing
-
-        simulation = self._simulations.get(interface)
-        if simulation is None:
-            simulation = SimulatedEthercat(name=interface).start()
-            self._simulations[interface] = simulation
-        self._play(owner, simulation, factory)
-        return lambda: SimulatedRing(cast("SimulatedEthercat", simulation))
-
-    def _can_simulation(self, channel: str) -> SimulatedCan | None:
-        return cast("SimulatedCan | None", self._simulations.get(channel))
-
-    def _play(
-        self,
-        owner: str,
-        simulation: Simulation,
-        factory: EmulatorFactory,
-    ) -> None:
-        if owner not in self._played:
-            emulator = factory()
-            self._played[owner] = emulator
-            simulation.add(emulator)
+        emulator: EmulatorFactory | None,
+    ) -> C:
+        simulation = None
+        if emulator is not None:
+            interface, channel = "virtual", f"emulated-{channel}-{id(self):x}"
+            simulation = self._ends.can(channel, owner, bitrate, emulator)
+        return await self._acquire(
+            channel,
+            kind,
+            (interface, bitrate),
+            owner,
+            lambda: kind(channel, interface=interface, bitrate=bitrate, simulation=simulation),
+        )

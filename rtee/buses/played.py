@@ -1,0 +1,90 @@
+"""The simulated ends of a pool's buses: each device's emulator, played on a real transport."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from rtee.buses.emulator import Emulator, EmulatorFactory
+from rtee.buses.link import Line
+
+if TYPE_CHECKING:
+    from rtee.buses.ethercat import Ring
+    from rtee.buses.simulated import Simulation
+    from rtee.buses.simulated_can import SimulatedCan
+    from rtee.buses.zmq import Endpoints
+
+S = TypeVar("S", bound="Simulation")
+
+
+class PlayedEnds:
+    """What is played at the far ends; a device is made once and outlives its connections.
+
+    Attributes:
+        wire_time: Whether simulated lines take the time that the bytes would take.
+        simulations: The simulated ends by the address they stand in for.
+        emulators: The emulators by the device they play.
+    """
+
+    def __init__(self, *, wire_time: bool) -> None:
+        self.wire_time = wire_time
+        self.simulations: dict[str, Simulation] = {}
+        self.emulators: dict[str, Emulator] = {}
+
+    def line(self, url: str, owner: str, line: Line, factory: EmulatorFactory) -> Callable[[], str]:
+        """Play a device on a line, and return what tells where the host finds it now."""
+        from rtee.buses.simulated import SimulatedLine
+
+        def make() -> SimulatedLine:
+            network = url.startswith(("tcp://", "socket://", "rfc2217://"))
+            scheme = "tcp" if url.startswith("tcp://") else "socket"
+            return SimulatedLine(
+                [], name=url, tcp=network, scheme=scheme, line=line, wire_time=self.wire_time
+            )
+
+        simulation = self._playing(url, owner, factory, make)
+        return lambda: simulation.address
+
+    def can(self, channel: str, owner: str, bitrate: int, factory: EmulatorFactory) -> SimulatedCan:
+        """Play a node on a CAN channel of this process."""
+        from rtee.buses.simulated_can import SimulatedCan
+
+        rate = bitrate if self.wire_time else None
+        return self._playing(
+            channel,
+            owner,
+            factory,
+            lambda: SimulatedCan([], name=channel, channel=channel, bitrate=rate),
+        )
+
+    def zmq(self, address: str, owner: str, factory: EmulatorFactory) -> Callable[[], Endpoints]:
+        """Play a ZeroMQ server, and return what tells where the host finds it now."""
+        from rtee.buses.simulated_zmq import SimulatedZmq
+
+        simulation = self._playing(address, owner, factory, lambda: SimulatedZmq(name=address))
+        return lambda: simulation.endpoints
+
+    def ethercat(self, interface: str, owner: str, factory: EmulatorFactory) -> Callable[[], Ring]:
+        """Play the slaves of an EtherCAT network, and return what makes the master's view."""
+        from rtee.buses.simulated_ethercat import SimulatedEthercat, SimulatedRing
+
+        simulation = self._playing(
+            interface, owner, factory, lambda: SimulatedEthercat(name=interface)
+        )
+        return lambda: SimulatedRing(simulation)
+
+    def close(self) -> None:
+        """End every simulation; idempotent."""
+        for simulation in self.simulations.values():
+            simulation.close()
+        self.simulations.clear()
+        self.emulators.clear()
+
+    def _playing(self, key: str, owner: str, factory: EmulatorFactory, make: Callable[[], S]) -> S:
+        simulation: Any = self.simulations.get(key)
+        if simulation is None:
+            simulation = self.simulations[key] = make().start()
+        if owner not in self.emulators:
+            emulator = self.emulators[owner] = factory()
+            simulation.add(emulator)
+        return cast("S", simulation)
