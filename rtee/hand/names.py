@@ -52,6 +52,8 @@ def safe_name(text: str, default: str = "hand") -> str:
 
 
 def _why_not(name: str) -> str | None:
+    if name.isalnum() and name.isascii() and len(name) <= MAX_LENGTH:
+        return None
     if not name:
         return "is empty"
     if len(name) > MAX_LENGTH:

@@ -213,11 +213,13 @@ class Server(Observer):
         self._receive(query, group, take, partial(self._outbox.answer, query))
 
     def _put_here(self, sample: zenoh.Sample) -> None:
-        """Take what was put instead of asked; who is not known gets no answer."""
+        """Take what was put instead of asked; to whom the answer goes is looked at afterwards."""
+        self._receive(sample, CONTROL, self._control.take, partial(self._answer_put, sample))
+
+    def _answer_put(self, sample: zenoh.Sample, data: bytes, ok: bool) -> None:
         number, client = numbered(sample)
         if self._control.knows(client):
-            reply = partial(self._outbox.answer_put, client, number)
-            self._receive(sample, CONTROL, self._control.take, reply)
+            self._outbox.answer_put(client, number, data, ok)
 
     def _pass_on(self, query: zenoh.Query) -> None:
         if not self._worker.put(query):
