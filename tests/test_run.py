@@ -18,6 +18,7 @@ from rtee.errors import ConfigError, LoopError, UserError
 from rtee.log import read
 from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
+from rtee.loop.settings import Behaviour
 from rtee.run import RunOptions, prepare, run_hands
 from rtee.types import Reference
 
@@ -58,15 +59,6 @@ class Recalling(KinematicDriver):
         await super().close()
 
 
-class Stopping(KinematicDriver):
-    """Knows whether it was stopped."""
-
-    stopped = False
-
-    async def stop(self) -> None:
-        type(self).stopped = True
-
-
 def write_hand(folder: Path, name: str = "jaw", extra: str = "") -> Path:
     hand = folder / name
     hand.mkdir(parents=True)
@@ -76,6 +68,10 @@ def write_hand(folder: Path, name: str = "jaw", extra: str = "") -> Path:
         f"log: {{directory: {folder / 'logs'}}}\n{extra}"
     )
     return hand
+
+
+def words_in(calls: Path) -> list[str]:
+    return [line.split()[1] for line in calls.read_text().splitlines()]
 
 
 @pytest.fixture
@@ -187,11 +183,17 @@ async def test_a_mistake_in_a_devices_options_has_file_and_line(folder: Path) ->
         await run_hands([str(hand)], RunOptions(duration=0.1), serve=None, say=str)
 
 
-async def test_a_loop_that_fails_stops_the_hand_and_says_why(
-    folder: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("behaviour", list(Behaviour))
+async def test_a_loop_that_fails_does_what_is_configured_and_says_why(
+    folder: Path,
+    calls: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    behaviour: Behaviour,
 ) -> None:
+    write_hand(folder, "failing", f"safety: {{on_error: {behaviour}}}\n")
     said: list[str] = []
-    more = {"driver": f"{__name__}:Stopping", "duration": 5.0}
+    more = {"driver": f"{__name__}:Recalling", "duration": 5.0}
     step = Controller.step
 
     def fail_in_time(self: Controller, stamp: float, measured: Measured) -> None:
@@ -200,13 +202,19 @@ async def test_a_loop_that_fails_stops_the_hand_and_says_why(
         step(self, stamp, measured)
 
     monkeypatch.setattr(Controller, "step", fail_in_time)
-    Stopping.stopped = False
     with (
         caplog.at_level(logging.CRITICAL),
         pytest.raises(LoopError, match="ZeroDivisionError: a bug"),
     ):
-        await run_hands(["jaw"], options(folder, **more), serve=None, say=said.append)
-    assert Stopping.stopped
+        await run_hands(["failing"], options(folder, **more), serve=None, say=said.append)
+    # A loop that does not tick any more cannot open the hand: it stops it.
+    done = {Behaviour.HOLD: [], Behaviour.RELEASE: ["release"]}.get(behaviour, ["stop"])
+    assert words_in(calls) == ["activate", *done, "close"]
+    (file,) = (folder / "logs").glob("*_000.mcap")
+    told = [
+        entry.value.text for entry in read(file).events if "the loop failed" in entry.value.text
+    ]
+    assert any("confirmed" in text and "not confirmed" not in text for text in told)
     assert any("ticks at" in line for line in said), "the statistics are told all the same"
     assert list((folder / "logs").glob("*flight*.mcap"))
 
@@ -277,8 +285,7 @@ def test_a_signal_does_what_is_configured_and_closes_the_log(
     output, errors = process.communicate(timeout=20)
     assert process.returncode == 0, errors
     assert "ticks at 200 Hz" in output
-    words = [line.split()[1] for line in calls.read_text().splitlines()]
-    assert words == ["activate", "stop", "close"]
+    assert words_in(calls) == ["activate", "stop", "close"]
     (file,) = (folder / "logs").glob("*_000.mcap")
     events = [entry.value for entry in read(file).events]
     assert any(number.name in event.text and event.kind == "stop" for event in events)
