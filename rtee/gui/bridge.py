@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final
 
 import viser
@@ -34,6 +34,17 @@ class Bridge:
     def call(self, work: Work) -> None:
         """Do something in the event loop; may be called from any thread."""
         self._loop.call_soon_threadsafe(self._start, work)
+
+    def clicked(self, work: Work) -> Callable[[object], Coroutine[None, None, None]]:
+        """Return a callback for a control that does something in the event loop.
+
+        The browser's server calls it at once, where it would have a thread call a plain function.
+        """
+
+        async def follow(_: object) -> None:
+            self.call(work)
+
+        return follow
 
     def _start(self, work: Work) -> None:
         task = asyncio.ensure_future(self._guarded(work))

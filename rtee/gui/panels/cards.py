@@ -198,7 +198,7 @@ class Card:
 
     # --- what is clicked
 
-    def _clicked(self, event: viser.GuiEvent) -> None:
+    async def _clicked(self, event: viser.GuiEvent) -> None:
         match str(event.target.value):
             case "Do":
                 self._begin()
@@ -209,9 +209,9 @@ class Card:
                 self._preview_if_shown(hide=True)
 
     def _begin(self) -> None:
+        self._bridge.call(self._do)  # first: the hand moves before anything is drawn
         self._previewing = False
         self._show(None, 0.0, self.evidence)
-        self._bridge.call(self._do)
 
     def _preview_if_shown(self, *, hide: bool = False) -> None:
         if self._previewing:

@@ -65,17 +65,17 @@ class Header:
             hint="Bring the devices out of their fault; moves only one that must be homed first",
             visible=False,
         )
-        self._stop.on_click(lambda _: bridge.call(self._do_stop))
-        self._open.on_click(lambda _: bridge.call(hand.open))
-        self._recover.on_click(lambda _: bridge.call(hand.recover))
+        self._stop.on_click(bridge.clicked(self._do_stop))
+        self._open.on_click(bridge.clicked(hand.open))
+        self._recover.on_click(bridge.clicked(hand.recover))
         self._commands = [
             gui.add_command("Stop the hand", description="Stop all devices now", hotkey="S"),
             gui.add_command("Open the hand", description="Go to the rest posture", hotkey="O"),
             gui.add_command("Cancel", description="Cancel what runs; hold as it is", hotkey="C"),
         ]
-        self._commands[0].on_trigger(lambda _: bridge.call(self._do_stop))
-        self._commands[1].on_trigger(lambda _: bridge.call(hand.open))
-        self._commands[2].on_trigger(lambda _: bridge.call(hand.cancel))
+        self._commands[0].on_trigger(bridge.clicked(self._do_stop))
+        self._commands[1].on_trigger(bridge.clicked(hand.open))
+        self._commands[2].on_trigger(bridge.clicked(hand.cancel))
 
     async def _do_stop(self) -> None:
         confirmed = await self._hand.stop()

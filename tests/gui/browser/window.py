@@ -20,6 +20,15 @@ Picture = NDArray[np.int16]
 CLEAR, SHARE = 10, 0.004
 """Pictures differ where this share of the pixels differs by more than this, of 255."""
 
+_NOTE_WHAT_IS_SENT = """
+window.sent = [];
+const post = Worker.prototype.postMessage;
+Worker.prototype.postMessage = function (data, ...more) {
+  if (data?.message?.updates) window.sent.push(String(data.message.updates.value));
+  return post.call(this, data, ...more);
+};
+"""
+
 ROW = "xpath=ancestor::div[contains(@class, 'mantine-Flex-root')][1]"
 
 
@@ -28,6 +37,7 @@ class Window:
 
     def __init__(self, page: Page, address: str) -> None:
         self.page = page
+        page.add_init_script(_NOTE_WHAT_IS_SENT)
         self.address = address
 
     def open(self, hand: str) -> None:
@@ -71,14 +81,29 @@ class Window:
         return found.locator(ROW).locator("input:not([type=hidden])").last
 
     def type(self, label: str, text: str, within: Locator | None = None) -> None:
-        """Type something into a field; the page sends what is typed 20 times a second."""
-        self.field(label, within).fill(text)
-        self.page.wait_for_timeout(200)
+        """Type something into a field, and wait until the page has sent it."""
+        field = self.field(label, within)
+        if field.input_value() == text:
+            return
+        sent = self.page.evaluate("window.sent.length")
+        field.fill(text)
+        self.page.wait_for_function(
+            "([sent, text]) => window.sent.slice(sent).includes(text)", arg=[sent, text]
+        )
 
     def choose(self, label: str, option: str, within: Locator | None = None) -> None:
-        """Choose an option of a dropdown."""
-        self.field(label, within).click()
-        self.page.get_by_role("option", name=option, exact=True).click()
+        """Choose an option of a dropdown; open it again if something has closed it."""
+        from playwright.sync_api import TimeoutError as NotThere
+
+        wanted = self.page.get_by_role("option", name=option, exact=True)
+        for _ in range(5):
+            self.field(label, within).click()
+            try:
+                wanted.click(timeout=4000)
+            except NotThere:
+                continue
+            return
+        raise AssertionError(f"'{option}' cannot be chosen in '{label}'")
 
     def says(self, text: str | re.Pattern[str], within: Locator | None = None) -> Locator:
         """Wait until something is said; returns where."""
