@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import importlib.util
 import sys
 from pathlib import Path
 
 from rtee.drivers.schunk_svh.channels import CHANNELS
+from rtee.loop.realtime import ask_for_short_slices, share_the_interpreter
 from rtee.testing import DeviceCase, DriverContract, actuator
 
 TESTS = Path(__file__).resolve().parents[1] / "tests" / "drivers"
+
+
+def as_the_loop() -> None:
+    """Set this thread and its interpreter up as the loop does that drives real hands."""
+    ask_for_short_slices()
+    share_the_interpreter()
+    gc.collect()
+    gc.freeze()
 
 
 def cases(only: str | None) -> dict[str, DeviceCase]:

@@ -31,12 +31,11 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import gc
 import statistics
 import time
 from collections.abc import Callable
 
-from devices import cases, whole_hands
+from devices import as_the_loop, cases, whole_hands
 from farend import ApartPool
 from matrix import matrix
 
@@ -133,8 +132,7 @@ def main() -> None:
     parser.add_argument("--no-throughput", action="store_true")
     arguments = parser.parse_args()
     devices = cases(None)
-    gc.collect()
-    gc.freeze()  # as the loop does
+    as_the_loop()
     if not arguments.no_throughput:
         head = f"{'rate':>7} {'limit':>8} {'of it':>7} {'median':>7} {'end':>5} {'but for it':>11}"
         head += f" {'driver':>8}  failed"

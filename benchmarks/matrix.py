@@ -20,7 +20,6 @@ shown``.
 from __future__ import annotations
 
 import asyncio
-import gc
 import multiprocessing
 import time
 from collections import Counter
@@ -252,8 +251,6 @@ def matrix(names: list[str], cycles: int, rounds: int, jobs: int) -> None:
     print(f"\nanother hand's lateness [µs], {rounds} stretches of either kind")
     heads = [f"{p + ' without':>13}{'with':>6} {'change':13}" for p in ("p50", "p99")]
     print(f"{'':11}" + "    ".join(heads))
-    gc.collect()
-    gc.freeze()
     words: Counter[str] = Counter()
     for pair in pairs:
         if pair[0] != pairs[max(pairs.index(pair) - 1, 0)][0] or pair == pairs[0]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Coroutine
 from typing import Any
 
@@ -37,14 +38,17 @@ class QbLink:
 
     async def request(self, command: Command, data: bytes = b"") -> bytes:
         """Send a command and return the data of its answer; raises `BusError`."""
-        frame = Frame(self.device, command, data)
 
         def answers(reply: Frame) -> bool:
             return reply.device == self.device and reply.command == command
 
         deadline = max(self.deadline, PATIENCE) if self.patient else self.deadline
         reply: Frame = await self.bus.transact(
-            frame.to_bytes(), self._parser, deadline, self.retries, accept=answers
+            _asking(self.device, command, data),
+            self._parser,
+            deadline,
+            self.retries,
+            accept=answers,
         )
         return reply.data
 
@@ -102,3 +106,9 @@ class QbLink:
             return codec.CurrentsAndPositions.from_bytes(data)
         except QbFrameError as error:
             raise FrameError(self.bus.name, str(error), data) from error
+
+
+@functools.lru_cache(64)
+def _asking(device: int, command: Command, data: bytes) -> bytes:
+    """Return a request; there are few, and some are sent in every cycle."""
+    return Frame(device, command, data).to_bytes()

@@ -215,7 +215,7 @@ async def test_another_number_of_motors_is_named() -> None:
 async def test_silence_is_named() -> None:
     async with BusPool(wire_time=False) as pool:
         with pytest.raises(NotConnected, match="no SoftHand answers"):
-            async with connected(pool, device(emulator={"boot_time": 1e9})):
+            async with connected(pool, device(emulator={"boot_time": 1e5})):
                 pass
 
 
