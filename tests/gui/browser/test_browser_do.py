@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import re
+import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from rtee.remote.blocking import BlockingHand
+from rtee.testing.onlooker import controls, use
+from rtee.testing.onlooker import window as window_of
 
 from .conftest import Hands
 from .marks import in_a_browser
@@ -144,3 +149,29 @@ def test_a_killed_loop_is_said_plainly_and_a_new_one_goes_on(
     window.button("Do", card).click()
     window.says("reached", card)
     assert gui.process.poll() is None
+
+
+def test_a_gui_that_dies_lets_go_of_the_hand(
+    place: Path, hands: Hands, other: BlockingHand
+) -> None:
+    program = Program(place, "gui", GRIPPER, "--port", "0")
+    address = program.line(r"rtee: GUI at (http://\S+)")[1]
+    try:
+        jog = None
+        while jog is None:  # its page is filled once it has found the hand
+            with window_of(address) as connection:
+                named = {found["props"]["label"]: found for found in controls(connection)}
+                jog = named.get("Jog (holds the hand)")
+                if jog is not None:
+                    use(connection, jog)
+                    _until(lambda: other.status().holder.startswith("gui"))
+    finally:
+        program.kill()
+    _until(lambda: other.status().holder == "")
+    assert other.open().reached
+    program.end()
+
+
+def _until(true: Callable[[], bool]) -> None:
+    while not true():
+        time.sleep(0.02)
