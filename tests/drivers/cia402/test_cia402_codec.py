@@ -20,7 +20,8 @@ from rtee.drivers.cia402.cia301 import (
     Sdo,
 )
 from rtee.drivers.cia402.codec import Command, Limits, Motion, Scale, State, Status
-from rtee.drivers.cia402.emulator import Cia402Emulator, DriveProperties
+from rtee.drivers.cia402.emulated_drive import DriveProperties
+from rtee.drivers.cia402.emulator import Cia402Emulator
 
 
 def frame(text: str) -> CanFrame:

@@ -20,7 +20,8 @@ from rtee.buses.pool import BusPool
 from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.cia402.codec import State
 from rtee.drivers.cia402.driver import Cia402Driver
-from rtee.drivers.cia402.emulator import Cia402Emulator, DriveProperties
+from rtee.drivers.cia402.emulated_drive import DriveProperties
+from rtee.drivers.cia402.emulator import Cia402Emulator
 from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 

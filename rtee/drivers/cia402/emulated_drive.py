@@ -1,0 +1,299 @@
+"""One CiA 402 drive as it is emulated: its objects, its states, its motor.
+
+How a real drive reacts to lost heartbeats, halts and faults depends on its make; here the
+reactions are those that its own objects (6007, 605E) ask for, as far as they are modelled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rtee.buses.emulator import CanFrame
+from rtee.drivers.axis import Axis
+from rtee.drivers.cia402 import cia301
+from rtee.drivers.cia402.cia301 import Abort, Emergency, NmtState
+from rtee.drivers.cia402.codec import Mode, Object, State, StatusBit
+from rtee.drivers.cia402.node import Entry, Node
+from rtee.drivers.properties import Positive
+
+_TRANSITIONS = {
+    (State.SWITCH_ON_DISABLED, 0x06): State.READY,
+    (State.READY, 0x07): State.SWITCHED_ON,
+    (State.READY, 0x0F): State.ENABLED,
+    (State.SWITCHED_ON, 0x0F): State.ENABLED,
+    (State.SWITCHED_ON, 0x06): State.READY,
+    (State.ENABLED, 0x07): State.SWITCHED_ON,
+    (State.ENABLED, 0x06): State.READY,
+}
+
+RATED = 1000.0
+"""The rated torque, in the unit of the drives' torques."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveProperties:
+    """What the emulated drives are like.
+
+    Attributes:
+        nodes: Their node ids.
+        device_type: Profile they tell; 402 is that of drives.
+        vendor: Vendor id.
+        product: Product code.
+        name: Device name.
+        modes: Modes of operation they know, by number.
+        increments: Encoder increments per motor turn.
+        gear: Motor turns per turn of the shaft.
+        rated_torque: Rated torque [mN·m].
+        rated_current: Rated current [mA].
+        start: Position at power-up [counts].
+        lower: Mechanical stop [counts].
+        upper: Mechanical stop [counts].
+        speed: Fastest speed [counts/s].
+        closed: Where it is when its fingers are closed, and open at 0, for objects [counts].
+        following_error: Error at which it faults in cyclic mode [counts]; 0: never.
+        homed: Whether it knows its position at power-up.
+    """
+
+    nodes: tuple[int, ...] = (1,)
+    device_type: int = 402
+    vendor: int = 0x000000FF
+    product: int = 0x00000402
+    name: str = "emulated CiA 402 drive"
+    modes: tuple[int, ...] = (1, 6, 8)
+    increments: int = 4096
+    gear: int = 1
+    rated_torque: int = 500
+    rated_current: int = 1000
+    start: float = 0.0
+    lower: float = -1e9
+    upper: float = 1e9
+    speed: Positive = 40_000.0
+    closed: float = 40_000.0
+    following_error: int = 0
+    homed: bool = True
+
+
+class Drive:
+    """One drive: the state machine and the motion behind a node's objects.
+
+    Attributes:
+        node: Its CANopen side.
+        axis: Its motor [counts]; effort in 0.1 % of the rated torque.
+        state: Its state.
+        cause: Error code whose cause lasts: a reset brings it back; 0: none.
+    """
+
+    def __init__(self, number: int, properties: DriveProperties) -> None:
+        self.properties = properties
+        self.node = Node(number)
+        self.axis = Axis(
+            properties.start,
+            lower=properties.lower,
+            upper=properties.upper,
+            max_velocity=properties.speed,
+            max_effort=RATED,
+            time_constant=0.005,
+            friction=40.0,
+            resolution=0.5,
+        )
+        self.state = State.SWITCH_ON_DISABLED
+        self.emergencies: list[Emergency] = []
+        self.homed = properties.homed
+        self.cause = 0
+        self._control = 0
+        self._acknowledged = False
+        self._homing = False
+        self._describe()
+        self.node.on_reset = self.reset
+        self.node.on_silence = self._silence
+        self.reset()
+
+    def _describe(self) -> None:
+        made, node = self.properties, self.node
+        node.add(Object.DEVICE_TYPE, 0, "I", 0x0002_0000 | made.device_type, writable=False)
+        node.add(Object.ERROR_REGISTER, 0, "B", 0, writable=False)
+        node.objects[Object.DEVICE_NAME, 0] = Entry(made.name.encode(), writable=False, text=True)
+        node.add(Object.CONSUMER_HEARTBEAT, 0, "B", 1, writable=False)
+        node.add(Object.CONSUMER_HEARTBEAT, 1, "I", 0, changed=node.watch_anew)
+        node.add(Object.PRODUCER_HEARTBEAT, 0, "H", 0)
+        node.add(Object.IDENTITY, 0, "B", 4, writable=False)
+        for subindex, value in enumerate((made.vendor, made.product, 1, 4711), start=1):
+            node.add(Object.IDENTITY, subindex, "I", value, writable=False)
+        node.add_pdos()
+        node.add(Object.ABORT_CONNECTION, 0, "h", 1)
+        node.add(Object.ERROR_CODE, 0, "H", 0, writable=False)
+        node.add(Object.CONTROLWORD, 0, "H", 0, changed=self._controlled)
+        node.add(Object.STATUSWORD, 0, "H", 0, writable=False)
+        node.add(Object.MODE, 0, "b", 0, changed=self._mode_set)
+        node.add(Object.MODE_DISPLAY, 0, "b", 0, writable=False)
+        node.add(Object.POSITION, 0, "i", 0, writable=False)
+        node.add(Object.VELOCITY, 0, "i", 0, writable=False)
+        node.add(Object.MAX_TORQUE, 0, "H", 1000)
+        node.add(Object.RATED_CURRENT, 0, "I", made.rated_current)
+        node.add(Object.RATED_TORQUE, 0, "I", made.rated_torque)
+        node.add(Object.TORQUE, 0, "h", 0, writable=False)
+        node.add(Object.CURRENT, 0, "h", 0, writable=False)
+        node.add(Object.TARGET_POSITION, 0, "i", 0)
+        node.add(Object.PROFILE_VELOCITY, 0, "I", int(made.speed))
+        node.add(Object.PROFILE_ACCELERATION, 0, "I", 1_000_000)
+        node.add(Object.PROFILE_DECELERATION, 0, "I", 1_000_000)
+        for index, values in (
+            (Object.ENCODER_RESOLUTION, (made.increments, 1)), (Object.GEAR_RATIO, (made.gear, 1)),
+            (Object.FEED_CONSTANT, (made.increments * made.gear, 1)),
+        ):  # fmt: skip
+            node.add(index, 0, "B", 2, writable=False)
+            for subindex, value in enumerate(values, start=1):
+                node.add(index, subindex, "I", value)
+        node.add(Object.HOMING_METHOD, 0, "b", 0)
+        node.add(Object.INTERPOLATION_TIME, 0, "B", 2, writable=False)
+        node.add(Object.INTERPOLATION_TIME, 1, "B", 1)
+        node.add(Object.INTERPOLATION_TIME, 2, "b", -3)
+        modes = sum(1 << (mode - 1) for mode in made.modes)
+        node.add(Object.SUPPORTED_MODES, 0, "I", modes, writable=False)
+
+    def reset(self) -> None:
+        """Begin anew: not enabled, heartbeats off, PDOs disabled."""
+        self.state = State.SWITCH_ON_DISABLED
+        self.emergencies = []
+        self._control = 0
+        self._acknowledged = self._homing = False
+        self.axis.enabled = False
+        for index, value in (
+            (Object.ERROR_CODE, 0), (Object.ERROR_REGISTER, 0), (Object.MODE, 0),
+            (Object.MODE_DISPLAY, 0), (Object.PRODUCER_HEARTBEAT, 0), (Object.MAX_TORQUE, 1000),
+            (Object.CONTROLWORD, 0), (Object.PROFILE_VELOCITY, int(self.properties.speed)),
+        ):  # fmt: skip
+            self.node.set(index, value)
+        self.node.set(Object.CONSUMER_HEARTBEAT, 0, 1)
+        for n in range(4):
+            for base, cob in ((0x1400, cia301.RPDO[n]), (0x1800, cia301.TPDO[n])):
+                self.node.set(base + n, cia301.DISABLED | cob + self.node.number, 1)
+
+    # --- state machine -----------------------------------------------------------------------
+
+    def _mode_set(self, value: int) -> Abort | None:
+        if value and value not in self.properties.modes:
+            return Abort.RANGE
+        if value != self.node.get(Object.MODE_DISPLAY):
+            self.axis.target = self.axis.position
+        self.node.set(Object.MODE_DISPLAY, value)
+        return None
+
+    def _controlled(self, word: int) -> Abort | None:
+        before, self._control = self._control, word
+        if self.state is State.FAULT:
+            if word & 0x80 and not before & 0x80:
+                self._recover()
+            return None
+        if not word & 0x02:
+            self._become(State.SWITCH_ON_DISABLED)
+        elif not word & 0x04:
+            if self.state is State.ENABLED:
+                self.axis.target = self.axis.position
+                self._become(State.QUICK_STOP)
+        else:
+            found = _TRANSITIONS.get((self.state, word & 0x0F))
+            if found is not None:
+                self._become(found)
+        if self.state is State.ENABLED:
+            self._set_point(word, before)
+        return None
+
+    def _become(self, state: State) -> None:
+        if state is State.ENABLED and self.state is not State.ENABLED:
+            self.axis.target = self.axis.position
+            self._acknowledged = False
+        self.state = state
+        self.axis.enabled = state in (State.ENABLED, State.QUICK_STOP)
+
+    def _set_point(self, word: int, before: int) -> None:
+        mode = self.node.get(Object.MODE_DISPLAY)
+        rising = bool(word & 0x10) and not before & 0x10
+        if mode == Mode.PROFILE_POSITION:
+            if rising:
+                self.axis.target = float(self.node.get(Object.TARGET_POSITION, signed=True))
+                self._acknowledged = True
+            elif not word & 0x10:
+                self._acknowledged = False
+        elif mode == Mode.HOMING and rising:
+            self._homing = True
+            self.axis.target = -1e9
+
+    def fail(self, code: int, register: int = 0x01) -> None:
+        """Go into fault, saying why."""
+        self.node.set(Object.ERROR_CODE, code)
+        self.node.set(Object.ERROR_REGISTER, register)
+        self.emergencies.append(Emergency(code, register))
+        self.axis.enabled = False
+        self._homing = False
+        self.state = State.FAULT
+
+    def _recover(self) -> None:
+        if self.cause:
+            self.fail(self.cause)
+            return
+        self.node.set(Object.ERROR_CODE, 0)
+        self.node.set(Object.ERROR_REGISTER, 0)
+        self.emergencies.append(Emergency(0))
+        self.state = State.SWITCH_ON_DISABLED
+
+    def _silence(self) -> None:
+        self.emergencies.append(Emergency(0x8130, 0x11))
+        self.node.state = NmtState.PRE_OPERATIONAL
+        reaction = self.node.get(Object.ABORT_CONNECTION, signed=True)
+        if reaction == 1:
+            self.emergencies.pop()
+            self.fail(0x8130, 0x11)
+        elif reaction in (2, 3):
+            self._become(State.SWITCH_ON_DISABLED)
+
+    # --- motion ------------------------------------------------------------------------------
+
+    def cycle(self) -> None:
+        """Do what a SYNC brings: in cyclic mode the target counts."""
+        if self.state is not State.ENABLED:
+            return
+        if self.node.get(Object.MODE_DISPLAY) == Mode.CYCLIC_POSITION:
+            target = float(self.node.get(Object.TARGET_POSITION, signed=True))
+            allowed = self.properties.following_error
+            if allowed and abs(target - self.axis.position) > allowed:
+                self.fail(0x8611, 0x21)
+                return
+            self.axis.target = target
+
+    def step(self, now: float) -> list[CanFrame]:
+        """Let time pass; return what the drive says unasked."""
+        axis, node = self.axis, self.node
+        limit = node.get(Object.MAX_TORQUE)
+        axis.max_effort = float(limit)
+        profile = node.get(Object.MODE_DISPLAY) == Mode.PROFILE_POSITION
+        speed = node.get(Object.PROFILE_VELOCITY) if profile else self.properties.speed
+        axis.max_velocity = min(float(speed), self.properties.speed)
+        axis.step(now)
+        if self._homing and axis.velocity == 0.0 and axis.position <= axis.lower:
+            self._homing = False
+            self.homed = True
+            axis.target = axis.position
+        self._tell()
+        frames = node.step(now)
+        if not node.inhibited:
+            frames = [e.to_frame(node.number) for e in self.emergencies] + frames
+        self.emergencies = []
+        return frames
+
+    def _tell(self) -> None:
+        axis, node = self.axis, self.node
+        word = self.state.value[1] | StatusBit.VOLTAGE | StatusBit.REMOTE
+        mode = node.get(Object.MODE_DISPLAY)
+        if mode == Mode.HOMING:
+            word |= StatusBit.ACKNOWLEDGED if self.homed and not self._homing else 0
+            word |= StatusBit.REACHED if not self._homing else 0
+        else:
+            word |= StatusBit.REACHED if axis.position == axis.target else 0
+            cyclic = mode == Mode.CYCLIC_POSITION and self.state is State.ENABLED
+            word |= StatusBit.ACKNOWLEDGED if self._acknowledged or cyclic else 0
+        node.set(Object.STATUSWORD, word)
+        node.set(Object.POSITION, round(axis.position))
+        node.set(Object.VELOCITY, round(axis.velocity))
+        node.set(Object.TORQUE, round(axis.effort))
+        node.set(Object.CURRENT, round(axis.effort))
