@@ -15,6 +15,7 @@ from remote.serving import make_hand, make_library, serving
 import rtee
 from rtee.actions.types import ActionKind
 from rtee.gui.app import App
+from rtee.gui.panels.plots import PlotsPanel
 
 pytestmark = pytest.mark.anyio
 
@@ -109,3 +110,17 @@ async def test_every_control_says_what_it_is_for(server: viser.ViserServer, tmp_
     assert unclear == [], "the tooltip does not say the unit"
     sliders = [c for c in controls if isinstance(c, viser.GuiSliderHandle | viser.GuiNumberHandle)]
     assert [c.label for c in sliders if "[" not in c.label and c.label != "Value"] == []
+
+
+def test_what_is_not_measured_leaves_the_other_lines_their_scale(
+    server: viser.ViserServer, tmp_path: Path
+) -> None:
+    """The browser takes a line with NaN into a scale that holds nothing."""
+    panel = PlotsPanel(server.gui, make_hand(tmp_path))
+    panel.draw()
+    assert panel._plots
+    for plot in panel._plots.values():
+        _, *lines, low, high = plot.series
+        assert lines
+        assert [line.get("auto") for line in lines] == [False] * len(lines)
+        assert [end.get("auto", True) for end in (low, high)] == [True, True]

@@ -135,6 +135,7 @@ class PlotsPanel:
                     width=width,
                     dash=line_dash(number),
                     alpha=alpha,
+                    auto=False,  # what isn't measured is NaN, and would leave no scale at all
                 )
             )
 

@@ -22,7 +22,7 @@ _NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
 def _number(value: float, digits: int = 3) -> str:
     if math.isnan(value):
         return "–"
-    return "∞" if math.isinf(value) else f"{value:.{digits}f}"
+    return "∞" if math.isinf(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
