@@ -175,7 +175,9 @@ async def send_goals(
     publishers["do"] = Watched()
     sent = []
     for i in range(count):
-        await anyio.sleep(0.1 + source.uniform(0.0, 0.01))
+        await anyio.sleep(0.1)
+        # asyncio sleeps whole milliseconds: always to the same moment of the period.
+        time.sleep(source.uniform(0.0, 1e-3))
         begin = now()
         running = await hand.start(*action, intensity=0.02 if i % 2 else 0.04, tolerance=0.002)
         sent.append((running.goal.goal_id, begin, handed))
