@@ -32,7 +32,8 @@ class BusPool:
     A driver whose device is emulated gives the factory of its emulator along; the pool then plays
     it on a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to that
     instead of to the address. The played device lives as long as the pool, like a real one
-    outlives its connection.
+    outlives its connection. Emulated lines and servers are each hand's own, though their
+    configurations name the same address; devices of one hand share them.
 
     Attributes:
         trace: Hook given to every bus made from now on.
@@ -44,6 +45,7 @@ class BusPool:
         self.wire_time = wire_time
         self._buses: dict[str, tuple[Bus, type[Bus], object]] = {}
         self._ends = PlayedEnds(wire_time=wire_time)
+        self._first: dict[str, str] = {}
 
     @property
     def simulations(self) -> Mapping[str, Simulation]:
@@ -63,6 +65,13 @@ class BusPool:
         """Return the simulated wire of an emulated device; raises `KeyError`."""
         emulator = self._ends.emulators[owner]
         return next(s for s in self._ends.simulations.values() if emulator in s.emulators)
+
+    def _apart(self, address: str, owner: str, emulator: EmulatorFactory | None) -> str:
+        """Return an address that no emulated device of another hand has."""
+        hand, slash, _ = owner.partition("/")
+        if emulator is None or not slash:
+            return address
+        return address if self._first.setdefault(address, hand) == hand else f"{address} of {hand}"
 
     async def serial(
         self,
@@ -94,6 +103,7 @@ class BusPool:
         from rtee.buses.serial import SerialBus
 
         line = Line(baudrate, parity, stopbits)
+        url = self._apart(url, owner, emulator)
         address = emulator and self._ends.line(url, owner, line, emulator)
         return await self._acquire(
             url,
@@ -121,6 +131,7 @@ class BusPool:
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
+        url = self._apart(url, owner, emulator)
         address = emulator and self._ends.line(url, owner, line, emulator)
         gap = None if emulator is None or self.wire_time else 0.0
         return await self._acquire(
@@ -139,6 +150,7 @@ class BusPool:
         from rtee.buses.dynamixel import DynamixelBus
 
         line = Line(baudrate)
+        port = self._apart(port, owner, emulator)
         address = emulator and self._ends.line(port, owner, line, emulator)
         return await self._acquire(
             port, DynamixelBus, line, owner, lambda: DynamixelBus(port, line, address=address)
@@ -206,6 +218,7 @@ class BusPool:
         """
         from rtee.buses.zmq import Endpoints, ZmqBus
 
+        address = self._apart(address, owner, emulator)
         if emulator is not None:
             places = self._ends.zmq(address, owner, emulator)
         else:

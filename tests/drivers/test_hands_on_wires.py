@@ -122,6 +122,16 @@ async def test_a_cable_pulled_in_the_middle_of_an_action_concerns_its_hand_alone
         assert (await gripper.result()).reached
 
 
+async def test_emulated_hands_that_name_the_same_port_do_not_meet() -> None:
+    async with on_wires("robotiq_2f_85", "qb_softhand", "robotiq_2f_140") as hands:
+        ports = [one.device.spec.options["port"] for one in hands]
+        assert ports == ["/dev/ttyUSB0"] * 3
+        assert len({one.wire for one in hands}) == 3
+        hands[0].loop.submit(Goal("Grasp"))
+        assert (await hands[0].result()).reached
+        assert hands[2].emulator.moves == 0
+
+
 async def test_a_hundred_cables_pulled_leave_no_task_and_no_file(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
