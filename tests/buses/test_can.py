@@ -92,7 +92,7 @@ async def test_a_closed_bus_says_so(pool: BusPool) -> None:
 
 async def test_an_interface_that_is_not_there_is_named() -> None:
     async with BusPool() as pool:
-        with pytest.raises(BusBroken, match="no SocketCAN|no such CAN interface"):
+        with pytest.raises(BusBroken, match=r"no SocketCAN|no such CAN interface"):
             await pool.can("nocan7", owner="a")
 
 
