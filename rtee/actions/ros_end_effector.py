@@ -13,7 +13,7 @@ primitive they hold nor, by name, which actuators it involves; those are left ou
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -163,7 +163,7 @@ class _Reader:
         if kind is PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS:
             self.hand.actuator(elements[0])
             fingers = self._fingers(self._need(node, "FingersInvolved").strings())
-            values = self._joints(self._need(node, "JointPosFurther"), what)
+            values = self._joints(self._need(node, "JointPosFurther"), what, elements)
             postures = [full_posture(self.hand, {elements[0]: values[elements[0]]})]
         else:
             fingers = elements = self._fingers(elements)
@@ -285,24 +285,24 @@ class _Reader:
         chosen = {name: value for name, value in values.items() if name in involved}
         return full_posture(self.hand, chosen)
 
-    def _joints(
-        self, node: Node, what: str, involved: Iterable[str] | None = None
-    ) -> dict[str, float]:
+    def _joints(self, node: Node, what: str, involved: Collection[str]) -> dict[str, float]:
         """Return positions [rad | m] by actuator, brought into the limits."""
         found: dict[str, float] = {}
         for name, entry in node.entries().items():
             if name not in self.hand.actuator_names:
-                if involved is None or name not in involved:
+                if name not in involved:
                     continue
                 hint = suggestion(name, self.hand.actuator_names)
                 raise entry.error(f"the hand has no actuator '{name}'; {hint}")
             value = entry.numbers(1)[0] if isinstance(entry.value, list) else entry.number()
             spec = self.hand.actuator(name)
             clamped = min(max(value, spec.lower), spec.upper)
-            relevant = involved is None or name in involved
-            if relevant and not math.isclose(clamped, value, abs_tol=SLACK):
+            if name in involved and not math.isclose(clamped, value, abs_tol=SLACK):
                 self._note(f"{what}: the set-point {value:g} of '{name}' is clamped to {clamped:g}")
             found[name] = clamped
+        for name in involved:
+            if name not in found:
+                raise node.error(f"{node.what} lacks the involved actuator '{name}'")
         return found
 
 

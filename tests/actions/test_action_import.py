@@ -4,11 +4,13 @@ import re
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.ros_end_effector import import_folder
 from rtee.actions.types import ActionReference, Composed, Generic, Primitive, Timed
-from rtee.errors import ActionError
+from rtee.errors import ActionError, RteeError
 from rtee.hand.model import Hand
 
 ACTUATORS = ("spread", "index_joint", "middle_joint", "thumb_joint")
@@ -271,6 +273,13 @@ def test_what_was_imported_can_be_stored(
         ("primitives/pinchTight.yaml", "ActionState_", "State_", "has no ActionState_1"),
         ("primitives/pinchTight.yaml", "[0.5]", "[0.5, 0.6]", r":18: .* must have 1 numbers"),
         ("primitives/pinchTight.yaml", "  thumb_joint", "  pollex", "has no actuator 'pollex'"),
+        (
+            "primitives/singleJointMultipleTips_3.yaml",
+            "    spread: [0.05]",
+            "    palm: [0]",
+            "actuator 'spread'",
+        ),
+        ("generics/grasp.yaml", "  index_joint: [1.2]\n", "\n", "actuator 'index_joint'"),
         ("generics/grasp.yaml", "Type: 2", "Type: 9", "type 9 is unknown"),
         ("timeds/sequence.yaml", "[HALF, other]", "[HALF, third]", "'third' has no margins"),
         ("timeds/sequence.yaml", "marginAfter: 0.2", "marginAfter: -2", "at least 0"),
@@ -291,3 +300,46 @@ def test_folder_without_actions(hand: Hand, tmp_path: Path) -> None:
     (tmp_path / "x.yaml").write_text("a: 1\n")
     with pytest.raises(ActionError, match="holds no action files"):
         import_folder(hand, tmp_path)
+
+
+_PIECES = (
+    ": ",
+    "- ",
+    "\t",
+    "[",
+    "]",
+    "{}",
+    "~",
+    "0.5",
+    "-1",
+    ".nan",
+    "1e999",
+    "index",
+    "x",
+    "2",
+    "\n",
+)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_files_end_in_an_error_of_ours_or_none(
+    hand: Hand, peers: Path, data: st.DataObject
+) -> None:
+    path = data.draw(st.sampled_from(sorted(peers.rglob("*.yaml"))))
+    whole = text = path.read_text()
+    for _ in range(data.draw(st.integers(1, 3))):
+        words = list(re.finditer(r"[\w.]+|\n *", text))
+        word = data.draw(st.sampled_from(words))
+        text = text[: word.start()] + data.draw(st.sampled_from(_PIECES)) + text[word.end() :]
+    path.write_text(text)
+    try:
+        for action in import_folder(hand, peers).actions:
+            postures = [s.posture for s in action.steps] if isinstance(action, Timed) else []
+            for posture in postures or [action.posture]:
+                for spec in hand.actuators:
+                    assert spec.lower <= posture.position[spec.name] <= spec.upper
+    except RteeError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+    finally:
+        path.write_text(whole)
