@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -74,6 +75,8 @@ def extract(
     from rtee.errors import ConfigError
     from rtee.hand.files import check_writable
 
+    # Matrices are small here; threads for their products only get in the searches' way.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if (hand is None) == (urdf is None):
         raise ConfigError("give either a hand or --urdf")
     if urdf is None and (srdf or package_dir):

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.collisions import Blocked, Watch
-from rtee.extract.constraints import CLOSE, NEAR, WEIGHT, Constraints
+from rtee.extract.constraints import CLOSE, CLOSER, NEAR, WEIGHT, Constraints
 from rtee.extract.descent import Minimum, Objective, descend
 from rtee.extract.goals import Goal
 from rtee.extract.motion import Motion
@@ -28,7 +28,7 @@ _EVALUATIONS: Final = 40
 _QUICK: Final = 25
 _POLISH: Final = 11
 _SAME: Final = 0.05
-_AT_LEAST: Final = 2
+_GOOD: Final = 0.85
 _POOL: Final = 4
 _SHORT: Final = 2e-3
 _FOLLOWED: Final = 1
@@ -45,6 +45,8 @@ class Patience:
         leaps: How often it is improved by its allowances.
         creeps: How often it is improved within its walls.
         ways: How often blocked ways are learned from.
+        more: How many poses more are pushed where none of them comes out.
+        settle: Whether poses are brought to minima of the goal before anything is learned.
     """
 
     pool: int = 10
@@ -53,6 +55,8 @@ class Patience:
     leaps: int = 8
     creeps: int = 12
     ways: int = 3
+    more: int = 0
+    settle: bool = True
 
 
 class ClearSearch:
@@ -85,11 +89,13 @@ class ClearSearch:
             patience: How much to try.
         """
         self._scene = scene
+        self._motion = motion
         self._goal = goal
         self._space = space
         self._watch = watch
         self._patience = patience
         self._constraints = Constraints(scene, motion, goal, space, watch)
+        self._fresh: list[FloatArray] = []
 
     def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
         """Return clear poses, the best one whose way is clear first, if there is any.
@@ -136,40 +142,54 @@ class ClearSearch:
         """Return clear poses, the best first.
 
         All starts are kept at minima of the goal under the constraints learned so far. The best of
-        them is pushed out of its collisions, which teaches new constraints; and so on, until none
-        promises more than what was reached.
+        them is pushed out of its collisions, which teaches new constraints; and so on, until what
+        was reached comes near the best of the starts.
         """
         pool = list(starts[: self._patience.pool])
         tried: list[FloatArray] = []
         found: list[FloatArray] = []
-        best = np.inf
-        for _ in range(tries):
-            minima = [self._descend(y, _QUICK) for y in pool]
+        best, enough = np.inf, _GOOD * min(map(self._value, pool), default=0.0)
+        for number in range(tries + self._patience.more):
+            if found and number >= tries:
+                break
+            while self._fresh:
+                self._constraints.calibrate(self._fresh.pop())
+            minima = self._settled(pool)
             pool = [minimum.y for minimum in sorted(minima, key=lambda m: m.value)[:_POOL]]
             new = [
                 minimum
                 for minimum in distinct(minima)
                 if all(np.abs(minimum.y - y).max() > _SAME for y in tried)
             ]
-            if not new or (len(tried) >= _AT_LEAST and new[0].value >= best):
+            if not new or best <= enough:
                 break
             tried.append(new[0].y)
             pose = self._push_out(new[0].y)
             if pose is not None and self._touches(pose):
                 found.append(pose)
                 best = min(best, self._value(pose))
-                self._constraints.calibrate(pose)
+                self._fresh.append(pose)
         return sorted(found, key=self._value)
+
+    def _settled(self, pool: Sequence[FloatArray]) -> list[Minimum]:
+        """Return minima of the goal under the constraints that are reached from some poses."""
+        if not self._constraints.learned:
+            if not self._patience.settle:
+                return [Minimum(y, self._value(y), 1) for y in pool]
+            pool = pool[:_POOL]
+        return [self._descend(y, _QUICK) for y in pool]
 
     def _push_out(self, start: FloatArray) -> FloatArray | None:
         """Return a clear pose reached from a good one.
 
         Where the convex parts push a pose the wrong way out, the way to it is gone back to before
-        its first collision, and on from there.
+        the links first touch that collide in it, and on from there, unless the tips are apart there
+        and stay apart.
         """
-        y = start
+        y, collided = start, list[LinkPair]()
         for _ in range(self._patience.rounds):
             hits = self._watch.near(self._posture(y)) or self._watch.nested(self._posture(y))
+            collided = collided or hits
             if not hits:
                 better = self._creep(self._leap(y))
                 hits = [] if better is y else self._watch.nested(self._posture(better))
@@ -181,8 +201,12 @@ class ClearSearch:
             y = self._descend(y, _EVALUATIONS).y
             if not self._reached(y):
                 break
-        blocked = self._blocked(start)
-        return None if blocked is None else self._creep(self._leap(self._before(start, blocked)))
+        blocked = self._watch.first(self._motion.way(self._posture(start)), collided)
+        if blocked is None:
+            return None
+        before = self._before(start, blocked)
+        y = self._leap(before)
+        return None if y is before and not self._reached(y) else self._creep(y)
 
     def _before(self, y: FloatArray, blocked: Blocked) -> FloatArray:
         """Return the pose on the way just before a collision."""
@@ -245,13 +269,19 @@ class ClearSearch:
     def _walls(
         self, y: FloatArray, concerned: dict[tuple[str, str], LinkPair]
     ) -> list[tuple[float, FloatArray]]:
-        """Return the exact gaps of near links at a clear pose, with their derivatives."""
+        """Return lower bounds on the gaps of near links at a clear pose, with their derivatives.
+
+        Where the convex parts are close or overlap, the bounds are the exact gaps.
+        """
         self._scene.place(self._posture(y))
-        return [
-            self._scene.exact_slope(pair, self._space)
-            for pair in concerned.values()
-            if self._scene.distance(pair) < NEAR
-        ]
+        walls = []
+        for pair in concerned.values():
+            gap = self._scene.distance(pair)
+            if gap < CLOSER:
+                walls.append(self._scene.exact_slope(pair, self._space))
+            elif gap < NEAR:
+                walls.append(self._scene.slope(pair, self._space))
+        return walls
 
     def _walled(self, at: FloatArray, walls: Sequence[tuple[float, FloatArray]]) -> Objective:
         goal = self._constraints.penalised(ways_only=True)

@@ -65,11 +65,14 @@ class Collisions:
             if not adjacent and frozenset(pair.links) not in disabled:
                 candidates.append(pair)
         scene.place(scene.hand.rest)
-        touching = {pair.links for pair in candidates if scene.touching(pair)}
+        close = np.flatnonzero(Spheres(scene, candidates).gaps() <= 0.0)
+        near = [candidates[c] for c in close]
+        touching = {pair.links for pair in near if scene.touching(pair)}
         self.at_rest = tuple(sorted(touching))
         remaining = [pair for pair in candidates if pair.links not in touching]
         # Links nested in each other cost most to check and collide rarely.
-        self._nested = {pair.links for pair in remaining if scene.distance(pair) <= 0.0}
+        overlapping = {pair.links for pair in near if scene.distance(pair) <= 0.0}
+        self._nested = overlapping - touching
         self.checked = tuple(sorted(remaining, key=lambda pair: pair.links in self._nested))
 
     def watch(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> Watch:

@@ -18,6 +18,9 @@ from rtee.types import FloatArray
 WEIGHT: Final = 5.0
 CLOSE: Final = 5e-5
 NEAR: Final = 5e-3
+CLOSER: Final = 1e-3
+"""Between convex parts this far apart the exact gap does not matter [m]."""
+
 _SHRINK: Final = 0.2
 _STRENGTHEN: Final = 2.0
 _STRONGEST: Final = 40.0
@@ -82,6 +85,11 @@ class Constraints:
         """Lower and upper corner of the box that is left ``(k,)``."""
         return self._low, self._high
 
+    @property
+    def learned(self) -> bool:
+        """Whether anything keeps poses out of anything."""
+        return bool(self._known or self._low.any() or (self._high < 1.0).any())
+
     def concerned(self) -> dict[tuple[str, str], LinkPair]:
         """Return the links that collided at poses, by their names."""
         return {c.pair.links: c.pair for c in self._known if c.times == _POSE}
@@ -91,7 +99,7 @@ class Constraints:
         self._scene.place(rounded(self._scene.hand, self._space.posture(y)))
         for c in self._known:
             overlap = -self._scene.distance(c.pair)
-            if c.times == _POSE and overlap > -NEAR:
+            if c.times == _POSE and overlap > -CLOSER:
                 gap = self._scene.exact_distance(c.pair)
                 c.allowance = max(c.allowance, overlap + gap - CLOSE)
                 c.weight = WEIGHT
@@ -174,11 +182,14 @@ class Constraints:
             u = space.posture(y)
             scene.place(u)
             value, slope = goal.slope(space)
+            terms = []
             for c in here:
                 gap = scene.distance(c.pair)
                 if gap < -c.allowance:
                     value -= c.weight * (gap + c.allowance)
-                    slope = slope - c.weight * scene.derivative(c.pair, space)
+                    terms.append((c.pair, -c.weight))
+            if terms:
+                slope = slope + scene.gradient(terms, space)
             for c in before:
                 least, rise = np.inf, slope
                 for t in c.times:

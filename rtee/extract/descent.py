@@ -128,7 +128,7 @@ def _search_line(
         else:
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)
-            projected = (there != inside).any()
+            projected = there.tolist() != inside.tolist()
             if projected or float(new_slope.dot(direction)) >= _CURVATURE * steepness:
                 return best, count
             below = t

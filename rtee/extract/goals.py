@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final, Protocol
 
-import numpy as np
-
 from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.space import Space
 from rtee.types import FloatArray
@@ -178,19 +176,19 @@ class MultiPinch:
         scene = self._scene
         gaps = [scene.distance(link.tips) for link in self._links]
         tree = set(spanning_tree(self._size, self._ends, gaps))
-        value, slope = 0.0, np.zeros(space.size)
+        value, terms = 0.0, []
         for i, (link, gap) in enumerate(zip(self._links, gaps, strict=True)):
             pull = _PULL if i in tree and gap > -_MARGIN else 0.0
             weight = pull + (1.0 if gap < 0.0 else 0.0)
             if weight:
                 value += min(gap, 0.0) + pull * (gap + _MARGIN)
-                slope += weight * scene.derivative(link.tips, space)
+                terms.append((link.tips, weight))
         for pair in self._met:
             gap = scene.distance(pair)
             if gap < 0.0:
                 value -= _PULL * gap
-                slope -= _PULL * scene.derivative(pair, space)
-        return value, slope
+                terms.append((pair, -_PULL))
+        return value, scene.gradient(terms, space)
 
     def reached(self) -> bool:
         """Return whether the tips are linked by overlaps of their convex parts."""

@@ -18,6 +18,9 @@ _STATIONS: Final = 33
 _NEAR: Final = 0.005
 """How near points must be for their motion to count [m]."""
 
+_UPPER: Final = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=bool)
+"""Whether the corners of a box are at its upper ends ``(8, 3)``."""
+
 
 @dataclass(frozen=True)
 class Way:
@@ -70,8 +73,9 @@ class Motion:
     def travelled(self, pair: LinkPair, way: Way, stations: Sequence[float]) -> FloatArray:
         """Return how far two links have moved against each other where they are near.
 
-        Near are the points of one link that lie within the other one's bounding box, widened by
-        5 mm and the distance of the points, at the one or the other end of a part of the way.
+        Near are the points of one link's bounding boxes that lie within the other one's, widened by
+        5 mm, at the one or the other end of a part of the way. Of the points of a box those move
+        farthest that are its corners.
 
         Args:
             pair: The links.
@@ -111,19 +115,23 @@ class Motion:
         positions = (
             path[0] @ one.placement.translation + path[1] - other.placement.translation
         ) @ outward
-        reach = _NEAR + one.spacing
-        low, high = other.box[0] - reach, other.box[1] + reach
-        centre, radius = one.ball
-        middles = rotations @ centre + positions
-        if not ((middles > low - radius) & (middles < high + radius)).all(axis=1).any():
+        # The other shape's box, seen from the shape, in a box of its own.
+        low, high = other.box
+        centres = np.einsum("sji,sj->si", rotations, (low + high) / 2.0 - positions)
+        halves = np.einsum("sji,j->si", np.abs(rotations), (high - low) / 2.0 + _NEAR)
+        lower, upper = one.box
+        lower, upper = np.maximum(lower, centres - halves), np.minimum(upper, centres + halves)
+        near = (lower < upper).all(axis=1)
+        if not near.any():
             return 0.0
-        points = one.lattice @ rotations.transpose(0, 2, 1) + positions[:, None]
-        near = ((points > low) & (points < high)).all(axis=2)
-        steps = np.diff(points, axis=0)
-        squares = np.einsum("spi,spi->sp", steps, steps)
-        result: FloatArray = np.sqrt(
-            np.where(near[:-1] | near[1:], squares, 0.0).max(axis=1, initial=0.0)
-        )
+        corners = np.where(_UPPER, upper[:, None], lower[:, None])
+        turns, steps = np.diff(rotations, axis=0), np.diff(positions, axis=0)[:, None]
+        most = np.zeros(len(steps))
+        for ends in (slice(None, -1), slice(1, None)):
+            moved = corners[ends] @ turns.transpose(0, 2, 1) + steps
+            squares = np.einsum("sci,sci->sc", moved, moved).max(axis=1)
+            most = np.maximum(most, np.where(near[ends], squares, 0.0))
+        result: FloatArray = np.sqrt(most)
         return result
 
     def _bound(self, pair: LinkPair) -> FloatArray:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -17,6 +19,9 @@ from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
 from rtee.types import FloatArray, JointKind
+
+_BATCH: Final = 3
+"""From this many derivatives on it is faster to add them up before the last products."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +120,7 @@ class Scene:
         self._slope = self.couplings.slope(hand.rest)
         self._convex: dict[int, Forms] = {}
         self._exact: dict[int, Forms] = {}
+        self._joints = np.zeros((6, self._model.nv))
         self._stamp = self._jacobian_stamp = 0
         self.place(hand.rest)
         self.tips = self._tip_pairs()
@@ -200,7 +206,7 @@ class Scene:
         Returns:
             The derivative by the coordinates of the space ``(k,)`` [m].
         """
-        forms = self._convex_of(pair)
+        forms = self._convex.get(pair.number) or self._convex_of(pair)
         result = forms.results[forms.least(self._stamp)[1]]
         normal = -result.normal if pair.turned else result.normal
         return self._derivative(normal, result.getNearestPoint1(), pair, space)
@@ -212,6 +218,32 @@ class Scene:
             The distance [m] and its derivative by the coordinates of the space ``(k,)`` [m].
         """
         return self.distance(pair), self.derivative(pair, space)
+
+    def gradient(self, terms: Sequence[tuple[LinkPair, float]], space: Space) -> FloatArray:
+        """Return the derivative of a weighted sum of distances.
+
+        Args:
+            terms: Pairs of links and their weights.
+            space: The space.
+
+        Returns:
+            The derivative by the coordinates of the space ``(k,)`` [m].
+        """
+        if len(terms) < _BATCH:
+            each = (weight * self.derivative(pair, space) for pair, weight in terms)
+            return sum(each, np.zeros(space.size))
+        rows = []
+        for pair, weight in terms:
+            forms = self._convex.get(pair.number) or self._convex_of(pair)
+            result = forms.results[forms.least(self._stamp)[1]]
+            sign = -weight if pair.turned else weight
+            x, y, z = (result.normal * sign).tolist()
+            a, b, c = result.getNearestPoint1().tolist()
+            rows.append((x, y, z, b * z - c * y, c * x - a * z, a * y - b * x))
+        torques = np.array(rows).dot(self._jacobian())
+        torques *= [pair.moved_by for pair, _ in terms]
+        slope: FloatArray = torques.sum(axis=0).dot(self._moved(space))
+        return slope
 
     def exact_slope(self, pair: LinkPair, space: Space) -> tuple[float, FloatArray]:
         """Return the distance of two links' geometry as given and its derivative, as `slope`.
@@ -239,16 +271,22 @@ class Scene:
             if not self.couplings.linear:
                 self._slope = self.couplings.slope(self._at)
             self._jacobian_stamp = self._stamp
-        jacobian: FloatArray = self._data.J
-        return jacobian if jacobian.ndim == 2 else jacobian.reshape(6, -1)
+            self._joints = self._data.J.reshape(6, -1)
+        return self._joints
 
     def _levers(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return how the coordinates move the joints between two links ``(m, k)``."""
         key = (pair.number, pair.turned)
         known = space.levers.get(key)
         if known is None or not self.couplings.linear:
-            moved = self._slope[:, space.index] * space.extent
-            known = space.levers[key] = pair.moved_by[:, None] * moved
+            known = space.levers[key] = pair.moved_by[:, None] * self._moved(space)
+        return known
+
+    def _moved(self, space: Space) -> FloatArray:
+        """Return how the coordinates move all joints ``(m, k)``."""
+        known = space.levers.get(None)
+        if known is None or not self.couplings.linear:
+            known = space.levers[None] = self._slope[:, space.index] * space.extent
         return known
 
     def witness(self, pair: LinkPair) -> Witness:

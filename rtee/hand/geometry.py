@@ -24,9 +24,6 @@ from rtee.types import FloatArray
 _FLAT: Final = 1e-4
 """A mesh flatter than this part of its extent has no proper convex hull and is thickened."""
 
-_SPACING: Final = 0.008
-_ALONG: Final = 8
-
 _THICKNESS: Final = 1e-5
 """Half the thickness that a flat mesh gets [m]."""
 
@@ -126,20 +123,6 @@ class Shape:
         return float((heights.max(axis=1) - heights.min(axis=1)).min()) / 3.0
 
     @cached_property
-    def lattice(self) -> FloatArray:
-        """Points ``(k, 3)`` [m] in the shape's own frame that fill its bounding box."""
-        low, high = self.box
-        counts = np.ceil((high - low) / self.spacing).astype(int) + 1
-        lines = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
-        return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
-
-    @cached_property
-    def spacing(self) -> float:
-        """Greatest distance of neighbours in the lattice along an axis [m]."""
-        low, high = self.box
-        return max(_SPACING, float((high - low).max()) / _ALONG)
-
-    @cached_property
     def points(self) -> FloatArray:
         """Points ``(k, 3)`` [m] in the shape's own frame whose hull contains the shape."""
         kind, source = self.source.kind, self.source
@@ -222,6 +205,7 @@ class _Meshes:
     def __init__(self, hand: Hand) -> None:
         self._hand = hand
         self._loader = coal.MeshLoader(coal.NODE_TYPE.BV_kIOS)
+        self._draft = coal.MeshLoader(coal.NODE_TYPE.BV_AABB)  # its volumes are made fastest
         self._known: dict[tuple[object, ...], coal.BVHModelBase] = {}
 
     def load(self, source: UrdfGeometry) -> coal.BVHModelBase:
@@ -232,8 +216,17 @@ class _Meshes:
         return self._known[key]
 
     def _read(self, path: Path, source: UrdfGeometry) -> coal.BVHModelBase:
+        if path.suffix.lower() == ".stl":  # a single part
+            return self._checked(self._loader, path, source)
+        draft = self._checked(self._draft, path, source)
+        mesh = mended(draft, self._loader)
+        return self._checked(self._loader, path, source) if mesh is draft else mesh
+
+    def _checked(
+        self, loader: coal.MeshLoader, path: Path, source: UrdfGeometry
+    ) -> coal.BVHModelBase:
         try:
-            mesh = self._loader.load(str(path), np.array(source.scale))
+            mesh = loader.load(str(path), np.array(source.scale))
         except (ValueError, RuntimeError) as error:
             lines = str(error).splitlines()
             why = next((s for s in lines if not s.startswith(_COAL_PREFIXES)), "unknown reason")
@@ -244,9 +237,7 @@ class _Meshes:
             raise self._refusal(source, "has a vertex that is not finite")
         if np.abs(mesh.vertices()).max() > FARTHEST:
             raise self._refusal(source, "is larger than 1 km; its scale should bring it to metres")
-        if path.suffix.lower() == ".stl":  # a single part
-            return mesh
-        return mended(mesh, self._loader)
+        return mesh
 
     def _refusal(self, source: UrdfGeometry, why: str) -> ModelError:
         return ModelError(

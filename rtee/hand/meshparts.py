@@ -9,8 +9,7 @@ apart again here: each begins with a triangle of its corners 0, 1 and 2.
 from __future__ import annotations
 
 from itertools import combinations
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import NamedTemporaryFile
 from typing import Final
 
 import coal
@@ -46,10 +45,10 @@ def mended(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelBas
     apart = parted(faces, len(corners))
     if apart is None:
         return mesh
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "parts.stl"
-        path.write_bytes(_stl(corners[apart]))
-        return loader.load(str(path), np.ones(3))
+    with NamedTemporaryFile(suffix=".stl") as file:
+        file.write(_stl(corners[apart]))
+        file.flush()
+        return loader.load(file.name, np.ones(3))
 
 
 def parted(faces: Faces, corners: int) -> Faces | None:
