@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +22,7 @@ from rtee.loop.clock import Clock
 from rtee.loop.configure import realtime_settings
 from rtee.loop.ending import Signals, companion, receive_signals, wait_for_end
 from rtee.loop.handloop import HandLoop
-from rtee.loop.realtime import Collector, set_up, share_the_interpreter
+from rtee.loop.realtime import Collector, affinity, set_up, share_the_interpreter
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
 from rtee.loop.settings import Behaviour, RealtimeSettings
 from rtee.loop.stopping import bring_to_rest
@@ -93,6 +93,7 @@ async def run_hands(
                 server.recorder = one.recorder
                 one.server = await stack.enter_async_context(server)
             say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
+        cpus = affinity()
         for warning in set_up(realtime):
             say(f"warning: {warning}")
             log.warning("%s", warning)
@@ -100,7 +101,7 @@ async def run_hands(
         collector.start()
         stack.callback(collector.stop)
         try:
-            await _run(running, options, collector, until, signals)
+            await _run(running, options, collector, until, signals, cpus)
         finally:
             for line in _summary(running):
                 say(line)
@@ -165,6 +166,7 @@ async def _run(
     collector: Collector,
     until: anyio.Event,
     signals: Signals,
+    cpus: Collection[int],
 ) -> None:
     clocks: dict[float, list[HandLoop]] = {}
     for one in running:
@@ -175,7 +177,7 @@ async def _run(
             for rate, loops in clocks.items():
                 group.start_soon(drive, loops, Clock(rate), collector.idle)
             for command in options.companions:
-                group.start_soon(companion, command)
+                group.start_soon(companion, command, cpus)
             reason = await wait_for_end(options.duration, until, signals)
             await _rest(running, reason, ticking=True)
             rested = True

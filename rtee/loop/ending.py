@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import threading
-from collections.abc import AsyncIterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import AsyncIterator, Collection, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
 
 import anyio
 
@@ -58,14 +59,22 @@ async def wait_for_end(duration: float | None, until: anyio.Event, signals: Sign
     return reasons[0] if reasons else "the run ended"
 
 
-async def companion(command: Sequence[str]) -> None:
-    """Run a program beside, until it ends or this is cancelled; then it is told to end."""
+async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
+    """Run a program beside, until it ends or this is cancelled; then it is told to end.
+
+    Args:
+        command: The program and its arguments.
+        cpus: The CPUs it may run on; none: those of the calling thread.
+    """
     try:
         process = await anyio.open_process(command, stdin=None, stdout=None, stderr=None)
     except OSError as error:
         log.error("%s cannot be started: %s", command[0], error)
         return
     try:
+        if cpus:
+            with suppress(ProcessLookupError):  # it may have ended already
+                os.sched_setaffinity(process.pid, cpus)
         await process.wait()
     finally:
         if process.returncode is None:

@@ -32,7 +32,7 @@ def set_up(settings: RealtimeSettings) -> list[str]:
     """Ask the system for what the settings want, for the calling thread alone.
 
     Threads started later by this one are ordinary again (SCHED_RESET_ON_FORK); those that run
-    already stay as they are unless a priority for them is given.
+    already go before other programs, but have a real-time priority only if one is given for them.
 
     Args:
         settings: What to ask for; unless they are enabled, only what needs no permission.
@@ -141,6 +141,13 @@ def _lock_memory() -> list[str]:
         " unlimited' in /etc/security/limits.d/rtee.conf and a new login, or"
         " 'LimitMEMLOCK=infinity' in the systemd unit"
     ]
+
+
+def affinity() -> frozenset[int]:
+    """Return the CPUs that the calling thread may run on; none where the system does not tell."""
+    if not hasattr(os, "sched_getaffinity"):
+        return frozenset()
+    return frozenset(os.sched_getaffinity(0))
 
 
 def _pin(cpus: tuple[int, ...]) -> list[str]:

@@ -105,6 +105,26 @@ def test_helpers_that_run_already_stay_ordinary_unless_they_are_given_a_priority
     assert found == {0: "False 0 -15", 7: f"True 7 {nice}", 50: f"True 9 {nice}"}[helpers]
 
 
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="a single CPU")
+def test_a_program_beside_runs_on_the_cpus_from_before_the_loop_was_pinned() -> None:
+    child = (
+        "import os, time\n"
+        "while len(os.sched_getaffinity(0)) < 2: time.sleep(0.01)\n"
+        "print(sorted(os.sched_getaffinity(0)))\n"
+    )
+    printed = in_process(
+        "import anyio, os, sys\n"
+        "from rtee.loop.ending import companion\n"
+        "from rtee.loop.realtime import affinity\n"
+        "cpus = affinity()\n"
+        "print(sorted(cpus), flush=True)\n"
+        "os.sched_setaffinity(0, {min(cpus)})\n"
+        f"anyio.run(companion, (sys.executable, '-c', {child!r}), cpus)\n"
+    )
+    before, beside = printed.splitlines()
+    assert beside == before
+
+
 class Cycle:
     made = 0
 
