@@ -138,5 +138,5 @@ def test_not_a_mapping(tmp_path: Path, content: bytes, message: str) -> None:
 def test_missing(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"hand\.yaml does not exist"):
         read_config(tmp_path)
-    with pytest.raises(ConfigError, match=r"hand\.yaml does not exist"):
+    with pytest.raises(ConfigError, match=r"is no folder of a hand: it holds no hand\.yaml"):
         load_hand(tmp_path)
