@@ -27,7 +27,7 @@ def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
         return ()
     # A hand given by its folder has a name of its own; the GUI then shows the first that runs.
     shown = [] if Path(hands[0]).exists() else [hands[0]]
-    return ((sys.executable, "-c", "from rtee.cli import main; main()", "gui", *shown),)
+    return ((sys.executable, "-m", "rtee", "gui", *shown),)
 
 
 def _options(values: Sequence[str]) -> dict[str, object]:

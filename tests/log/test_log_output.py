@@ -337,9 +337,9 @@ def test_log_replay_shows_recorded_states_to_clients(claw: Hand, tmp_path: Path)
     log.writer.close()
     (path,) = recorded(tmp_path)
     told = {tuple(tick(number).position.tolist()) for number in range(300)}
-    command = [sys.executable, "-c", "from rtee.cli import main; main()", "log", "replay"]
+    command = [sys.executable, "-m", "rtee", "log", "replay"]
     child = subprocess.Popen(
-        [*command, str(path), "--speed", "2", "--repeat"],
+        [*command, str(path), "--speed", "2", "--repeat", "--gui"],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -352,6 +352,7 @@ def test_log_replay_shows_recorded_states_to_clients(claw: Hand, tmp_path: Path)
         with rtee.connect_blocking(name) as hand:
             seen = [tuple(state.position.tolist()) for state in islice(hand.states(50.0), 20)]
             description = hand.robot_description()
+        assert any("http://127.0.0.1:" in line for line in child.stdout), "no GUI came up"
         child.send_signal(signal.SIGINT)
         rest = child.stdout.read()
     assert child.returncode == 0, rest
