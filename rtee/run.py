@@ -189,6 +189,8 @@ async def _run(
     finally:
         if not rested:
             await _rest(running, "the run was cancelled")
+        for one in running:  # while there are clients to hear how their goals ended
+            one.loop.end()
 
 
 async def _rest(

@@ -132,9 +132,10 @@ async def test_a_hand_is_commanded_over_the_network(folder: Path) -> None:
     import rtee
 
     over = anyio.Event()
+    said: list[str] = []
 
     async def main() -> None:
-        await run_hands(["jaw"], options(folder), say=lambda _: None, until=over)
+        await run_hands(["jaw"], options(folder), say=said.append, until=over)
 
     async with anyio.create_task_group() as group:
         group.start_soon(main)
@@ -143,11 +144,17 @@ async def test_a_hand_is_commanded_over_the_network(folder: Path) -> None:
                 try:
                     async with rtee.connect("jaw") as hand:
                         result = await hand.do("open")
+                        await hand.add_generic("close", {"drive": 0.8})
+                        running = await hand.start("close", speed=0.05, timeout=60.0)
+                        over.set()
+                        last = await running.result()
                     break
                 except (rtee.errors.NoHand, rtee.errors.RequestRejected):
+                    assert not over.is_set(), "it hears how its goal ended though the run does"
                     await anyio.sleep(0.1)
-        assert result.reached
-        over.set()
+    assert result.reached
+    assert last.cancelled
+    assert said[-1] == "jaw: 2 goals (1 reached, 1 cancelled)"
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ class Tick:
     """One period of the loop.
 
     Attributes:
-        number: Counted from 0; a missed tick leaves a gap.
+        number: The first that happens is 0; a missed tick leaves a gap.
         due_ns: When it was due, CLOCK_MONOTONIC [ns].
         woken_ns: When the loop woke up for it, CLOCK_MONOTONIC [ns].
         missed: Ticks missed since the one before.
@@ -112,11 +112,14 @@ class Clock:
         number = -1
 
         def on_expiry() -> None:
-            nonlocal number
+            nonlocal number, start
             passed = timer.expiries()
             if not passed:
                 return
             woken, wall = time.monotonic_ns(), time.time_ns()
+            if number < 0:  # it starts with the first that happens
+                start += (passed - 1) * self.period_ns
+                passed = 1
             number += passed
             due = start + number * self.period_ns
             try:
@@ -159,6 +162,9 @@ class Clock:
                     waiter = None
                 woken, wall = time.monotonic_ns(), time.time_ns()
                 passed, expired = expired, 0
+                if number < 0:  # it starts with the first that happens
+                    start += (passed - 1) * self.period_ns
+                    passed = 1
                 number += passed
                 due = start + number * self.period_ns
                 yield Tick(number, due, woken, passed - 1, wall - (woken - due))
@@ -175,6 +181,9 @@ class Clock:
             await asyncio.sleep(max(0.0, (due - time.monotonic_ns()) * 1e-9))
             woken, wall = time.monotonic_ns(), time.time_ns()
             number = max(number, (woken - start) // self.period_ns)
+            if last < 0:  # it starts with the first that happens
+                start += number * self.period_ns
+                number = 0
             due = start + number * self.period_ns
             if woken >= due:
                 yield Tick(number, due, woken, number - last - 1, wall - (woken - due))

@@ -105,6 +105,7 @@ class HandTicks:
         self._busy_at = math.inf
         self._told_refused: dict[str, float] = {}
         self._record: TickRecord | None = None
+        self._ended = False
 
     def _check_devices(self, devices: Sequence[tuple[DeviceSettings, Driver]]) -> None:
         driven: dict[str, str] = {}
@@ -138,11 +139,17 @@ class HandTicks:
 
     async def __aexit__(self, *_: object) -> None:
         """End a running goal and close the devices."""
-        self._take_at_once(Command("freeze", "the loop ended", stamp=self._now()))
+        self.end()
         group, self._group = self._group, None
         if group is not None:
             group.cancel_scope.cancel()
             await group.__aexit__(None, None, None)
+
+    def end(self) -> None:
+        """End a goal that still runs, once there are no ticks any more; its result is told."""
+        if not self._ended:
+            self._ended = True
+            self._take_at_once(Command("freeze", "the loop ended", stamp=self._now()))
 
     async def ready(self) -> None:
         """Wait until every device has tried to connect once.

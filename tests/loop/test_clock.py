@@ -54,6 +54,28 @@ async def test_missed_ticks_are_counted_and_not_caught_up(use_timerfd: bool) -> 
     assert numbers[-1] - numbers[0] == len(numbers) - 1 + missed - (numbers[0] - 0)
 
 
+@pytest.mark.parametrize("use_timerfd", [True, False])
+async def test_the_first_tick_that_happens_is_number_0(use_timerfd: bool) -> None:
+    clock = Clock(1000, use_timerfd=use_timerfd)
+    asyncio.get_running_loop().call_soon(time.sleep, 0.05)  # it is held up before the first
+    first, second = await take(clock, 2)
+    assert (first.number, first.missed) == (0, 0)
+    assert second.due_ns == first.due_ns + second.number * clock.period_ns
+
+
+async def test_a_driven_function_gets_number_0_first() -> None:
+    found: list[Tick] = []
+
+    def at_tick(tick: Tick) -> None:
+        found.append(tick)
+        raise LookupError
+
+    asyncio.get_running_loop().call_soon(time.sleep, 0.05)
+    with pytest.raises(LookupError):
+        await Clock(1000).drive(at_tick)
+    assert (found[0].number, found[0].missed) == (0, 0)
+
+
 async def test_other_tasks_run_though_ticks_take_too_long() -> None:
     turns = 0
 
