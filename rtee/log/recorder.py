@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import queue
 import threading
@@ -35,6 +36,18 @@ _YIELD: Final = 50e-6
 _LEAST_QUEUE: Final = 200
 _CLOSING: Final = 10.0
 
+_GATHER: Final = 4e-3
+"""What the loop tells is worked off this often [s]; to be woken at every tick would disturb it."""
+
+_LONGEST_NAP: Final = 20e-3
+"""Loops of a longer period than this [s] wake the writer."""
+
+_BEHIND: Final = 50
+"""With more waiting than this, the writer does not spare the loop's ticks any more."""
+
+_QUIET: Final = (0.3, 0.75)
+"""Part of the loop's period in which the writer works: the loop itself works at its beginning."""
+
 Work = TickRecord | tuple[Item, float] | Callable[[], None] | None
 
 
@@ -42,8 +55,8 @@ class Recorder:
     """Records a hand: an observer of its loop with a writer of its own.
 
     What the loop tells goes into a bounded queue and is worked off item by item in a thread that
-    gives way after each, so that it never holds the interpreter for longer than one item takes.
-    When the queue is full, ticks are dropped and counted.
+    wakes up by itself, between the loop's ticks, so that neither waits for the other. When the
+    queue is full, ticks are dropped and counted.
 
     Args:
         hand: The hand.
@@ -77,6 +90,7 @@ class Recorder:
         self._writer.dropped = lambda: self._dropped
         self._queue: queue.SimpleQueue[Work] = queue.SimpleQueue()
         self._limit = max(_LEAST_QUEUE, int(settings.queue_time * rate))
+        self._period = 1.0 / rate
         self._stamp: float | None = None
         self._dropped = 0
         self._failed = 0
@@ -253,9 +267,21 @@ class Recorder:
             else:
                 self._do(work)
             self._do(writer.poll)
-            if not self._queue.empty():
-                time.sleep(_YIELD)
+            self._give_way()
         self._do(writer.close)
+
+    def _give_way(self) -> None:
+        """Sleep while the loop is at work, and until there is enough to do."""
+        waiting, period = self._queue.qsize(), self._period
+        if waiting > _BEHIND:
+            time.sleep(_YIELD)
+        elif self._stamp is not None and period <= _LONGEST_NAP:
+            begin, end = _QUIET
+            phase = (time.monotonic() - self._stamp) / period % 1.0
+            if not waiting:
+                time.sleep((math.ceil(_GATHER / period) + begin - phase) * period)
+            elif not begin <= phase <= end:
+                time.sleep((begin - phase) % 1.0 * period)
 
     def _do(self, call: Callable[..., None], *arguments: object) -> None:
         # One record that cannot be written must not end the recording of all others.
