@@ -8,8 +8,9 @@ import importlib.util
 import sys
 from pathlib import Path
 
+from rtee.buses.timing import ask_for_short_slices
 from rtee.drivers.schunk_svh.channels import CHANNELS
-from rtee.loop.realtime import ask_for_short_slices, share_the_interpreter
+from rtee.loop.realtime import share_the_interpreter
 from rtee.testing import DeviceCase, DriverContract, actuator
 
 TESTS = Path(__file__).resolve().parents[1] / "tests" / "drivers"

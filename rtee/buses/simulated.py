@@ -21,7 +21,7 @@ from rtee.buses.emulator import Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
 from rtee.buses.simulated_ends import Pty, Tcp
-from rtee.buses.timing import wake_exactly
+from rtee.buses.timing import ask_for_short_slices, wake_exactly
 from rtee.buses.wire import Wire
 
 
@@ -140,6 +140,7 @@ class Simulation(ABC):
 
     def _run(self) -> None:
         wake_exactly()
+        ask_for_short_slices()
         while self._running:
             due = self._next_due()
             self._turn(None if due is None else max(0.0, due - time.monotonic()))

@@ -9,6 +9,8 @@ import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from rtee.buses.timing import ask_for_short_slices, wake_exactly
+
 T = TypeVar("T")
 
 _Call = tuple[Callable[[], Any], asyncio.AbstractEventLoop, "asyncio.Future[Any]"]
@@ -64,6 +66,8 @@ class Worker:
 
 
 def _serve(calls: queue.SimpleQueue[_Call | None]) -> None:
+    wake_exactly()
+    ask_for_short_slices()
     while (call := calls.get()) is not None:
         function, loop, future = call
         result, error = None, None

@@ -6,12 +6,11 @@ import contextlib
 import ctypes
 import gc
 import os
-import platform
-import struct
 import sys
 import threading
 import time
 
+from rtee.buses.timing import ask_for_short_slices
 from rtee.loop.settings import RealtimeSettings
 
 SWITCH_INTERVAL = 50e-6
@@ -20,12 +19,8 @@ SWITCH_INTERVAL = 50e-6
 HELPERS_NICE = -15
 """Nice value of the loop's helper threads, where that is permitted."""
 
-SLICE = 100_000
-"""Processor time asked for at a time by an ordinary loop, the shortest that Linux gives [ns]."""
-
 _MCL_CURRENT = 1
 _MCL_FUTURE = 2
-_SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}
 
 
 def set_up(settings: RealtimeSettings) -> list[str]:
@@ -84,23 +79,6 @@ def _favour_helpers(priority: int) -> list[str]:
                     f" 'LimitNICE={HELPERS_NICE}' in the systemd unit"
                 ]
     return []
-
-
-def ask_for_short_slices() -> bool:
-    """Have the calling thread woken promptly though it is an ordinary one.
-
-    Linux 6.12 and later (EEVDF) let a thread that asks for little processor time at a time go
-    before others that have had more than their share; see sched_setattr(2), ``sched_runtime``.
-
-    Returns:
-        Whether the system took it; older kernels take it too, and make nothing of it.
-    """
-    number = _SCHED_SETATTR.get(platform.machine())
-    if number is None or not sys.platform.startswith("linux"):
-        return False
-    attributes = struct.pack("=IIQiIQQQ", 48, os.SCHED_OTHER, 0, os.nice(0), 0, SLICE, 0, 0)
-    library = ctypes.CDLL(None, use_errno=True)
-    return bool(library.syscall(number, 0, attributes, 0) == 0)
 
 
 def share_the_interpreter() -> float:

@@ -11,7 +11,8 @@ import time
 
 import pytest
 
-from rtee.loop.realtime import SLICE, Collector
+from rtee.buses.timing import SLICE
+from rtee.loop.realtime import Collector
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux only")
 
