@@ -45,7 +45,7 @@ _LONGEST_NAP: Final = 20e-3
 _BEHIND: Final = 50
 """With more waiting than this, the writer does not spare the loop's ticks any more."""
 
-_QUIET: Final = (0.3, 0.75)
+_QUIET: Final = (0.45, 0.85)
 """Part of the loop's period in which the writer works: the loop itself works at its beginning."""
 
 Work = TickRecord | tuple[Item, float] | Callable[[], None] | None

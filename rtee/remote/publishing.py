@@ -1,7 +1,8 @@
 """What the server publishes: states at the rates that clients want, and what happens.
 
-States are put by the loop's thread itself: ten microseconds, dropped if a client is congested.
-Results and events must not be lost, so that a thread of their own puts them and may wait.
+To put something costs the loop's thread up to a millisecond where processors are woken for it or
+taken away meanwhile, so that it only hands on what is due. States are put by one thread, dropped if
+a client is congested; results and events must not be lost, so that another puts them and may wait.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
+from zlib import crc32
 
 import zenoh
 
@@ -26,6 +28,9 @@ from rtee.remote.worker import Worker
 
 MOST_STREAMS = 16
 """Different rates that may be streamed at once."""
+
+_MOST_WAITING = 20
+"""Ticks that may wait until their states are published; those of further ones are dropped."""
 
 
 class StateMessages:
@@ -136,7 +141,10 @@ class Streams:
         )
         self._asked: dict[int, Stream] = {}
         self._all: tuple[Stream, ...] = self._fixed
-        self._ticks = 0
+        self._ticks = crc32(hand.name.encode())  # hands on one clock take turns
+        self._worker: Worker[tuple[TickRecord, list[Stream]]] = Worker(
+            f"states {hand.name}", self._put, _MOST_WAITING
+        )
 
     def _every(self, rate: float) -> int:
         return max(1, round(self._rate / rate))
@@ -172,20 +180,28 @@ class Streams:
         self._asked, self._all = asked, (*self._fixed, *asked.values())
 
     def publish(self, record: TickRecord) -> None:
-        """Publish what is due at a tick; takes next to no time when nobody listens."""
+        """Have published what is due at a tick; takes next to no time."""
         self._ticks += 1
+        due = [each for each in self._all if each.wanted and self._ticks % each.every == 0]
+        if due:
+            self._worker.put((record, due))
+
+    def _put(self, what: tuple[TickRecord, list[Stream]]) -> None:
+        record, due = what
         state = b""
-        for stream in self._all:
-            if stream.wanted and self._ticks % stream.every == 0:
-                if stream.encode == self.messages.state:
-                    state = state or stream.encode(record)
-                    stream.put(state)
-                else:
-                    stream.put(stream.encode(record))
+        for stream in due:
+            if not stream.wanted:  # any more
+                continue
+            if stream.encode == self.messages.state:
+                state = state or stream.encode(record)
+                stream.put(state)
+            else:
+                stream.put(stream.encode(record))
 
     def close(self) -> None:
-        """Publish no more."""
+        """Publish no more; waits for what is under way."""
         streams, self._all = self._all, ()
+        self._worker.close()
         for stream in streams:
             stream.close()
 

@@ -141,7 +141,7 @@ class Server(Observer):
             stack.callback(self._tasks.cancel_scope.cancel)
             rate = self.loop.settings.rate
             self.streams = Streams(session, self.hand, rate, self._settings.state_rate)
-            stack.callback(self.streams.close)
+            stack.push_async_callback(anyio.to_thread.run_sync, self.streams.close)
             self._outbox = Outbox(session, self.hand.name)
             stack.push_async_callback(anyio.to_thread.run_sync, self._outbox.close)
             self._control = Control(self)
@@ -267,7 +267,7 @@ class Server(Observer):
     # --- from the loop to the network
 
     def on_tick(self, record: TickRecord) -> None:
-        """Publish the states that are due."""
+        """Have the states published that are due."""
         self.latest = record
         self.streams.publish(record)
 

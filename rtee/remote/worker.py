@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 LONGEST = 1000
-"""Questions that may wait; further ones are not taken."""
+"""Things that may wait unless said otherwise."""
 
 
 class Worker(Generic[T]):
@@ -22,17 +22,19 @@ class Worker(Generic[T]):
     Args:
         name: The thread's name.
         work: What is done with each; it must not raise.
+        most: Things that may wait; further ones are not taken.
     """
 
-    def __init__(self, name: str, work: Callable[[T], None]) -> None:
+    def __init__(self, name: str, work: Callable[[T], None], most: int = LONGEST) -> None:
         self._work = work
+        self._most = most
         self._waiting: queue.SimpleQueue[tuple[T] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def put(self, item: T) -> bool:
         """Have something done; return whether it was taken."""
-        if self._waiting.qsize() >= LONGEST:
+        if self._waiting.qsize() >= self._most:
             return False
         self._waiting.put((item,))
         return True
