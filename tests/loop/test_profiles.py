@@ -251,6 +251,33 @@ def test_filter_comes_to_its_velocity_limit_within_the_jerk_limit(
     assert min(changes) >= -1.01 * LIMITS.jerk[3]
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from([100.0, 1000.0]),
+    st.lists(st.tuples(st.floats(0.02, 1.0), st.floats(0.01, 0.3)), min_size=1, max_size=6),
+)
+def test_filter_follows_changing_velocity_limits_within_the_jerk_limit(
+    rate: float, tops: list[tuple[float, float]]
+) -> None:
+    profile = Filter(LIMITS, 1 / rate, 2.0)
+    profile.seed(dict.fromkeys(range(SIZE), 0.0))
+    top = LIMITS.velocity[3] / 2
+    speeds = [top] * 2
+    profile.go({3: 1e4}, velocity={3: top})
+    for _ in range(round(rate)):
+        profile.advance()
+    for share, seconds in (*tops, (tops[-1][0], 1.0)):
+        top = share * LIMITS.velocity[3]
+        profile.go({3: 1e4}, velocity={3: top})
+        for _ in range(round(seconds * rate)):
+            profile.advance()
+            speeds.append(profile.velocity[3])
+    assert np.abs(np.diff(speeds)).max() * rate <= LIMITS.acceleration[3] * (1 + 1e-6)
+    assert np.abs(np.diff(speeds[1:], 2)).max() * rate**2 <= LIMITS.jerk[3] * 1.01
+    assert max(speeds) <= LIMITS.velocity[3]
+    assert speeds[-1] == pytest.approx(top, rel=0.01)
+
+
 def test_filter_brakes_to_rest_ahead_and_does_not_come_back() -> None:
     profile = unlimited_filter(1000.0, 2.0)
     profile.go({0: 1.0})

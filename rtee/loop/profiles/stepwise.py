@@ -58,7 +58,7 @@ class Stepwise(Profile):
                 speed,
                 wanted,
                 dt,
-                self._top[i],
+                self._fastest(i),
                 limits.acceleration[i],
                 limits.lower[i],
                 limits.upper[i],
@@ -69,6 +69,10 @@ class Stepwise(Profile):
                 self.target[i] = self.position[i]
             if self.velocity[i] != 0.0 or self.position[i] != self.target[i]:
                 self.moving = True
+
+    def _fastest(self, i: int) -> float:
+        """Return the velocity that the next period may have [rad/s | m/s]."""
+        return self._top[i]
 
     @abstractmethod
     def _wanted(self, i: int) -> float:
@@ -119,12 +123,14 @@ class Filter(Stepwise):
         self._input = [0.0] * self.size
         self._slope = [0.0] * self.size
         self._next = [0.0] * self.size
+        self._change = [0.0] * self.size
+        self._held = [False] * self.size
 
     def _seeded(self, positions: Collection[int]) -> None:
         super()._seeded(positions)
         for index in positions:
             self._input[index] = self.position[index]
-            self._slope[index] = 0.0
+            self._slope[index] = self._change[index] = 0.0
 
     def go(
         self,
@@ -136,6 +142,11 @@ class Filter(Stepwise):
         """See `Profile.go`."""
         rest = {i: self.position[i] + self.velocity[i] / self._omega for i in brake}
         super().go({**targets, **rest}, velocity=velocity)
+        for i in velocity or ():
+            self._held[i] = True
+
+    def _fastest(self, i: int) -> float:
+        return self.limits.velocity[i] if self._held[i] else self._top[i]
 
     def _wanted(self, i: int) -> float:
         target, dt = self.target[i], self.period
@@ -159,16 +170,26 @@ class Filter(Stepwise):
         """Return a velocity that comes to its limit with the acceleration brought down to none.
 
         From an acceleration a, that takes a² / 2j of velocity with the jerk limit j; a of the next
-        period must leave as much: a² / 2j + a·dt = room.
+        period must leave as much: a² / 2j + a·dt = room. A velocity above a limit that was lowered
+        comes down to it likewise. Where limits have taken over from the filter, the acceleration
+        goes on from what it is.
         """
-        speed, change = abs(self.velocity[i]), self.limits.jerk[i] * self.period
-        room = self._top[i] - speed
-        if room <= 0.0 or wanted * self.velocity[i] <= 0.0:
+        velocity, jerk, dt = self.velocity[i], self.limits.jerk[i], self.period
+        if wanted * velocity <= 0.0:
+            self._held[i] = False
             return wanted
-        most = math.sqrt(change * change + 2.0 * self.limits.jerk[i] * room) - change
-        top = speed + most * self.period
+        speed, change = abs(velocity), jerk * dt
+        room = self._top[i] - speed
+        most = math.copysign(math.sqrt(change * change + 2.0 * jerk * abs(room)) - change, room)
+        if self._held[i]:
+            present = math.copysign(self._change[i], self._change[i] * velocity) / dt
+            most = max(min(most, present + change), present - change)
+        top = speed + most * dt
+        self._held[i] = abs(wanted) > top or room < -_NEAR * speed
         return wanted if abs(wanted) <= top else math.copysign(top, wanted)
 
     def _move(self, i: int, wanted: float, allowed: float) -> None:
+        self._change[i] = allowed - self.velocity[i]
+        self._held[i] = self._held[i] or allowed != wanted
         super()._move(i, wanted, allowed)
         self._slope[i] = self._next[i] if allowed == wanted and wanted != 0.0 else allowed
