@@ -209,6 +209,8 @@ class Streams:
 class Outbox:
     """Publishes and answers what must arrive, in order, from a thread of its own.
 
+    Answers to stop have another one: they wait for no client that is slow to take something else.
+
     Attributes:
         dropped: Messages that were dropped because too much was waiting.
     """
@@ -218,23 +220,32 @@ class Outbox:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self.dropped = 0
         self._worker: Worker[Callable[[], object]] = Worker(f"publish {hand}", _call)
-        self.close = self._worker.close
+        self._first: Worker[Callable[[], object]] = Worker(f"stop {hand}", _call)
 
     def put(self, topic: str, encode: Callable[[int], bytes]) -> None:
         """Publish a message on a topic; ``encode`` is given the time since 1970 [ns]."""
-        self._later(partial(self._publish, topic, encode, time.time_ns()))
+        self._later(self._worker, partial(self._publish, topic, encode, time.time_ns()))
 
     def answer(self, query: zenoh.Query, data: bytes, ok: bool) -> None:
         """Answer a query with a message, or with a refusal."""
-        self._later(partial(answer, self._hand, query, data, ok))
+        self._later(self._worker, partial(answer, self._hand, query, data, ok))
+
+    def answer_first(self, query: zenoh.Query, data: bytes, ok: bool) -> None:
+        """Answer a query before all others."""
+        self._later(self._first, partial(answer, self._hand, query, data, ok))
 
     def answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
         """Answer what a client has put under a number with a message, or with a refusal."""
-        self._later(partial(self._answer_put, client, number, data, ok))
+        self._later(self._worker, partial(self._answer_put, client, number, data, ok))
 
-    def _later(self, call: Callable[[], object]) -> None:
-        if not self._worker.put(call):
+    def _later(self, worker: Worker[Callable[[], object]], call: Callable[[], object]) -> None:
+        if not worker.put(call):
             self.dropped += 1
+
+    def close(self) -> None:
+        """Publish and answer what is waiting, then end; waits for that, but not for long."""
+        self._first.close()
+        self._worker.close()
 
     def _publish(self, topic: str, encode: Callable[[int], bytes], wall: int) -> None:
         self._publisher(topic).put(encode(wall))

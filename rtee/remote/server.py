@@ -210,7 +210,8 @@ class Server(Observer):
         self._tasks.start_soon(function)
 
     def _asked(self, group: str, take: Callable[[Asked], None], query: zenoh.Query) -> None:
-        self._receive(query, group, take, partial(self._outbox.answer, query))
+        reply = self._outbox.answer_first if group == STOP else self._outbox.answer
+        self._receive(query, group, take, partial(reply, query))
 
     def _put_here(self, sample: zenoh.Sample) -> None:
         """Take what was put instead of asked; to whom the answer goes is looked at afterwards."""

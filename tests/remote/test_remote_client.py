@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 
 import anyio
 import numpy as np
@@ -151,6 +152,19 @@ async def test_stop_needs_no_lease(hand: Hand, library: ActionLibrary) -> None:
         result = await running.result()
         assert result.cancelled
         assert two.client in result.reason
+
+
+async def test_the_answer_to_a_stop_does_not_wait_behind_others(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    taken = threading.Event()  # by a client that is slow to take what it is told
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        served.server._outbox._worker.put(taken.wait)
+        try:
+            with anyio.fail_after(10):
+                assert await remote.stop() == {"sim": True}
+        finally:
+            taken.set()
 
 
 async def test_open_goes_to_the_rest_posture(hand: Hand, library: ActionLibrary) -> None:
