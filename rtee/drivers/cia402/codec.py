@@ -148,7 +148,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The second receive PDO: maximal torque [0.1 %] and profile velocity [counts/s]."""
+    """The second receive PDO: maximal torque [0.1 %] and profile velocity [drive's unit]."""
 
     FORM: ClassVar[struct.Struct] = struct.Struct("<HI")
     MAP: ClassVar[tuple[int, ...]] = (0x6072_0010, 0x6081_0020)
@@ -196,7 +196,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The second transmit PDO: velocity [counts/s], torque [0.1 %], error code."""
+    """The second transmit PDO: velocity [drive's unit], torque [0.1 %], error code."""
 
     FORM: ClassVar[struct.Struct] = struct.Struct("<ihH")
     MAP: ClassVar[tuple[int, ...]] = (0x606C_0020, 0x6077_0010, 0x603F_0010)
@@ -230,12 +230,14 @@ class Scale:
         zero: Position where the actuator is at 0 [counts].
         rated_torque: The motor's rated torque at the actuator [N·m | N]; ``NaN``: not known.
         rated_current: The motor's rated current [A]; ``NaN``: not known.
+        velocity_unit: The drive's unit of velocity [counts/s].
     """
 
     counts: float
     zero: int = 0
     rated_torque: float = math.nan
     rated_current: float = math.nan
+    velocity_unit: float = 1.0
 
     def to_position(self, counts: int) -> float:
         """Return the actuator's position [rad | m]."""
@@ -245,13 +247,13 @@ class Scale:
         """Return the drive's position [counts]."""
         return round(position * self.counts) + self.zero
 
-    def to_velocity(self, counts: int) -> float:
-        """Return the actuator's velocity [rad/s | m/s]."""
-        return counts / self.counts
+    def to_velocity(self, told: int) -> float:
+        """Return the actuator's velocity [rad/s | m/s] of the drive's."""
+        return told * self.velocity_unit / self.counts
 
-    def to_velocity_counts(self, velocity: float) -> int:
-        """Return a speed limit [counts/s], at least 1."""
-        return max(1, round(abs(velocity * self.counts)))
+    def to_velocity_limit(self, velocity: float) -> int:
+        """Return a speed limit in the drive's unit, at least 1."""
+        return max(1, round(abs(velocity * self.counts) / self.velocity_unit))
 
     def to_effort(self, permille: int) -> float:
         """Return the actuator's effort [N·m | N]."""

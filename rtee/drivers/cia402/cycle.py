@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
 
 from rtee.buses.canopen import CanopenBus
 from rtee.buses.emulator import CanFrame
+from rtee.drivers.attached import Attached
 from rtee.drivers.base import Driver
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.cia301 import NmtState, emergency_name
@@ -69,6 +72,7 @@ class Cia402Cycle(Driver):
         self._home_asked = False
         self._active = False
         self._operational = False
+        self._attached = Attached(spec.actuators)
         n = len(names)
         bits = _SYNC_BITS + n * 3 * _FRAME_BITS
         self.capabilities = Capabilities(
@@ -146,10 +150,15 @@ class Cia402Cycle(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send limits that have changed, then set-points; the next SYNC makes them count."""
+        left: Collection[int] = ()
+        if self._attached:
+            here = [d.scale.to_position(self._measured(d)) for d in self.drives]
+            left = self._attached.left(reference, np.array(here))
         for i, drive in enumerate(self.drives):
             if reference.mask[i]:
                 effort, velocity = float(reference.max_effort[i]), float(reference.max_velocity[i])
                 drive.send_limits(self._limits(drive, effort, velocity))
+            if reference.mask[i] and i not in left:
                 drive.target = drive.scale.to_counts(float(reference.position[i]))
             drive.send_command(self.mode)
 
@@ -161,7 +170,7 @@ class Cia402Cycle(Driver):
         if not math.isfinite(fastest):
             name = drive.name
             fastest = next(a.velocity for a in self.spec.actuators if a.name == name)
-        counts = drive.scale.to_velocity_counts(fastest) if math.isfinite(fastest) else 2**31 - 1
+        counts = drive.scale.to_velocity_limit(fastest) if math.isfinite(fastest) else 2**31 - 1
         return Limits(torque, counts)
 
     def _refuse(self) -> None:

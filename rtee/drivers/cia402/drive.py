@@ -40,6 +40,7 @@ class DriveLink:
         controlword: What it is told next.
         target: Where it is told to go next [counts].
         pending: A set-point that the drive has not acknowledged yet is under way.
+        found_target: Target that it had when it was set up [counts], ``None`` if it does not tell.
     """
 
     bus: CanopenBus
@@ -55,6 +56,7 @@ class DriveLink:
     controlword: int = codec.Control.DISABLE_VOLTAGE
     target: int = 0
     pending: bool = False
+    found_target: int | None = None
     limits: Limits | None = None
     _sent_target: int | None = None
     _undo: list[Callable[[], None]] = field(default_factory=list)
@@ -172,6 +174,11 @@ class DriveLink:
             period: Period of the SYNC [s].
         """
         host, silence, reaction = watch
+        try:
+            raw = self.upload(Object.TARGET_POSITION)
+            self.found_target = int.from_bytes(raw, "little", signed=True)
+        except DriverError:
+            self.found_target = None
         self.download(Object.PRODUCER_HEARTBEAT, 0, "H", max(1, round(beat * 1000.0)))
         limit = host << 16 | round(silence * 1000.0) if silence > 0.0 else 0
         self.download(Object.CONSUMER_HEARTBEAT, 1, "I", limit)
@@ -224,6 +231,12 @@ class DriveLink:
                 self._sent_target = self.target
         target = self.target if not self.pending else self._sent_target or 0
         self.bus.send_now(CanFrame(RPDO[0] + self.id, Command(word, target, mode).to_bytes()))
+
+    def took(self, mode: Mode) -> bool:
+        """Return whether the drive has the target, as far as it can tell."""
+        if mode is not Mode.PROFILE_POSITION or self.state is not State.ENABLED:
+            return True
+        return not self.pending and self._sent_target == self.target
 
     def forget(self) -> None:
         """Forget what was sent: the drive has been disabled or restarted."""

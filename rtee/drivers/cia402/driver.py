@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 import time
@@ -28,6 +29,11 @@ _SETTING_UP = 10.0
 _DISARMING = 0.5
 _NOT_HOMED = 0x10001
 _HOMING_FAILED = 0x10003
+_HOMING_PERIOD = 0.005
+_OLD_NEWS = 0.05
+"""A drive tells of its homing at most so long after it has begun [s]."""
+_HANDSHAKES = 10
+"""Cycles in which two set-points are taken, with room for lost frames."""
 
 
 class Cia402Driver(Cia402Cycle):
@@ -101,7 +107,10 @@ class Cia402Driver(Cia402Cycle):
                 # It may have lost its supply, and with it what homing had found.
                 self._homed.discard(drive.id)
             drive.controlword = Control.ENABLE if enabled else Control.DISABLE_VOLTAGE
-            drive.stand(self._measured(drive))
+            here, told = self._measured(drive), drive.found_target
+            # A target means something only in the mode in which it was given.
+            same = drive.status is not None and drive.status.mode == self.mode
+            drive.stand(told if enabled and same and told is not None else here)
 
     async def close(self) -> None:
         """Give the network back; drives that are enabled stay so, without watching for us."""
@@ -140,14 +149,15 @@ class Cia402Driver(Cia402Cycle):
                 f"not homed: {', '.join(d.name for d in needy)}",
                 hint="`rtee recover`, or `rtee run --home`, homes it, which moves it",
             )
-        for drive in self.drives:
-            drive.stand(self._measured(drive))
+        holding = [d.state is State.ENABLED for d in self.drives]
         await self._walk(State.ENABLED)
         for drive in needy:
             await self._home(drive)
         self._home_asked = False
-        for drive in self.drives:
-            drive.stand(self._measured(drive))
+        for drive, holds in zip(self.drives, holding, strict=True):
+            if not holds:
+                drive.stand(self._measured(drive))
+        self._attached.begin(i for i, holds in enumerate(holding) if holds)
         self._active = True
 
     async def _walk(self, goal: State) -> None:
@@ -186,28 +196,32 @@ class Cia402Driver(Cia402Cycle):
         method = drive.options.homing_method or 0
         await bus.run(lambda: drive.download(Object.HOMING_METHOD, 0, "b", method), _SETTING_UP)
         end = time.monotonic() + self.options.homing_timeout
-        started = False
+        begun = math.inf
         try:
             self.mode = Mode.HOMING
             while True:
-                word = Control.ENABLE | (codec.HOMING_START if started else 0)
-                drive.controlword = word
+                if drive.status is not None and drive.status.mode == Mode.HOMING:
+                    begun = min(begun, time.monotonic())
+                started = math.isfinite(begun)
+                drive.controlword = Control.ENABLE | (codec.HOMING_START if started else 0)
                 with contextlib.suppress(BusTimeout):
                     await self._exchange()
                 if drive.state is State.FAULT:
                     raise self._fault(drive)
                 status = 0 if drive.status is None else drive.status.statusword
                 found = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
-                if started and found:
+                # At first it may still tell of a homing before this one.
+                if found and time.monotonic() > begun + _OLD_NEWS:
                     break
-                if status & StatusBit.FOLLOWING_ERROR or time.monotonic() > end:
+                failed = started and status & StatusBit.FOLLOWING_ERROR
+                if failed or time.monotonic() > end:
                     raise DeviceFault(
                         self.spec.name,
                         _HOMING_FAILED,
                         f"homing failed: {drive.name}",
                         hint="is something in the way?",
                     )
-                started = True
+                await asyncio.sleep(_HOMING_PERIOD)
         except BaseException:
             drive.controlword = Control.DISABLE_VOLTAGE
             with contextlib.suppress(BusError):
@@ -232,12 +246,14 @@ class Cia402Driver(Cia402Cycle):
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
             await self._synchronise()
+            self._attached.begin()
             for drive in self.drives:
                 drive.target = self._measured(drive)
-                drive.pending = False
-            # In profile mode the drive takes the new set-point within three cycles.
-            for _ in range(3):
+            # In profile mode a set-point that is under way has to be acknowledged first.
+            for _ in range(_HANDSHAKES):
                 await self._exchange()
+                if all(drive.took(self.mode) for drive in self.drives):
+                    break
 
     async def release(self) -> None:
         """Take the motors' voltage away; they go limp as far as their gears let them."""

@@ -7,6 +7,7 @@ reactions are those that its own objects (6007, 605E) ask for, as far as they ar
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.axis import Axis
@@ -52,6 +53,8 @@ class DriveProperties:
         closed: Where it is when its fingers are closed, and open at 0, for objects [counts].
         following_error: Error at which it faults in cyclic mode [counts]; 0: never.
         homed: Whether it knows its position at power-up.
+        sampled: Whether a SYNC's answer tells how the drive was ``before`` it took that SYNC's
+            set-points, or ``after``.
     """
 
     nodes: tuple[int, ...] = (1,)
@@ -71,6 +74,7 @@ class DriveProperties:
     closed: float = 40_000.0
     following_error: int = 0
     homed: bool = True
+    sampled: Literal["before", "after"] = "before"
 
 
 class Drive:

@@ -99,10 +99,11 @@ class Cia402Emulator(Emulator, Grasps):
         frames = self.step(now)
         if frame.id == cia301.SYNC and not frame.data and not frame.remote:
             for drive in self.drives.values():
+                before = drive.node.transmit()
                 drive.node.sync()
                 drive.cycle()
                 frames += drive.step(now)
-                frames += drive.node.transmit()
+                frames += before if self.properties.sampled == "before" else drive.node.transmit()
             return frames
         for drive in self.drives.values():
             frames += drive.node.on_frame(frame, now)

@@ -91,4 +91,4 @@ def read_scale(drive: DriveLink, device: str) -> Scale:
         rated = drive.number(Object.RATED_TORQUE, default=0) / 1000.0
         torque = rated * motor / shaft if rated > 0.0 and shaft > 0 else math.nan
     current = drive.number(Object.RATED_CURRENT, default=0) / 1000.0
-    return Scale(counts, given.zero, torque, current or math.nan)
+    return Scale(counts, given.zero, torque, current or math.nan, given.velocity_unit)

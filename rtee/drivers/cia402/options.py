@@ -21,6 +21,8 @@ class NodeOptions(BaseModel):
         direction: +1 or -1: sense of its counts with the actuator, where ``counts`` is not given.
         rated_torque: Its rated torque at the actuator [N·m | N]; by default from object 6076 and
             the gear.
+        velocity_unit: Its unit of velocity (objects 606C, 6081) [counts/s]; drives that count
+            their velocity in rpm need their increments per motor turn divided by 60.
         product: Product code expected (object 1018, 2); else any.
         homing_method: Homing method (object 6098) of a drive without absolute encoder.
     """
@@ -32,6 +34,7 @@ class NodeOptions(BaseModel):
     zero: int = 0
     direction: Literal[1, -1] = 1
     rated_torque: Positive | None = None
+    velocity_unit: Positive = 1.0
     product: int | None = None
     homing_method: Annotated[int, Field(ge=-128, le=127)] | None = None
 

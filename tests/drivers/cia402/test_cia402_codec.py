@@ -89,7 +89,10 @@ def test_units_have_inverses(position: float, counts: float) -> None:
     scale = Scale(counts, 77, 2.0, 1.5)
     there = scale.to_counts(position)
     assert scale.to_position(there) == pytest.approx(position, abs=0.51 / abs(counts))
-    assert scale.to_velocity(scale.to_velocity_counts(1.0)) * counts > 0
+    assert scale.to_velocity(scale.to_velocity_limit(1.0)) * counts > 0
+    rpm = Scale(counts, velocity_unit=4096 / 60)
+    assert rpm.to_velocity_limit(60 * 4096 / counts) == 3600
+    assert rpm.to_velocity(60) == pytest.approx(4096 / counts)
     assert abs(scale.to_effort(scale.to_permille(1.3))) == pytest.approx(1.3, abs=1e-3)
     assert scale.to_current(500) == pytest.approx(0.75)
 

@@ -139,6 +139,27 @@ async def test_attaches_to_enabled_drives_without_moving_them(mode: str) -> None
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize("mode", ["profile_position", "cyclic_position"])
+async def test_what_is_held_is_not_dropped_by_attaching(mode: str) -> None:
+    async with BusPool() as pool:
+        async with connected(pool, device(mode=mode)) as first:
+            await first.activate()
+            drives(pool).hold(5, 0.5 * COUNTS, stiffness=2.0)
+            await settle(first, [1.0], max_effort=np.array([0.2]))
+        axis = drives(pool).drives[5].axis
+        effort, target = axis.effort, axis.target
+        assert effort == pytest.approx(400)
+        async with connected(pool, device(mode=mode)) as second:
+            await second.activate()
+            here = (await second.sense()).position
+            for _ in range(20):
+                await second.move(Reference.at(here, max_effort=np.array([0.2])))
+                here = (await second.sense()).position
+            assert (axis.effort, axis.target) == (effort, target)
+            assert await settle(second, [0.3]) == pytest.approx([0.3], abs=2e-3)
+
+
+@pytest.mark.anyio
 async def test_a_drive_that_misses_the_heartbeat_stops() -> None:
     async with BusPool() as pool, connected(pool, device(watchdog=0.1)) as made:
         assert made.capabilities.watchdog
@@ -184,6 +205,32 @@ async def test_stop_holds_the_measured_pose_and_release_takes_the_voltage() -> N
         assert (await made.sense()).position[0] == pytest.approx(where, abs=0.05)
         await made.release()
         assert drives(pool).drives[5].state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("sampled", ["before", "after"])
+async def test_stop_is_not_lost_behind_a_set_point_under_way(sampled: str) -> None:
+    spec = device(emulator={"speed": 2000, "sampled": sampled})
+    async with BusPool() as pool, connected(pool, spec) as made:
+        await made.activate()
+        for cycles in range(4):
+            await settle(made, [0.0])
+            await made.move(Reference.at([3.0]))
+            for _ in range(cycles):
+                await made.sense()
+                await made.move(Reference.at([3.0]))
+            await made.stop()
+            assert drives(pool).drives[5].axis.target < COUNTS, cycles
+
+
+@pytest.mark.anyio
+async def test_old_news_of_homing_is_not_believed() -> None:
+    nodes = {"jaw0": {"id": 5, "homing_method": 17}}
+    emulator = {"homed": True, "lower": -500, "upper": 5000}
+    spec = device(nodes=nodes, home="on_connect", emulator=emulator)
+    async with BusPool() as pool, connected(pool, spec) as made:
+        await made.activate()
+        assert drives(pool).drives[5].axis.position == -500
 
 
 @pytest.mark.anyio

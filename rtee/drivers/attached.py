@@ -1,0 +1,49 @@
+"""Actuators taken over while they hold something, and not asked for anything else since.
+
+What holds an object has a target beyond where it stands: the difference is the grip. The reference
+of a device that is taken over begins where it stands, and sent as it is would let go.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Sequence
+
+from rtee.types import ActuatorSpec, FloatArray, Reference
+
+_SAME = 0.01
+"""A reference this near to the measured position asks for no motion, as part of the range."""
+
+
+class Attached:
+    """Which actuators are to be left alone.
+
+    Args:
+        actuators: The device's.
+    """
+
+    def __init__(self, actuators: Sequence[ActuatorSpec]) -> None:
+        spans = [a.upper - a.lower for a in actuators]
+        self._bands = [_SAME * (span if math.isfinite(span) else 1.0) for span in spans]
+        self._left: set[int] = set()
+
+    def __bool__(self) -> bool:
+        """Return whether there are any."""
+        return bool(self._left)
+
+    def begin(self, found: Iterable[int] = ()) -> None:
+        """Leave the actuators alone that were found active, and no others."""
+        self._left = set(found)
+
+    def left(self, reference: Reference, measured: FloatArray) -> Collection[int]:
+        """Return those that a reference does not ask to move; the others are driven from now on.
+
+        Args:
+            reference: What is asked for.
+            measured: Where they stand.
+        """
+        for i in tuple(self._left):
+            away = abs(float(reference.position[i]) - float(measured[i]))
+            if reference.mask[i] and not away <= self._bands[i]:
+                self._left.remove(i)
+        return self._left
