@@ -1,4 +1,4 @@
-"""The joint controller of a torque-driven hand: PD about a reference, and a little I. No I/O."""
+"""The joint controller of a torque-driven hand: PD about a reference, and I at rest. No I/O."""
 
 from __future__ import annotations
 
@@ -7,16 +7,27 @@ from collections.abc import Sequence
 
 from rtee.drivers.allegro.codec import FINGERS, JOINTS, LIMITS_PWM, PER_FINGER, Scale
 
+_AT_REST = 0.05
+"""A reference that moves no faster is at rest [rad/s]."""
+_STILL = 0.2
+"""A joint that moves no faster is held by friction, or will soon be [rad/s]."""
+_CLOSE = 0.002
+"""An error that is left alone: a smaller one would only make the joint hunt for it [rad]."""
+
 
 class JointControl:
     """Positions in, torques out, once per complete set of the hand's position frames.
+
+    The integral is there for friction and weight, which keep a joint from its reference for good.
+    It grows only where they do: at a reference at rest, while the joint hardly moves. Grown on the
+    way, it would carry the joint past the end, where friction holds it.
 
     Lists are in the order of the wire. Joints without a reference get no torque.
 
     Attributes:
         kp: Stiffness [N·m/rad].
         kd: Damping [N·m·s/rad].
-        ki: Integral gain [N·m/(rad·s)], against friction.
+        ki: Integral gain [N·m/(rad·s)], against friction and weight.
         position: Measured angles [rad].
         velocity: Filtered velocities [rad/s].
         torque: Torques sent last [N·m].
@@ -109,10 +120,12 @@ class JointControl:
             torque = 0.0
             if reference is not None:
                 error = reference - self.position[i]
-                bound = self._most_integral
-                self._integral[i] += self.ki * error * self._period
-                self._integral[i] = min(max(self._integral[i], -bound), bound)
-                torque = self.kp * error + self.kd * (self._rate[i] - self.velocity[i])
+                rate, velocity = self._rate[i], self.velocity[i]
+                if abs(rate) < _AT_REST and abs(velocity) < _STILL and abs(error) > _CLOSE:
+                    bound = self._most_integral
+                    grown = self._integral[i] + self.ki * error * self._period
+                    self._integral[i] = min(max(grown, -bound), bound)
+                torque = self.kp * error + self.kd * (rate - velocity)
                 torque += self._integral[i]
                 torque = min(max(torque, -self._limit[i]), self._limit[i])
             self.torque[i] = torque

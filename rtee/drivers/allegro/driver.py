@@ -6,37 +6,32 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from rtee.buses.can import CanBus
-from rtee.buses.emulator import CanFrame
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import (
     FINGERS,
     JOINTS,
-    NAMES,
     SCALES,
-    AllegroFrameError,
     Command,
     HandInfo,
     Periods,
     Status,
-    identifier,
 )
 from rtee.drivers.allegro.control import JointControl
 from rtee.drivers.allegro.emulator import AllegroEmulator
-from rtee.drivers.allegro.options import AllegroOptions
+from rtee.drivers.allegro.link import PATIENCE, AllegroLink
+from rtee.drivers.allegro.options import AllegroOptions, wire_order
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.options import read_options
 from rtee.errors import (
     BusError,
     BusTimeout,
-    ConfigError,
     DeviceFault,
     HandshakeError,
     NotConnected,
@@ -50,7 +45,6 @@ if TYPE_CHECKING:
 _STALE = 0.25
 _SERVO_OFF = 0x100
 _PAUSE = 0.0005
-_PATIENCE = 6.0
 
 
 class AllegroDriver(Driver):
@@ -71,9 +65,8 @@ class AllegroDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.options = read_options(AllegroOptions, spec)
-        self._joints = _wire_order(spec, self.options)
-        self._bus: CanBus | None = None
-        self._undo: list[Callable[[], None]] = []
+        self._joints = wire_order(spec, self.options)
+        self._link: AllegroLink | None = None
         self._info: HandInfo | None = None
         self._count = 0
         self._driving = False
@@ -104,10 +97,10 @@ class AllegroDriver(Driver):
         return self.options.period or SCALES[version].period_ms
 
     @property
-    def _can(self) -> CanBus:
-        if self._bus is None:
+    def _hand(self) -> AllegroLink:
+        if self._link is None:
             raise NotConnected(self.spec.name, "is not connected")
-        return self._bus
+        return self._link
 
     # --- life --------------------------------------------------------------------------------
 
@@ -115,40 +108,35 @@ class AllegroDriver(Driver):
         """Open the bus, identify the hand and have it tell its positions; no torque is sent."""
         await self.close()
         options = self.options
-        self._bus = await self.buses.can(
+        bus = await self.buses.can(
             options.channel,
             owner=owner_of(self.spec),
             interface=options.interface,
             bitrate=codec.BITRATE,
             emulator=emulator_of(self.spec, AllegroEmulator),
         )
-        info = await self._identify()
+        link = self._link = AllegroLink(bus, options.hand, options.deadline)
+        info = await self._identify(link)
         version = info.version if options.version is None else options.version
         self.control = self._controller(version)
-        for finger in range(FINGERS):
-            self._undo.append(
-                self._bus.subscribe(
-                    self._listener(finger),
-                    identifier(Command.FINGER_POSE + finger, options.hand),
-                )
-            )
-        await self._bus.send(Periods(self._period(version)).to_frame(options.hand))
+        link.listen(self._take)
+        await link.tell_every(Periods(self._period(version)))
         await self._first_set()
-        serial = await self._ask(Command.SERIAL, least=1, within=_PATIENCE * options.deadline)
+        serial = await link.serial()
         self.capabilities = replace(
             self.capabilities,
             best_rate=1000.0 / self._period(version),
             identity={
                 "model": f"Allegro Hand V{info.version}",
                 "firmware": f"{info.firmware:#06x}",
-                "serial": serial.data.decode("ascii", "replace").strip("\x00 "),
+                "serial": serial,
             },
         )
 
-    async def _identify(self) -> HandInfo:
+    async def _identify(self, link: AllegroLink) -> HandInfo:
         options = self.options
         try:
-            info = await self._read_info(_PATIENCE * options.deadline)
+            info = await link.info(patient=True)
         except BusTimeout as error:
             raise NotConnected(
                 self.spec.name,
@@ -168,23 +156,8 @@ class AllegroDriver(Driver):
             raise HandshakeError(self.spec.name, f"a {options.side} hand", f"a {side} one")
         return info
 
-    async def _ask(self, command: Command, *, least: int, within: float) -> CanFrame:
-        wanted = identifier(command, self.options.hand)
-
-        def answers(frame: CanFrame) -> bool:
-            return frame.id == wanted and not frame.remote and len(frame.data) >= least
-
-        return await self._can.request(
-            codec.request(command, self.options.hand), answers, within, retries=2
-        )
-
-    async def _read_info(self, within: float | None = None) -> HandInfo:
-        frame = await self._ask(Command.HAND_INFO, least=7, within=within or self.options.deadline)
-        self._info = HandInfo.from_bytes(frame.data)
-        return self._info
-
     async def _first_set(self) -> None:
-        end = time.monotonic() + _PATIENCE * self.options.deadline
+        end = time.monotonic() + PATIENCE * self.options.deadline
         while not self.control.sets:
             if time.monotonic() > end:
                 raise NotConnected(self.spec.name, "the hand does not tell its positions")
@@ -193,10 +166,10 @@ class AllegroDriver(Driver):
     async def activate(self) -> None:
         """Switch the motors on and hold the measured pose."""
         self._hold()
-        await self._can.send(codec.order(Command.SYSTEM_ON, self.options.hand))
+        await self._hand.order(Command.SYSTEM_ON)
         await asyncio.sleep(_PAUSE)
         self._driving = True
-        self._refuse(await self._read_info(_PATIENCE * self.options.deadline))
+        self._refuse(await self._hand.info(patient=True))
         self._hold()
 
     def _hold(self) -> None:
@@ -207,66 +180,48 @@ class AllegroDriver(Driver):
         """Send no torque, then switch the motors off."""
         self._driving = False
         self.control.limp()
-        if self._bus is not None:
-            self._send([[0] * (JOINTS // FINGERS)] * FINGERS)
-            await self._bus.send(codec.order(Command.SYSTEM_OFF, self.options.hand))
+        if self._link is not None:
+            self._link.torques([[0] * (JOINTS // FINGERS)] * FINGERS)
+            await self._link.order(Command.SYSTEM_OFF)
 
     async def close(self) -> None:
         """Switch the hand off, silence it and give the bus back."""
-        bus = self._bus
-        for undo in self._undo:
-            undo()
-        self._undo.clear()
-        if bus is None:
+        link = self._link
+        if link is None:
             return
+        link.deafen()
         with contextlib.suppress(BusError):
             if self._driving:
                 await self.deactivate()
-            await bus.send(Periods().to_frame(self.options.hand))
-        self._bus = None
+            await link.tell_every(Periods())
+        self._link = None
         self._driving = False
-        await bus.release(owner_of(self.spec))
+        await link.bus.release(owner_of(self.spec))
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the bus."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
+        return {} if self._link is None else self._link.bus.counters.as_mapping()
 
     # --- the joint control -------------------------------------------------------------------
 
-    def _listener(self, finger: int) -> Callable[[CanFrame], None]:
-        def take(frame: CanFrame) -> None:
-            if frame.remote:
-                return
-            try:
-                counts = codec.read_counts(frame.data)
-            except AllegroFrameError:
-                return
-            torques = self.control.take(finger, counts, frame.stamp)
-            if torques is not None and self._driving:
-                with contextlib.suppress(BusError):
-                    self._send(torques)
-
-        return take
-
-    def _send(self, torques: list[list[int]]) -> None:
-        for finger, counts in enumerate(torques):
-            frame = CanFrame(
-                identifier(Command.SET_TORQUE + finger, self.options.hand),
-                codec.pack_counts(counts),
-            )
-            self._can.send_now(frame)
+    def _take(self, finger: int, counts: Sequence[int], stamp: float) -> None:
+        torques = self.control.take(finger, counts, stamp)
+        if torques is not None and self._driving and self._link is not None:
+            with contextlib.suppress(BusError):
+                self._link.torques(torques)
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return the newest complete set of positions; effort is the torque sent."""
-        self._can.check()
+        bus = self._hand.bus
+        bus.check()
         self._count += 1
         if self._count % self.options.info_every == 0:
-            self._refuse(await self._read_info())
+            self._refuse(await self._hand.info())
         control = self.control
         if time.monotonic() - control.stamp > _STALE:
-            raise BusTimeout(self._can.name, f"no positions for more than {_STALE:g} s")
+            raise BusTimeout(bus.name, f"no positions for more than {_STALE:g} s")
         fresh, self._told = control.sets != self._told, control.sets
         info = self._info
         temperature = math.nan if info is None else float(info.temperature)
@@ -281,7 +236,7 @@ class AllegroDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Change the reference and the limits of the joint control."""
-        self._can.check()
+        self._hand.bus.check()
         for i, joint in enumerate(self._joints):
             if reference.mask[i]:
                 self.control.limit(joint, float(reference.max_effort[i]))
@@ -290,6 +245,8 @@ class AllegroDriver(Driver):
                 )
 
     def _refuse(self, info: HandInfo) -> None:
+        """Take what the hand says about itself; raises `DeviceFault` if it is at fault."""
+        self._info = info
         faults = [
             (Status.OVER_TEMPERATURE, "over-temperature", "let it cool down, then `rtee recover`"),
             (Status.COMMUNICATION, "internal communication", "`rtee recover`, or a power cycle"),
@@ -326,31 +283,10 @@ class AllegroDriver(Driver):
         """Switch the hand off and on, which clears what can be cleared; it stays limp."""
         self._driving = False
         self.control.limp()
-        hand = self.options.hand
-        await self._can.send(codec.order(Command.SYSTEM_OFF, hand))
+        link = self._hand
+        await link.order(Command.SYSTEM_OFF)
         await asyncio.sleep(_PAUSE)
-        await self._can.send(Periods(self._period(self.control.scale.version)).to_frame(hand))
-        await self._can.send(codec.order(Command.SYSTEM_ON, hand))
+        await link.tell_every(Periods(self._period(self.control.scale.version)))
+        await link.order(Command.SYSTEM_ON)
         await asyncio.sleep(_PAUSE)
-        self._refuse(await self._read_info(_PATIENCE * self.options.deadline))
-
-
-def _wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
-    """Return the joint on the wire of each actuator; raises `ConfigError`."""
-    names = [a.name for a in spec.actuators]
-    if not options.joints:
-        if len(names) != JOINTS:
-            raise ConfigError(
-                f"device '{spec.name}': an Allegro Hand has {JOINTS} actuators "
-                f"({', '.join(NAMES)}, four each), not {len(names)}; name those there are by the "
-                "option 'joints'"
-            )
-        return list(range(JOINTS))
-    missing = [name for name in names if name not in options.joints]
-    found = [options.joints[name] for name in names if name not in missing]
-    if missing or len(set(found)) != len(found):
-        raise ConfigError(
-            f"device '{spec.name}': option 'joints' must give each actuator a joint of its own; "
-            f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
-        )
-    return found
+        self._refuse(await link.info(patient=True))

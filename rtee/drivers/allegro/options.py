@@ -6,8 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rtee.drivers.allegro.codec import JOINTS
+from rtee.drivers.allegro.codec import JOINTS, NAMES
 from rtee.drivers.options import DeviceOptions
+from rtee.errors import ConfigError
+from rtee.types import DeviceSpec
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -26,7 +28,7 @@ class AllegroOptions(DeviceOptions):
         period: Period of the hand's position frames [ms]; by default 3 (version 4) or 2 (5).
         kp: Stiffness of the joints [N·m/rad].
         kd: Damping of the joints [N·m·s/rad].
-        ki: Integral gain of the joints [N·m/(rad·s)], against friction; 0: none.
+        ki: Integral gain of the joints [N·m/(rad·s)], against friction and weight; 0: none.
         max_integral: Torque that the integral may add [N·m].
         max_torque: Torque not to be exceeded [N·m], besides the hand's own limits.
         smoothing: Time constant of the velocity filter [s].
@@ -41,11 +43,32 @@ class AllegroOptions(DeviceOptions):
     side: Literal["left", "right"] | None = None
     joints: dict[str, Annotated[int, Field(ge=0, lt=JOINTS)]] = Field(default_factory=dict)
     period: Annotated[int, Field(ge=1, le=50)] | None = None
-    kp: NotNegative = 0.6
-    kd: NotNegative = 0.03
-    ki: NotNegative = 0.8
+    kp: NotNegative = 1.0
+    kd: NotNegative = 0.04
+    ki: NotNegative = 8.0
     max_integral: NotNegative = 0.05
     max_torque: Positive = 0.5
     smoothing: Positive = 0.006
     info_every: Annotated[int, Field(ge=1)] = 100
     deadline: Positive = 0.1
+
+
+def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
+    """Return the joint on the wire of each actuator; raises `ConfigError`."""
+    names = [a.name for a in spec.actuators]
+    if not options.joints:
+        if len(names) != JOINTS:
+            raise ConfigError(
+                f"device '{spec.name}': an Allegro Hand has {JOINTS} actuators "
+                f"({', '.join(NAMES)}, four each), not {len(names)}; name those there are by the "
+                "option 'joints'"
+            )
+        return list(range(JOINTS))
+    missing = [name for name in names if name not in options.joints]
+    found = [options.joints[name] for name in names if name not in missing]
+    if missing or len(set(found)) != len(found):
+        raise ConfigError(
+            f"device '{spec.name}': option 'joints' must give each actuator a joint of its own; "
+            f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
+        )
+    return found

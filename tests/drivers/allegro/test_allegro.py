@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.buses.emulator import CanFrame
+from rtee.buses.patience import patiently
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.allegro import codec
@@ -23,6 +24,7 @@ from rtee.drivers.allegro.codec import AllegroFrameError, Command, HandInfo, Per
 from rtee.drivers.allegro.control import JointControl
 from rtee.drivers.allegro.driver import AllegroDriver
 from rtee.drivers.allegro.emulator import AllegroEmulator, AllegroProperties
+from rtee.drivers.allegro.options import AllegroOptions
 from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 
@@ -118,6 +120,43 @@ def test_sets_that_waited_in_the_computer_make_no_speed_of_their_own() -> None:
     assert abs(made.velocity[0]) < 1.2 * abs(step) / 0.003
 
 
+@pytest.mark.parametrize(("friction", "inertia"), [(0.005, 5e-4), (0.02, 5e-4), (0.01, 1e-3)])
+def test_joints_come_to_their_goal_soon_and_stay_there_whatever_their_friction(
+    friction: float, inertia: float
+) -> None:
+    options = AllegroOptions()
+    made = control(
+        kp=options.kp,
+        kd=options.kd,
+        ki=options.ki,
+        most_integral=options.max_integral,
+        max_torque=options.max_torque,
+        smoothing=options.smoothing,
+        period=0.003,
+    )
+    hand = AllegroEmulator(AllegroProperties(start=0.0, friction=friction, inertia=inertia))
+    hand.on_frame(codec.order(Command.SYSTEM_ON), 0.0)
+    goals = [0.05 * (number + 1) for number in range(16)]
+    away = []
+    for tick in range(1, 401):
+        now = 0.003 * tick
+        share, rate = min(now / 0.4, 1.0), (now < 0.4) / 0.4
+        for joint, goal in enumerate(goals):
+            made.refer(joint, share * goal, rate * goal)
+        hand.step(now)
+        angles = [joint.angle for joint in hand.joints]
+        if now > 0.4 + 0.3:
+            away.append(math.dist(angles, goals))
+        for finger in range(4):
+            four = [made.scale.to_count(angle) for angle in angles[4 * finger : 4 * finger + 4]]
+            torques = made.take(finger, four, now)
+        assert torques is not None
+        for finger, counts in enumerate(torques):
+            number = codec.identifier(Command.SET_TORQUE + finger)
+            hand.on_frame(CanFrame(number, codec.pack_counts(counts)), now)
+    assert max(away) < 0.01
+
+
 # --- driver --------------------------------------------------------------------------------------
 
 
@@ -130,7 +169,7 @@ def device(n: int = 16, **options: Any) -> DeviceSpec:
             ActuatorSpec(f"j{i}", JointKind.REVOLUTE, -0.5, 1.7, 8.0, 20.0, 400.0, 0.4, 0.0)
             for i in range(n)
         ),
-        options={"deadline": 0.5, **options},
+        options=options,
         emulated=True,
     )
 
@@ -168,13 +207,13 @@ async def test_follows_a_reference(version: int) -> None:
         assert made.capabilities.identity["serial"] == "SAH040AR"
         assert not any(Command.SET_TORQUE + f in hand(pool).frames for f in range(4))
         await made.activate()
-        start = (await made.sense()).position
+        start = (await patiently(made.sense)).position
         goal = start + np.linspace(-0.3, 0.5, 16)
         for share in np.linspace(0.0, 1.0, 40):
             await made.move(Reference.at(start + share * (goal - start)))
             await anyio.sleep(0.01)
         await until(lambda: np.abs(np.array(made.control.position) - goal).max() < 0.03)
-        assert (await made.sense()).temperature[0] == pytest.approx(30, abs=5)
+        assert (await patiently(made.sense)).temperature[0] == pytest.approx(30, abs=5)
 
 
 @pytest.mark.anyio
@@ -182,9 +221,9 @@ async def test_activation_holds_the_measured_pose_and_closing_switches_off() -> 
     async with BusPool() as pool:
         async with connected(pool, device()) as made:
             await made.activate()
-            where = (await made.sense()).position
+            where = (await patiently(made.sense)).position
             await anyio.sleep(0.1)
-            assert (await made.sense()).position == pytest.approx(where, abs=0.01)
+            assert (await patiently(made.sense)).position == pytest.approx(where, abs=0.01)
             assert hand(pool).servo
         await until(lambda: not hand(pool).servo and not hand(pool).periods.joints)
         assert all(joint.torque == 0.0 for joint in hand(pool).joints)
@@ -195,13 +234,13 @@ async def test_an_object_is_pressed_with_the_effort_limit() -> None:
     async with BusPool() as pool, connected(pool, device(kp=3.0)) as made:
         await made.activate()
         hand(pool).hold(1, 0.6)
-        goal = (await made.sense()).position.copy()
+        goal = (await patiently(made.sense)).position.copy()
         goal[1] = 1.4
         limit = np.full(16, 0.2)
         await made.move(Reference.at(goal, max_effort=limit))
         await until(lambda: made.control.position[1] > 0.6 and abs(made.control.velocity[1]) < 0.05)
         await anyio.sleep(0.2)
-        state = await made.sense()
+        state = await patiently(made.sense)
         assert state.effort[1] == pytest.approx(0.2, abs=0.01)
         assert state.position[1] == pytest.approx(0.6 + 0.2 / 8.0, abs=0.02)
 
@@ -218,7 +257,7 @@ async def test_faults_are_named_and_recovered() -> None:
         hand(pool).clear()
         await made.recover()
         await made.activate()
-        assert np.isfinite((await made.sense()).position).all()
+        assert np.isfinite((await patiently(made.sense)).position).all()
         hand(pool).servo = False
         with pytest.raises(DeviceFault, match="motors off"):
             await made.sense()
@@ -258,7 +297,7 @@ async def test_some_joints_in_any_order() -> None:
     async with BusPool() as pool, connected(pool, spec) as made:
         hand(pool).joints[7].angle = 1.0
         await until(lambda: abs(made.control.position[7] - 1.0) < 0.01)
-        assert (await made.sense()).position == pytest.approx([1.0, 0.4], abs=0.01)
+        assert (await patiently(made.sense)).position == pytest.approx([1.0, 0.4], abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ class TestAllegro(DriverContract):
     case = DeviceCase(
         driver="allegro",
         actuators=tuple(actuator(f"joint_{i}", -0.4, 1.6, rest=0.0) for i in range(16)),
-        options={"kp": 2.0, "kd": 0.08, "info_every": 5, "deadline": 0.3},
+        options={"kp": 2.0, "kd": 0.08, "info_every": 5},
         commands=torques,
         fault="over_temperature",
         tolerance=0.05,

@@ -1,0 +1,96 @@
+"""One Allegro Hand on a CAN bus: what it is asked, told, and tells by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from rtee.buses.can import CanBus
+from rtee.buses.emulator import CanFrame
+from rtee.drivers.allegro import codec
+from rtee.drivers.allegro.codec import (
+    FINGERS,
+    AllegroFrameError,
+    Command,
+    HandInfo,
+    Periods,
+    identifier,
+)
+
+PATIENCE = 6.0
+"""What belongs to no cycle may take so many deadlines."""
+
+Take = Callable[[int, Sequence[int], float], object]
+"""Takes a finger's number, its four joints' counts and when they came [s]."""
+
+
+class AllegroLink:
+    """Talks to one hand; up to four share the bus by their numbers.
+
+    Attributes:
+        bus: The bus.
+        hand: The hand's number on it.
+        deadline: Longest time to wait for an answer [s].
+    """
+
+    def __init__(self, bus: CanBus, hand: int, deadline: float) -> None:
+        self.bus = bus
+        self.hand = hand
+        self.deadline = deadline
+        self._undo: list[Callable[[], None]] = []
+
+    async def _ask(self, command: Command, least: int, within: float) -> CanFrame:
+        wanted = identifier(command, self.hand)
+
+        def answers(frame: CanFrame) -> bool:
+            return frame.id == wanted and not frame.remote and len(frame.data) >= least
+
+        return await self.bus.request(codec.request(command, self.hand), answers, within, retries=2)
+
+    async def info(self, *, patient: bool = False) -> HandInfo:
+        """Return what the hand says about itself; raises `BusError`."""
+        within = PATIENCE * self.deadline if patient else self.deadline
+        return HandInfo.from_bytes((await self._ask(Command.HAND_INFO, 7, within)).data)
+
+    async def serial(self) -> str:
+        """Return the hand's serial number, patiently; raises `BusError`."""
+        frame = await self._ask(Command.SERIAL, 1, PATIENCE * self.deadline)
+        return frame.data.decode("ascii", "replace").strip("\x00 ")
+
+    async def order(self, command: Command) -> None:
+        """Send a command without data; raises `BusError`."""
+        await self.bus.send(codec.order(command, self.hand))
+
+    async def tell_every(self, periods: Periods) -> None:
+        """Set how often the hand tells what by itself; raises `BusError`."""
+        await self.bus.send(periods.to_frame(self.hand))
+
+    def torques(self, counts: Sequence[Sequence[int]]) -> None:
+        """Send the torques of all fingers; raises `BusError`."""
+        for finger, four in enumerate(counts):
+            number = identifier(Command.SET_TORQUE + finger, self.hand)
+            self.bus.send_now(CanFrame(number, codec.pack_counts(four)))
+
+    def listen(self, take: Take) -> None:
+        """Hand the positions that the hand tells to a function, until `deafen`."""
+        for finger in range(FINGERS):
+            number = identifier(Command.FINGER_POSE + finger, self.hand)
+            self._undo.append(self.bus.subscribe(_taking(finger, take), number))
+
+    def deafen(self) -> None:
+        """Hand no more positions on; idempotent."""
+        for undo in self._undo:
+            undo()
+        self._undo.clear()
+
+
+def _taking(finger: int, take: Take) -> Callable[[CanFrame], None]:
+    def hear(frame: CanFrame) -> None:
+        if frame.remote:
+            return
+        try:
+            counts = codec.read_counts(frame.data)
+        except AllegroFrameError:
+            return
+        take(finger, counts, frame.stamp)
+
+    return hear
