@@ -36,7 +36,7 @@ from rtee.remote.asking import Asking
 from rtee.remote.control import Control
 from rtee.remote.directory import announced
 from rtee.remote.publishing import Outbox, Streams, answer
-from rtee.remote.session import direct, open_server
+from rtee.remote.session import direct, let_go_at_once, open_server
 from rtee.remote.worker import Worker
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
@@ -245,6 +245,7 @@ class Server(Observer):
     def _client(self, sample: zenoh.Sample) -> None:
         client = str(sample.key_expr).rpartition("/")[2]
         if sample.kind == zenoh.SampleKind.PUT:
+            let_go_at_once()
             self._control.came(client)
         else:
             self._control.gone(client)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import socket
+import struct
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import zenoh
@@ -30,6 +33,8 @@ LOOPBACK = "127.0.0.1"
 _ATTEMPTS = 5
 _CONNECT_WITHIN = 10
 _PROBE_WITHIN = 3.0
+_LINGERS = struct.pack("ii", 1, 10)
+_LETS_GO = struct.pack("ii", 0, 0)
 _TCP = re.compile(r"tcp/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
 
 _COMMON: dict[str, Any] = {
@@ -62,6 +67,24 @@ def direct(
     until the session is closed.
     """
     return zenoh.handlers.Callback(callback, ended, indirect=False)
+
+
+def let_go_at_once() -> None:
+    """Have connections closed without waiting for what a client that has stalled did not take.
+
+    Zenoh makes its sockets wait with closing for 10 s as long as something is on its way, and
+    closes them in the thread that receives: one client that stalls or is cut off would keep all
+    others from being heard.
+    """
+    for name in os.listdir("/dev/fd"):
+        if not Path("/dev/fd", name).is_socket():
+            continue
+        with (
+            contextlib.suppress(OSError),  # closed meanwhile
+            socket.socket(fileno=os.dup(int(name))) as link,
+        ):
+            if link.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, len(_LINGERS)) == _LINGERS:
+                link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LETS_GO)
 
 
 def free_endpoint() -> str:
@@ -123,7 +146,9 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         # Zenoh would try again and again where nobody listens.
         for endpoint in endpoints:
             _probe(endpoint)
-        return zenoh.open(_configured(settings))
+        session = zenoh.open(_configured(settings))
+        let_go_at_once()
+        return session
     except (OSError, OverflowError, UnicodeError, zenoh.ZError) as error:
         raise NoHand(f"nobody answers at {', '.join(endpoints)}: {_words(error)}") from None
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 from pathlib import Path
 
@@ -78,6 +79,27 @@ async def test_a_frozen_client_is_noticed(hand: Hand, library: ActionLibrary) ->
         await served.event("client_lost")
         process.kill()
         await process.aclose()
+
+
+def lingering() -> list[bool]:
+    """Return for every TCP connection of this process whether closing it waits."""
+    found = []
+    for name in os.listdir("/dev/fd"):
+        if not Path("/dev/fd", name).is_socket():
+            continue
+        with socket.socket(fileno=os.dup(int(name))) as link:
+            if link.family == socket.AF_INET and link.type == socket.SOCK_STREAM:
+                found.append(link.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER) != 0)
+    return found
+
+
+async def test_closing_the_connection_of_a_frozen_client_holds_up_no_other(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect("small"), rtee.connect("small"):
+        ends = lingering()
+        assert len(ends) >= 4
+        assert not any(ends)
 
 
 async def test_a_client_that_holds_nothing_may_leave(hand: Hand, library: ActionLibrary) -> None:
