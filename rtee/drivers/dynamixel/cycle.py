@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from rtee.drivers.attached import Attached
 from rtee.drivers.base import Driver
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.link import DynamixelLink
@@ -63,6 +64,8 @@ class DynamixelCycle(Driver):
         self._extras: Mapping[str, FloatArray] = {}
         self._sent: dict[str, dict[int, int]] = {}
         self._settled: tuple[list[float], list[float], list[bool]] | None = None
+        self._attached = Attached(spec.actuators)
+        self._here: FloatArray = np.full(len(names), math.nan)
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "current", "temperature"}),
             accepts=frozenset({"position", "max_velocity"}),
@@ -98,6 +101,7 @@ class DynamixelCycle(Driver):
         if self._active:
             setup.refuse(link, self.spec.name, self._names, errors)
         position, velocity, effort, current = self._units.measured(data)
+        self._here = position
         return ActuatorState.measured(
             position,
             stamp,
@@ -146,6 +150,9 @@ class DynamixelCycle(Driver):
             self._settled = None
             self._write_limits(*asked)
             self._settled = asked
+        if self._attached:
+            left = self._attached.left(reference, self._here)
+            mask = [asked_for and i not in left for i, asked_for in enumerate(mask)]
         pulses = self._units.pulses(reference.position)
         goals = {n: p for n, p, asked_for in zip(self._ids, pulses, mask, strict=True) if asked_for}
         self._line.write_group(table.GOAL_POSITION, goals)

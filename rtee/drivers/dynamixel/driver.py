@@ -187,6 +187,9 @@ class DynamixelDriver(DynamixelCycle):
         # What a servo does when a tripped watchdog is cleared must not depend on its old goal.
         tripped = {n: STATE.unpack(state[n])[2] for n in self._ids if guard[n][0] == 0xFF}
         link.write_group(table.GOAL_POSITION, tripped)
+        self._attached.begin(
+            i for i, n in enumerate(self._ids) if n not in off and n not in tripped
+        )
         self._sent, self._settled = {}, None
         if off:
             self._found = setup.find(
@@ -207,6 +210,7 @@ class DynamixelDriver(DynamixelCycle):
         """Hold the measured pose."""
         if self._link is None:
             return
+        self._attached.begin()
         link = self._link
 
         def hold() -> None:

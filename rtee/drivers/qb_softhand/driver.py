@@ -11,6 +11,9 @@ from collections.abc import Coroutine
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
+from rtee.drivers.attached import Attached
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.options import read_options
@@ -60,6 +63,8 @@ class QbSoftHandDriver(Driver):
         self._active = False
         self._count = 0
         self._closure = (0.0,) * self.options.motors
+        self._attached = Attached(spec.actuators)
+        self._here = np.full(self.options.motors, math.nan)
         self.capabilities = Capabilities(
             measures=frozenset({"position", "current", "effort"}),
             accepts=frozenset({"position"}),
@@ -106,7 +111,7 @@ class QbSoftHandDriver(Driver):
         parameters = await link.parameters()
         self._adopt(limits(parameters))
         self._effort_per_ma = self._efforts(current_limit(parameters) or _CURRENT_LIMIT)
-        self._active = bool(await link.active())
+        self._active = await self._all_active()
         self.capabilities = replace(
             self.capabilities,
             identity={
@@ -143,16 +148,22 @@ class QbSoftHandDriver(Driver):
         if self.options.watchdog > 0.0:
             byte = codec.watchdog_byte(self.options.watchdog)
             await self._hand.send(Command.SET_WATCHDOG, bytes([byte]))
-        if not await self._hand.active():
+        held = await self._all_active()
+        if not held:
             await self._hand.send(Command.ACTIVATE, _BOTH)
             await self._confirm()
+        self._attached.begin(range(self.options.motors) if held else ())
         self._active = True
         self._closure = await self._measured()
         self._hand.patient = False
 
+    async def _all_active(self) -> bool:
+        every = (1 << self.options.motors) - 1
+        return await self._hand.active() & every == every
+
     async def _confirm(self) -> None:
         end = time.monotonic() + _ACTIVATION
-        while not await self._hand.active():
+        while not await self._all_active():
             if time.monotonic() > end:
                 raise DeviceFault(
                     self.spec.name, INACTIVE, "motors inactive", hint="is the supply high enough?"
@@ -175,8 +186,9 @@ class QbSoftHandDriver(Driver):
         else:
             positions = await self._hand.integers(Command.GET_MEASUREMENTS, 3)
             currents = await self._hand.integers(Command.GET_CURRENTS, 2)
+        self._here = np.array(self.mapping.to_closure(positions))
         return ActuatorState.measured(
-            self.mapping.to_closure(positions),
+            self._here,
             time.monotonic(),
             effort=[c * f for c, f in zip(currents, self._effort_per_ma, strict=True)],
             current=[c * 1e-3 for c in currents],
@@ -193,7 +205,7 @@ class QbSoftHandDriver(Driver):
         ]
 
     async def _check(self) -> None:
-        if not await self._hand.active():
+        if not await self._all_active():
             raise DeviceFault(
                 self.spec.name,
                 INACTIVE,
@@ -203,6 +215,11 @@ class QbSoftHandDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send the references of the motors; nothing answers."""
+        if self._attached:
+            # One frame commands both motors.
+            if len(self._attached.left(reference, self._here)) == self.options.motors:
+                return
+            self._attached.begin()
         self._closure = tuple(
             [
                 wanted if commanded else kept
@@ -223,6 +240,7 @@ class QbSoftHandDriver(Driver):
     async def stop(self) -> None:
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
+            self._attached.begin()
             self._closure = await self._measured()
             await self._send(self._closure)
 
@@ -236,6 +254,7 @@ class QbSoftHandDriver(Driver):
         self._hand.patient = True
         await self._hand.send(Command.ACTIVATE, _BOTH)
         await self._confirm()
+        self._attached.begin(range(self.options.motors))
         self._active = True
         self._closure = await self._measured()
 

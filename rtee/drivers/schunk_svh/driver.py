@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
+from rtee.drivers.attached import Attached
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.options import read_options
@@ -33,7 +37,7 @@ from rtee.errors import (
     NotConnected,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
 
 if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
@@ -73,6 +77,8 @@ class SchunkSvhDriver(Driver):
         self._limits = Limits()
         self._targets = [0] * codec.CHANNELS
         self._enabled = 0
+        self._attached = Attached(spec.actuators)
+        self._here: FloatArray = np.full(len(spec.actuators), math.nan)
         self._home_asked = False
         self._baseline = codec.ControllerState()
         self._answer: tuple[codec.FeedbackAll, float] | None = None
@@ -182,6 +188,7 @@ class SchunkSvhDriver(Driver):
         homed = set(self._index) <= set(self.stops)
         if homed and self._enabled & wanted == wanted:
             await self._seed()
+            self._attached.begin(range(len(self._index)))
             self._hand.patient = False
             return
         if not homed:
@@ -229,6 +236,7 @@ class SchunkSvhDriver(Driver):
     async def _seed(self) -> None:
         """Take the measured positions for targets, so that nothing moves when power comes."""
         self._answer = self._last = None
+        self._attached.begin()
         feedback = await self._hand.feedback_all()
         self._targets = list(feedback.positions)
 
@@ -249,6 +257,7 @@ class SchunkSvhDriver(Driver):
             self._check(await self._hand.state())
             units = self._units
         position, effort, current = units.measured(feedback)
+        self._here = position
         return ActuatorState.measured(
             position, stamp, effort=effort, current=current, warnings=self._warnings
         )
@@ -282,6 +291,11 @@ class SchunkSvhDriver(Driver):
         waiting: Collection[int] = ()
         if not self._limits.settled(reference):
             waiting = await self._limits.update(self._hand, self._used(), reference)
+        if self._attached:
+            # One packet tells all channels their targets, and nothing tells what those were.
+            if len(self._attached.left(reference, self._here)) == len(self._index):
+                return
+            self._attached.begin()
         units = self._units
         targets, homed = units.targets(reference.position), units.homed
         for index, target, known, asked in zip(

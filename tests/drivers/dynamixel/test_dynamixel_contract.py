@@ -14,11 +14,15 @@ def held(emulator: Any) -> None:
     for number, servo in emulator.servos.items():
         servo.write(table.OPERATING_MODE.address, b"\x05")
         servo.write(table.TORQUE.address, b"\x01")
-        emulator.hold(number, 2040.0)
+        emulator.hold(number, 2060.0, stiffness=50.0)
+        servo.write(table.GOAL_POSITION.address, (2200).to_bytes(4, "little"))
+        servo.axis.advance(1.0)
+        assert servo.axis.effort > 100.0
 
 
 def moves(emulator: Any) -> int:
-    return sum(servo.axis.target != servo.properties.start for servo in emulator.servos.values())
+    targets = [servo.axis.target - servo.properties.start for servo in emulator.servos.values()]
+    return round(sum(abs(target) for target in targets))
 
 
 def limits(emulator: Any) -> list[float]:

@@ -11,7 +11,13 @@ from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 def held(emulator: Any) -> None:
     emulator.hold(0.3)
     emulator._activate(3)
-    emulator.axes[0].position = emulator.axes[0].target = 5700.0
+    emulator.axes[0].target = 12_000.0
+    emulator.axes[0].advance(1.0)
+    assert emulator.axes[0].effort > 500.0
+
+
+def told(emulator: Any) -> int:
+    return emulator.frames.get(Command.ACTIVATE, 0) + emulator.frames.get(Command.SET_INPUTS, 0)
 
 
 class TestSoftHand(DriverContract):
@@ -20,7 +26,7 @@ class TestSoftHand(DriverContract):
         actuators=(actuator("qbhand_synergy_joint", 0.0, 1.0, effort=3.0),),
         options={"emulator": {"speed": 200_000.0}},
         hold=held,
-        commands=lambda emulator: emulator.frames.get(Command.ACTIVATE, 0),
+        commands=told,
         fault="low_supply",
         homes=False,
         cycles=cycles(100),

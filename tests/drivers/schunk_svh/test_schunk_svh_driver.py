@@ -123,15 +123,27 @@ async def test_attaches_to_a_hand_that_holds_without_moving_it(tmp_path: Path) -
             await first.configure()
             await first.activate()
             held = await settle(first, np.array([0.4, 0.3]))
-        before = dict(hand(pool).packets)
+        axis = hand(pool).channels[7].axis
+        hand(pool).hold(7, held[1] / 0.98)
+        axis.target = -1e5
+        axis.advance(1.0)
+        held[1] = 0.98 * hand(pool).closure(7)
+        before, grip, target = dict(hand(pool).packets), axis.effort, axis.target
+        assert abs(grip) > 100.0
         async with driver(
             pool, device(names, stops_file=str(tmp_path / "state" / "stops.json"), home="on_demand")
         ) as second:
             await second.configure()
             await second.activate()
-            assert (await second.sense()).position == pytest.approx(held, abs=1e-3)
-        changed = {c for c, n in hand(pool).packets.items() if n != before.get(c, 0)}
-        assert not changed & {*MOTION, Command.SET_CONTROLLER_STATE, Command.SET_POSITION_SETTINGS}
+            state = await second.sense()
+            assert state.position == pytest.approx(held, abs=1e-3)
+            changed = {c for c, n in hand(pool).packets.items() if n != before.get(c, 0)}
+            limits = {Command.SET_POSITION_SETTINGS, Command.SET_CURRENT_SETTINGS}
+            assert not changed & {*MOTION, *limits, Command.SET_CONTROLLER_STATE}
+            for _ in range(3):
+                await second.move(Reference.at(state.position))
+                await second.sense()
+            assert (axis.effort, axis.target) == (grip, target)
 
 
 async def test_stops_of_another_power_up_are_not_believed(tmp_path: Path) -> None:
