@@ -90,6 +90,7 @@ async def run_hands(
             if serve is not None:
                 server = serve(one.loop, one.prepared.hand, one.prepared.config)
                 server.recording = partial(_path_of, one.recorder)
+                server.recording_trouble = partial(_trouble_of, one.recorder)
                 server.recorder = one.recorder
                 one.server = await stack.enter_async_context(server)
             say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
@@ -245,6 +246,10 @@ def _path_of(recorder: Recorder) -> str:
     return str(status.path or "") if status.recording else ""
 
 
+def _trouble_of(recorder: Recorder) -> str:
+    return recorder.status().trouble
+
+
 def _network_words(server: Server | None) -> str:
     return "off" if server is None else server.endpoint
 
@@ -259,6 +264,8 @@ def _summary(running: Sequence[_Running]) -> list[str]:
         lines.append(statistics_line(group[0].loop.statistics(), names))
     lines += [f"{one.loop.name}: {one.tally.text()}" for one in running]
     for one in running:
+        if trouble := _trouble_of(one.recorder):
+            lines.append(f"{one.loop.name}: recording: {trouble}")
         for path in one.recorder.status().flight_files:
             lines.append(f"{one.loop.name}: the last minute before the fault is in {path}")
     return lines

@@ -112,6 +112,36 @@ async def test_recordings_go_where_they_are_told_or_nowhere(folder: Path) -> Non
     assert not list((folder / "logs").glob("*_000.mcap"))
 
 
+async def test_what_a_full_disk_loses_is_counted_and_told(folder: Path) -> None:
+    import resource
+
+    import rtee
+
+    said: list[str] = []
+    over = anyio.Event()
+    present = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    async def main() -> None:
+        await run_hands(["jaw"], options(folder), say=said.append, until=over)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(main)
+        try:
+            async with rtee.connect("jaw", wait=20.0) as hand:
+                events = hand.events()
+                resource.setrlimit(resource.RLIMIT_FSIZE, (1000, present[1]))
+                with anyio.fail_after(20):
+                    async for event in events:
+                        if event.kind == "log_failed":
+                            break
+                status = await hand.status()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, present)
+            over.set()
+    assert "not written: File too large" in status.recording_trouble
+    assert any("recording: " in line and "ticks lost" in line for line in said)
+
+
 async def test_several_hands_share_a_clock_or_have_their_own(folder: Path) -> None:
     write_hand(folder, "left")
     write_hand(folder, "right", "realtime: {enabled: false}\n")

@@ -44,7 +44,8 @@ def _show(found: HandStatus) -> None:
     print(f"busy:     {_times(clock.busy_p50, clock.busy_p99, clock.busy_max)}")
     print(f"goal:     {found.action or 'none'}")
     print(f"held by:  {found.holder or 'nobody'}")
-    print(f"log:      {found.recording or 'off'}")
+    recording = (found.recording, found.recording_trouble)
+    print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
     rows, said = [], []
     for one in found.devices:
         fault = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else ""

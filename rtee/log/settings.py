@@ -70,3 +70,15 @@ class RecorderStatus:
     problem: str = ""
     flight_seconds: float = 0.0
     flight_files: tuple[Path, ...] = ()
+
+    @property
+    def trouble(self) -> str:
+        """What is not recorded and why, in words; empty if everything is."""
+        words = []
+        if self.recording and self.problem:
+            words.append(f"not written: {self.problem}")
+        if self.lost:
+            words.append(f"{self.lost} ticks lost because the disk did not take them")
+        if self.dropped:
+            words.append(f"{self.dropped} records dropped because the disk was too slow")
+        return "; ".join(words)

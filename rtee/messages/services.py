@@ -207,6 +207,7 @@ string goal_id               # goal that runs, or empty
 string action                # its action
 bool recording               # a recording is written
 string recording_path        # to this file
+string recording_trouble     # what it has lost and why, or empty
 float64 holding_effort       # effort kept on what is held, as a fraction of the effort limit
 rtee_msgs/LoopStatistics statistics
 rtee_msgs/DeviceStatus[] devices

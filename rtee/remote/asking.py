@@ -108,6 +108,7 @@ class Asking:
             "action": goal.action if goal else "",
             "recording": bool(recording),
             "recording_path": recording,
+            "recording_trouble": self._server.recording_trouble(),
             "holding_effort": self._server.loop.controller.holding_effort,
             "statistics": loop_statistics_fields(statistics),
             "devices": [device_status_fields(status) for status in statuses],

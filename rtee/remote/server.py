@@ -105,6 +105,7 @@ class Server(Observer):
         latest: What was known at the last tick.
         endpoint: Where the hand can be reached from this computer.
         recording: Returns the path of the recording under way, or an empty string.
+        recording_trouble: Returns what it has lost and why, in words, or an empty string.
         recorder: Starts, stops and marks recordings, if there is one.
     """
 
@@ -112,6 +113,7 @@ class Server(Observer):
         self.loop = loop
         self.hand = hand
         self.recording: Callable[[], str] = lambda: ""
+        self.recording_trouble: Callable[[], str] = lambda: ""
         self.recorder: Recording | None = None
         self.latest: TickRecord | None = None
         self.endpoint = ""

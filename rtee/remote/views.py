@@ -33,6 +33,7 @@ class HandStatus:
         goal_id: The goal that runs, or an empty string.
         action: Its action.
         recording: Path of the recording under way, or an empty string.
+        recording_trouble: What it has lost and why, in words, or an empty string.
         holding_effort: Effort kept on what is held, as a fraction of the effort limit.
         statistics: The loop's clock.
         devices: The devices.
@@ -43,6 +44,7 @@ class HandStatus:
     goal_id: str
     action: str
     recording: str
+    recording_trouble: str
     holding_effort: float
     statistics: LoopStatistics
     devices: tuple[DeviceStatus, ...]
@@ -168,6 +170,7 @@ class View:
             goal_id=reply["goal_id"],
             action=reply["action"],
             recording=reply["recording_path"],
+            recording_trouble=reply["recording_trouble"],
             holding_effort=reply["holding_effort"],
             statistics=loop_statistics_of(reply["statistics"]),
             devices=tuple(device_status_of(device) for device in reply["devices"]),

@@ -85,6 +85,9 @@ def test_status(served: Served) -> None:
     assert "small:" in shown
     assert "kinematic" in shown
     assert "held by:  nobody" in shown
+    assert "log:      off\n" in shown
+    served.server.recording_trouble = lambda: "not written: No space left on device"
+    assert "log:      not written: No space left on device\n" in run(status)
     found = json.loads(run(status, "--json"))
     assert found["devices"][0]["lifecycle"] == "active"
 

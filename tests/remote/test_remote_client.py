@@ -260,12 +260,13 @@ async def test_a_single_state(hand: Hand, library: ActionLibrary) -> None:
 async def test_status(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library) as served, rtee.connect("small") as remote:
         served.server.recording = lambda: "logs/x.mcap"
+        served.server.recording_trouble = lambda: "3 ticks lost"
         running = await remote.start("fist", speed=0.1)
         await until(lambda: bool(served.watcher.goals))
         status = await remote.status()
         assert (status.hand, status.action) == ("small", "fist")
         assert status.goal_id == running.goal.goal_id
-        assert status.recording == "logs/x.mcap"
+        assert (status.recording, status.recording_trouble) == ("logs/x.mcap", "3 ticks lost")
         assert status.statistics.rate == RATE
         assert [device.driver for device in status.devices] == ["kinematic"]
 

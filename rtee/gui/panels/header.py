@@ -95,6 +95,8 @@ class Header:
         lines.append(f"held by {holder}{doing}")
         if status.recording:
             lines[-1] += " · ● recording"
+        if status.recording_trouble:
+            lines.append(f"recording: {escape(status.recording_trouble)}")
         self._put(lines)
         faulty = any(device.lifecycle is Lifecycle.FAULT for device in status.devices)
         if self._recover.visible != faulty:
