@@ -226,7 +226,9 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         status = self._status
         if self._active:
             self._refuse(status)
-            if not status.activated or status.reset:
+            if not status.ready:
+                # Where the last write found it so, it has begun to activate itself, which moves it.
+                await self._insist(self.RESET)
                 raise self._fault(NOT_ACTIVATED, "lost its activation; was its supply cut?")
         return self._measured(status, stamp)
 

@@ -98,7 +98,8 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
     def _places(self) -> tuple[int, int, int]:
         base = self.options.register_base
         places = (OUTPUT, INPUT) if base is None else (base, base)
-        return *places, self.options.function
+        # At one place, function 3 tells what was written, function 4 what is measured.
+        return *places, self.options.function or (3 if base is None else 4)
 
     def _identity(self) -> Mapping[str, str]:
         model = MODELS[self.options.model].name

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
+from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
@@ -180,11 +181,13 @@ class Robotiq2FEmulator(ModbusEmulator, Grasps):
         """Return input registers, or the output ones where their address is read."""
         self._heard_from_host(now)
         self.advance(now)
-        if self.properties.input <= address and address + count <= self.properties.input + _BLOCK:
+        mixed = self.properties.input == self.properties.output and function == READ_HOLDING
+        inputs = self.properties.input
+        if inputs <= address and address + count <= inputs + _BLOCK and not mixed:
             values = [*self.status().to_registers(), *[0] * (_BLOCK - 3)]
             if "wrong_device" in self.faults:
                 values[0] |= 0xC0
-            start = address - self.properties.input
+            start = address - inputs
             return values[start : start + count]
         if self.properties.output <= address and address + count <= self.properties.output + _BLOCK:
             return self.output[

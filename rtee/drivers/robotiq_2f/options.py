@@ -32,6 +32,8 @@ class Robotiq2FOptions(DeviceOptions):
     register_base: int | None = Field(
         None, description="first register of both blocks, 0 for the old universal controller"
     )
-    function: Literal[3, 4] = Field(3, description="Modbus function to read with")
+    function: Literal[3, 4] | None = Field(
+        None, description="Modbus function to read with; by default 3, or 4 with `register_base`"
+    )
     exchange: ExchangeKind = Field("auto", description="function 23, or 16 and a read")
     activation_timeout: float = Field(15.0, gt=0.0, description="[s]")

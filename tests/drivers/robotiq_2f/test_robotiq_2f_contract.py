@@ -56,7 +56,7 @@ async def drive(session: Session, times: int) -> None:
 
 OTHERS = [
     {"port": "socket://192.0.2.1:54321"},
-    {"port": "tcp://192.0.2.1", "register_base": 0, "function": 4},
+    {"port": "tcp://192.0.2.1", "register_base": 0},
     {"exchange": "separate", "unit": 12},
 ]
 
@@ -89,6 +89,20 @@ async def test_a_gripper_without_function_23_is_driven_by_16_and_3() -> None:
         for _ in range(30):
             await session.cycle(Reference.at([0.4]))
         assert 23 not in {pdu[0] for pdu in session.emulator.requests[-20:]}
+
+
+async def test_an_activation_that_nobody_asked_for_is_ended() -> None:
+    async with Session(RTU) as session:
+        await session.start()
+        await session.reach([0.4])
+        session.wire.power_cycle()
+        await session.driver.move(Reference.at([0.5]))
+        with pytest.raises(DeviceFault, match="lost its activation"):
+            await session.driver.sense()
+        where = session.emulator.axis.position
+        await asyncio.sleep(0.3)
+        assert not session.emulator.status().activated
+        assert session.emulator.axis.position == pytest.approx(where, abs=1.0)
 
 
 async def test_a_slow_network_is_bridged_where_the_deadline_allows_it() -> None:
