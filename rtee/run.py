@@ -22,7 +22,13 @@ from rtee.loop.clock import Clock
 from rtee.loop.configure import realtime_settings
 from rtee.loop.ending import Signals, companion, receive_signals, wait_for_end
 from rtee.loop.handloop import HandLoop
-from rtee.loop.realtime import Collector, affinity, set_up, share_the_interpreter
+from rtee.loop.realtime import (
+    Collector,
+    affinity,
+    favoured_session,
+    set_up,
+    share_the_interpreter,
+)
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
 from rtee.loop.settings import Behaviour, RealtimeSettings
 from rtee.loop.stopping import bring_to_rest
@@ -98,6 +104,7 @@ async def run_hands(
         for warning in set_up(realtime):
             say(f"warning: {warning}")
             log.warning("%s", warning)
+        stack.enter_context(favoured_session(realtime))
         stack.callback(sys.setswitchinterval, share_the_interpreter())
         collector.start()
         stack.callback(collector.stop)

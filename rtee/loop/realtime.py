@@ -9,6 +9,8 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from pathlib import Path
 
 from rtee.buses.timing import ask_for_short_slices
 from rtee.loop.settings import RealtimeSettings
@@ -19,6 +21,7 @@ SWITCH_INTERVAL = 50e-6
 HELPERS_NICE = -15
 """Nice value of the loop's helper threads, where that is permitted."""
 
+_AUTOGROUP = Path("/proc/self/autogroup")
 _MCL_CURRENT = 1
 _MCL_FUTURE = 2
 
@@ -79,6 +82,27 @@ def _favour_helpers(priority: int) -> list[str]:
                     f" 'LimitNICE={HELPERS_NICE}' in the systemd unit"
                 ]
     return []
+
+
+@contextlib.contextmanager
+def favoured_session(settings: RealtimeSettings) -> Iterator[None]:
+    """Let the programs of this session go before those of others, for as long as this lasts.
+
+    Where Linux groups programs by session (autogroup, see sched(7)), nice values only count among
+    those of one; without this, the helper threads would have to wait for other sessions' programs.
+    Does nothing unless real time is enabled, the system groups so, and permits it.
+    """
+    before = ""
+    if settings.enabled:
+        with contextlib.suppress(OSError):
+            before = _AUTOGROUP.read_text().split()[-1]
+            _AUTOGROUP.write_text(str(HELPERS_NICE))
+    try:
+        yield
+    finally:
+        if before:
+            with contextlib.suppress(OSError):
+                _AUTOGROUP.write_text(before)
 
 
 def share_the_interpreter() -> float:

@@ -64,6 +64,32 @@ def test_what_is_not_permitted_is_a_warning_that_says_what_to_configure() -> Non
     assert lines[3] == "True"
 
 
+def test_the_session_goes_before_others_for_as_long_as_the_loop_runs() -> None:
+    output = in_process(
+        "import os\n"
+        "from pathlib import Path\n"
+        "from rtee.loop.realtime import favoured_session\n"
+        "from rtee.loop.settings import RealtimeSettings\n"
+        "os.setsid()\n"
+        "file = Path('/proc/self/autogroup')\n"
+        "nice = lambda: file.read_text().split()[-1] if file.exists() else '-'\n"
+        "def permitted():\n"
+        "    try: file.write_text('-1')\n"
+        "    except OSError: return False\n"
+        "    file.write_text('0')\n"
+        "    return True\n"
+        "print(permitted())\n"
+        "for enabled in (True, False):\n"
+        "    with favoured_session(RealtimeSettings(enabled=enabled)): print(nice())\n"
+        "    print(nice())\n"
+    )
+    permitted, *found = output.splitlines()
+    if permitted == "True":
+        assert found == ["-15", "0", "0", "0"]
+    else:
+        assert len(set(found)) == 1
+
+
 def test_only_the_loops_thread_becomes_real_time() -> None:
     output = in_process(
         "import os, threading\n"
