@@ -28,7 +28,7 @@ class RunOptions:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Talk to emulators instead of the real devices.
         object_in_hand: What is between the fingers of the emulated devices, as a person writes it.
-        driver_options: Options for a driver that hand.yaml has no device for.
+        driver_options: Options of the driver, before those in hand.yaml.
         home: Home devices that need it at the start, whatever hand.yaml says; this moves them.
         rate: Ticks per second [Hz]; ``None``: as in hand.yaml.
         realtime: Ask for real-time scheduling whatever hand.yaml says.

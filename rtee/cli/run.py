@@ -75,7 +75,7 @@ def run(
     ] = None,
     option: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Option of a driver that hand.yaml doesn't have."),
+        typer.Option(metavar="NAME=VALUE", help="Option of the driver, before hand.yaml's."),
     ] = None,
     object_: Annotated[
         str | None,

@@ -48,8 +48,8 @@ def _show(found: HandStatus) -> None:
     print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
     rows, said = [], []
     for one in found.devices:
-        fault = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else ""
-        remarks = "; ".join(text for text in (fault, one.message, one.hint) if text)
+        what = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else one.message
+        remarks = "; ".join(text for text in (what, one.hint) if text)
         said.append((one.name, remarks))
         rows.append(
             (

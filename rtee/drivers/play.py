@@ -15,7 +15,7 @@ from rtee.buses.simulated import SimulatedLine, Simulation
 from rtee.buses.simulated_can import SimulatedCan
 from rtee.buses.simulated_zmq import Ports, Serves, SimulatedZmq
 from rtee.drivers.emulators import make_emulator
-from rtee.drivers.objects import ObjectInHand, grasping
+from rtee.drivers.objects import Grasps, ObjectInHand, grasping
 from rtee.errors import ConfigError, RteeError, suggestion
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
@@ -179,7 +179,12 @@ class Player:
         if told is not None and dataclasses.is_dataclass(told) and not isinstance(told, type):
             text = ", ".join(f"{k} {v}" for k, v in dataclasses.asdict(told).items())
         faults = ", ".join(sorted(self.emulator.faults)) or "none"
-        return f"{text}\nfaults: {faults}".strip()
+        return "\n".join(line for line in (text, self._closed(), f"faults: {faults}") if line)
+
+    def _closed(self) -> str:
+        closings = self.emulator.closings() if isinstance(self.emulator, Grasps) else ()
+        told = ", ".join(f"{one.part:.0%}" for one in closings)
+        return f"closed: {told}" if told else ""
 
 
 def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:

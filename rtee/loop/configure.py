@@ -88,7 +88,7 @@ class DeviceChoice:
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Talk to emulators instead of the real devices.
-        options: Options for a driver that hand.yaml has no device for.
+        options: Options of the driver, before those that hand.yaml has for its device.
         source: The hand.yaml, for messages.
         lines: Where in it each device stands.
         folder: The hand's folder.
@@ -117,7 +117,8 @@ def device_settings(
         choice: What is to drive it.
 
     Raises:
-        ConfigError: if hand.yaml has no devices, or they leave an actuator out.
+        ConfigError: if hand.yaml has no devices, they leave an actuator out, or options are given
+            for several.
     """
     driver = choice.driver or (DEVICES if choice.emulated else config.driver)
     if driver == DEVICES:
@@ -129,6 +130,11 @@ def device_settings(
         chosen = list(config.devices.items())
     else:
         chosen = [(n, d) for n, d in config.devices.items() if d.driver == driver]
+    if choice.options and len(chosen) > 1:
+        raise ConfigError(
+            f"--option is for one device, and {hand.name} has {', '.join(n for n, _ in chosen)}; "
+            f"give their options in {choice.source or 'hand.yaml'}"
+        )
     made = [_made(hand, name, device, rate, choice) for name, device in chosen]
     taken = {actuator.name for device in made for actuator in device.spec.actuators}
     left = [name for name in hand.actuator_names if name not in taken]
@@ -147,7 +153,7 @@ def device_settings(
         options=dict(choice.options) if stand_in == driver else {},
         rate=rate,
         emulated=choice.emulated,
-        source=choice.source,
+        source=f"--driver {driver}" if choice.driver or choice.options else choice.source,
         folder=choice.folder,
     )
     return [*made, DeviceSettings(spec)]
@@ -170,7 +176,7 @@ def _made(
         hand=hand.name,
         driver=device.driver,
         actuators=tuple(ordered),
-        options=dict(device.options),
+        options={**device.options, **dict(choice.options)},
         rate=rate,
         every=device.every,
         deadline=device.deadline,

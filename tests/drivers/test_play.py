@@ -60,7 +60,7 @@ def test_typing_makes_faults() -> None:
         assert "fault 14" in player.command("state")
         assert "faults: overcurrent" in player.command("state")
         assert player.command("clear") == ""
-        assert "faults: none" in player.command("state")
+        assert "closed: 0%\nfaults: none" in player.command("state")
         assert "did you mean 'overcurrent'" in player.command("fault overcurrrent")
         assert player.command("wire drop=0.5 noise=0.1") == ""
         assert player.simulation.faults.drop == 0.5

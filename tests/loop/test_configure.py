@@ -111,6 +111,18 @@ def test_a_driver_that_hand_yaml_does_not_use_gets_all_actuators(hand: Hand) -> 
     assert only.spec.actuators == hand.actuators
 
 
+def test_options_given_count_before_those_of_hand_yaml(hand: Hand) -> None:
+    port = (("port", "/dev/ttyUSB7"),)
+    device = {"driver": "svh", "options": {"port": "/dev/ttyUSB0", "retries": 1}}
+    given = config(devices={"all": device})
+    (only,) = device_settings(hand, given, 1000.0, DeviceChoice("devices", options=port))
+    assert only.spec.options == {"port": "/dev/ttyUSB7", "retries": 1}
+    with pytest.raises(ConfigError, match=r"--option is for one device, and .* has left, right"):
+        device_settings(
+            hand, config(devices=DEVICES), 1000.0, DeviceChoice("devices", options=port)
+        )
+
+
 def test_emulated_means_the_devices(hand: Hand) -> None:
     chosen = device_settings(hand, config(devices=DEVICES), 1000.0, DeviceChoice(emulated=True))
     assert [device.spec.emulated for device in chosen] == [True, True]
