@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -108,6 +108,11 @@ def main() -> None:
     try:
         status = cli(prog_name="rtee", standalone_mode=False)
         sys.exit(status if isinstance(status, int) else 0)
+    except SystemExit as ended:
+        # The reader of our output left (`rtee … | head`); nothing is wrong, but typer says 1.
+        if isinstance(ended.__context__, BrokenPipeError):
+            _leave_quietly()
+        raise
     except RteeError as error:
         print(f"rtee: {error}", file=sys.stderr)
         sys.exit(error.exit_status)
@@ -115,11 +120,15 @@ def main() -> None:
         _explain(error)
         sys.exit(error.exit_code)
     except BrokenPipeError:
-        # The reader of our output left (`rtee … | head`); nothing is wrong.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+        _leave_quietly()
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
+
+
+def _leave_quietly() -> NoReturn:
+    """End well though nobody reads what is still to be printed."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    sys.exit(0)
 
 
 def _explain(error: Any) -> None:

@@ -362,3 +362,15 @@ def test_a_folder_that_is_read_only(home: Path, tmp_path: Path) -> None:
     assert "cannot be written: read-only file system" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not any(folder.iterdir())
+
+
+def test_a_reader_that_leaves_is_no_mistake() -> None:
+    ours, theirs = os.pipe()
+    os.close(ours)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-u", "-m", "rtee", "hands"], stdout=theirs, stderr=subprocess.PIPE
+        )
+    finally:
+        os.close(theirs)
+    assert (done.returncode, done.stderr) == (0, b"")
