@@ -35,6 +35,10 @@ _CONNECT_WITHIN = 10
 _PROBE_WITHIN = 3.0
 _LINGERS = struct.pack("ii", 1, 10)
 _LETS_GO = struct.pack("ii", 0, 0)
+_ENDPOINT = re.compile(
+    r"((tcp|udp|tls|quic|ws)/(\[[^\]]+\]|[^:/?#]+):[0-9]{1,5}"
+    r"|(serial|unixpipe|unixsock-stream|vsock)/[^?#]+)(\?[^#]*)?(#.*)?"
+)
 _TCP = re.compile(r"tcp/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
 
 _COMMON: dict[str, Any] = {
@@ -109,6 +113,7 @@ def open_server(listen: Sequence[str], connect: Sequence[str]) -> tuple[zenoh.Se
     Raises:
         ConfigError: if an endpoint cannot be used.
     """
+    _check([*listen, *connect])
     for attempt in range(_ATTEMPTS):
         local = free_endpoint()
         settings = {
@@ -135,7 +140,9 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
 
     Raises:
         NoHand: if nobody answers there.
+        ConfigError: if an endpoint is none.
     """
+    _check(endpoints)
     settings = {
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
@@ -153,6 +160,15 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         raise NoHand(f"nobody answers at {', '.join(endpoints)}: {_words(error)}") from None
 
 
+def _check(endpoints: Sequence[str]) -> None:
+    for endpoint in endpoints:
+        if _ENDPOINT.fullmatch(endpoint) is None:
+            raise ConfigError(
+                f"'{endpoint}' is no endpoint; it is written PROTOCOL/HOST:PORT, such as"
+                " tcp/robot:7447"
+            )
+
+
 def _probe(endpoint: str) -> None:
     """Raise `OSError` if nobody listens on a plain TCP endpoint."""
     match = _TCP.fullmatch(endpoint)
@@ -164,4 +180,5 @@ def _words(error: Exception) -> str:
     """Return an error's text without the place in Zenoh's source."""
     if isinstance(error, OSError):
         return error.strerror or str(error) or "no answer"
-    return str(error).partition(" at /")[0]
+    said = str(error).partition(" at /")[0]
+    return "no answer" if "Timeout" in said else said
