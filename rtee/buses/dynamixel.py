@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import sys
 import time
@@ -150,5 +151,11 @@ class DynamixelBus(Bus):
         await self._worker.close()
         port, self.port = self.port, None
         if port is not None and port.is_open:
-            with contextlib.suppress(OSError):
-                port.closePort()
+            # In a thread: closing may take the kernel some time, if the adapter is gone above all.
+            closing = asyncio.get_running_loop().run_in_executor(None, _close, port)
+            await asyncio.shield(closing)
+
+
+def _close(port: DynamixelPort) -> None:
+    with contextlib.suppress(OSError):
+        port.closePort()

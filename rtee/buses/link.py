@@ -166,11 +166,33 @@ def explained(name: str, error: OSError | ValueError) -> BusError:
     return BusBroken(name, f"cannot be opened: {error}")
 
 
+async def ended(transport: asyncio.Transport) -> None:
+    """Wait until a transport that was aborted has given its port back."""
+    if isinstance(transport, SerialTransport):
+        await asyncio.shield(transport.given_back)
+    else:
+        await asyncio.sleep(0)  # it closes its file descriptor in its next callback
+
+
 class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
-    """pyserial-asyncio's transport: quiet when the adapter vanishes, quick to close, and direct.
+    """pyserial-asyncio's transport: quiet when the adapter vanishes, and direct.
 
     It writes at once instead of at the next turn of the event loop, and reads by one system call.
+    The port is closed in a thread: that may take the kernel some time, above all when the adapter
+    is gone, and other devices' exchanges must not wait for it.
+
+    Attributes:
+        given_back: Done when the port is closed.
     """
+
+    _serial: Any
+    _protocol: Any
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, protocol: asyncio.Protocol, port: Any
+    ) -> None:
+        self.given_back: asyncio.Future[None] = loop.create_future()
+        super().__init__(loop, protocol, port)
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
         """Write now what the port takes; the rest when it takes more."""
@@ -217,12 +239,24 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
         self._abort(exc)
 
     def _call_connection_lost(self, exc: Exception | None) -> None:
-        if self._serial is None:  # closed and aborted
+        port, self._serial = self._serial, None
+        if port is None:  # closed and aborted
             return
-        # Closing drains the port, which may take long on a dead line: throw the output away before.
-        with contextlib.suppress(Exception):
-            self._serial.reset_output_buffer()
-        super()._call_connection_lost(exc)
+        self._write_buffer.clear()
+        try:
+            self._protocol.connection_lost(exc)
+        finally:
+            self._protocol = None
+            closing = self._loop.run_in_executor(None, _close, port)
+            closing.add_done_callback(lambda _: self.given_back.set_result(None))
+
+
+def _close(port: Any) -> None:
+    # Closing drains the port, which may take long on a dead line: throw the output away before.
+    with contextlib.suppress(Exception):
+        port.reset_output_buffer()
+    with contextlib.suppress(Exception):
+        port.close()
 
 
 class ThreadTransport(asyncio.Transport):

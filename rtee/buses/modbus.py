@@ -11,7 +11,7 @@ from typing import Any
 from pymodbus.exceptions import ModbusException
 
 from rtee.buses.bus import Bus
-from rtee.buses.link import Line, open_link
+from rtee.buses.link import Line, ended, open_link
 from rtee.buses.modbus_client import Client, Relay, Sender
 from rtee.buses.modbus_frames import (
     READ_HOLDING,
@@ -77,6 +77,7 @@ class ModbusBus(Bus):
         self._lock = asyncio.Lock()
         self._pause = Pause()
         self._client: Client | None = None
+        self._link: asyncio.Transport | None = None
         self._last = 0.0
 
     async def read(
@@ -270,6 +271,7 @@ class ModbusBus(Bus):
         transport, _ = await open_link(
             self._address(), self.line, lambda: Relay(self, client), name=self.name
         )
+        self._link = transport
         if transport.is_closing():
             raise BusBroken(self.name, "the other end hung up at once")
         client.link = transport
@@ -282,6 +284,7 @@ class ModbusBus(Bus):
         if client is not None:
             client.abandon(BusBroken(self.name, "the bus was closed meanwhile"))
             client.close()
-            if client.link is not None:
-                client.link.abort()
-            await asyncio.sleep(0)  # the transport closes its file descriptor in its next callback
+        link, self._link = self._link, None
+        if link is not None:
+            link.abort()
+            await ended(link)

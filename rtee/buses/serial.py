@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 from rtee.buses.bus import Bus
-from rtee.buses.link import Line, open_link
+from rtee.buses.link import Line, ended, open_link
 from rtee.buses.parser import Parser
 from rtee.buses.timing import Pause
 from rtee.errors import BusBroken, BusTimeout, FrameError
@@ -193,7 +193,6 @@ class SerialBus(Bus):
     def _lost(self, protocol: asyncio.Protocol, error: Exception | None) -> None:
         if protocol is not self._protocol:
             return
-        self._transport = None
         self._broke(str(error) if error else "")
         if self._answer is not None and not self._answer.done():
             self._answer.set_exception(BusBroken(self.name, f"the link broke: {self._cause}"))
@@ -218,7 +217,7 @@ class SerialBus(Bus):
             self._answer.set_exception(BusBroken(self.name, "the bus was closed meanwhile"))
         if transport is not None:
             transport.abort()
-            await asyncio.sleep(0)  # the transport closes its file descriptor in its next callback
+            await ended(transport)
 
 
 class _Protocol(asyncio.Protocol):
