@@ -193,22 +193,19 @@ class ActuatorState:
         warnings: tuple[str, ...] = (),
     ) -> ActuatorState:
         """Make a fresh state; what is left out counts as not measured (``NaN``)."""
-        where = np.asarray(position, dtype=np.float64)
-        unmeasured = _unmeasured(where.shape)
-
-        def given(values: Sequence[float] | FloatArray | None) -> FloatArray:
-            return unmeasured if values is None else np.asarray(values, dtype=np.float64)
-
+        where = np.asarray(position, np.float64)
+        nothing = _unmeasured(where.shape)
         return cls(
-            position=where,
-            velocity=given(velocity),
-            effort=given(effort),
-            current=given(current),
-            temperature=given(temperature),
-            stamp=stamp,
-            grasped=grasped,
-            extras=extras,
-            warnings=warnings,
+            where,
+            nothing if velocity is None else np.asarray(velocity, np.float64),
+            nothing if effort is None else np.asarray(effort, np.float64),
+            nothing if current is None else np.asarray(current, np.float64),
+            nothing if temperature is None else np.asarray(temperature, np.float64),
+            stamp,
+            True,
+            grasped,
+            extras,
+            warnings,
         )
 
 

@@ -23,6 +23,9 @@ OVERHEAD = 4
 TURNAROUND = 1e-3
 """Latency of a USB adapter: time from a request to its answer beyond the wire's [s]."""
 
+_INT16 = tuple(struct.Struct(f">{count}h") for count in range(LONGEST // 2 + 1))
+"""Forms of so many 16-bit integers as a frame can carry."""
+
 
 class QbFrameError(ValueError):
     """Bytes that are no frame, or a frame whose data does not fit its command."""
@@ -68,8 +71,8 @@ class Frame:
         length = len(self.data) + 2
         if length > LONGEST or not 0 <= self.device <= 255:
             raise QbFrameError(f"no frame can carry {self}")
-        body = bytes([self.command]) + self.data
-        return HEADER + bytes([self.device, length]) + body + bytes([reduce(xor, body)])
+        check = reduce(xor, self.data, self.command)
+        return HEADER + bytes((self.device, length, self.command, *self.data, check))
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
@@ -106,18 +109,23 @@ class Parser(FramedParser[Frame]):
 
 def pack_int16(*values: float) -> bytes:
     """Return values as big-endian 16-bit integers, clamped into their range."""
-    return struct.pack(f">{len(values)}h", *(min(max(round(v), -32768), 32767) for v in values))
+    counts = [round(value) for value in values]
+    try:
+        return _INT16[len(counts)].pack(*counts)
+    except struct.error:
+        return _INT16[len(counts)].pack(*[min(max(c, -32768), 32767) for c in counts])
 
 
 def read_int16(data: bytes, *, least: int = 1) -> tuple[int, ...]:
     """Return the big-endian 16-bit integers in ``data``.
 
     Raises:
-        QbFrameError: if there are fewer than ``least`` or an odd number of bytes.
+        QbFrameError: if there are fewer than ``least``, more than a frame carries, or an odd
+            number of bytes.
     """
-    if len(data) % 2 or len(data) < 2 * least:
+    if len(data) % 2 or not 2 * least <= len(data) <= LONGEST:
         raise QbFrameError(f"{least} or more 16-bit values do not fit {len(data)} bytes")
-    return struct.unpack(f">{len(data) // 2}h", data)
+    return _INT16[len(data) // 2].unpack(data)
 
 
 @dataclass(frozen=True, slots=True)

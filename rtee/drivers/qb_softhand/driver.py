@@ -220,17 +220,11 @@ class QbSoftHandDriver(Driver):
             if len(self._attached.left(reference, self._here)) == self.options.motors:
                 return
             self._attached.begin()
-        self._closure = tuple(
-            [
-                wanted if commanded else kept
-                for wanted, commanded, kept in zip(
-                    reference.position.tolist(),
-                    reference.mask.tolist(),
-                    self._closure,
-                    strict=True,
-                )
-            ]
-        )
+        wanted, asked = reference.position.tolist(), reference.mask.tolist()
+        if not all(asked):
+            both = zip(wanted, asked, self._closure, strict=True)
+            wanted = [new if commanded else kept for new, commanded, kept in both]
+        self._closure = tuple(wanted)
         await self._send(self._closure)
 
     def _send(self, closure: tuple[float, ...]) -> Coroutine[Any, Any, None]:
