@@ -5,6 +5,11 @@ driver, and its thread is woken some tens of microseconds late at every message:
 against the driver, although no real device takes the driver's processor. Here the device is played
 by a forked process that never sleeps. It hands bytes over when the modelled wire has carried them,
 never before, and notes by how much later it did.
+
+Bytes are on the wire from the moment the driver writes them, as on a real one. The kernel hands
+what goes into a pseudo-terminal over in a thread of its own, some tens of microseconds later; so
+the driver's process notes when it wrote how much, and the far end reckons from there. The device's
+thinking costs nothing but its turn-around: it is done while the modelled wire is busy.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ import signal
 import struct
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -30,6 +36,14 @@ from rtee.buses.wire import Wire
 
 _NOTES = struct.Struct("@dddd")
 """Ready, time the wire was taken [s], requests answered, lateness of their last answers [s]."""
+_COUNT = struct.Struct("@Q")
+"""Writes of the driver so far."""
+_WRITE = struct.Struct("@dQ")
+"""When the driver wrote, CLOCK_MONOTONIC [s], and how many bytes."""
+_WRITES = 256
+"""Newest writes that are kept."""
+_AT_ONCE = 2e-5
+"""What is due so soon is waited for without looking whether bytes have come [s]."""
 
 
 class FarEnd:
@@ -39,6 +53,8 @@ class FarEnd:
         self._folder = tempfile.TemporaryDirectory(prefix="rtee-")
         self.address = str(Path(self._folder.name) / "port")
         self._notes = mmap.mmap(-1, _NOTES.size)
+        self._writes = mmap.mmap(-1, _COUNT.size + _WRITES * _WRITE.size)
+        self._written = 0
         self._process = os.fork()
         if not self._process:
             try:
@@ -58,6 +74,28 @@ class FarEnd:
         _, _, answers, late = self._read()
         return answers, late
 
+    def wrote(self, count: int, now: float) -> None:
+        """Note that the driver writes so many bytes now; called before it does."""
+        at = _COUNT.size + self._written % _WRITES * _WRITE.size
+        _WRITE.pack_into(self._writes, at, now, count)
+        self._written += 1
+        _COUNT.pack_into(self._writes, 0, self._written)
+
+    def _heard(self, data: bytes) -> Iterator[tuple[bytes, float]]:
+        """Return what came in, in pieces as they were written, and when that was."""
+        while data:
+            if self._written == _COUNT.unpack_from(self._writes)[0]:
+                yield data, time.monotonic()  # written by the way
+                return
+            at = _COUNT.size + self._written % _WRITES * _WRITE.size
+            when, count = _WRITE.unpack_from(self._writes, at)
+            if count > len(data):  # the rest is still on its way
+                _WRITE.pack_into(self._writes, at, when, count - len(data))
+            else:
+                self._written += 1
+            yield data[:count], when
+            data = data[count:]
+
     def close(self) -> None:
         """End the process."""
         os.kill(self._process, signal.SIGKILL)
@@ -71,28 +109,36 @@ class FarEnd:
         gc.disable()
         processors = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, processors[-1:])
-        wire = Wire([factory()], baudrate=float(line.baudrate), bits=float(line.bits))
+        device = factory()
+        if device.period:
+            raise ValueError("a device that acts by itself cannot think ahead")
+        wire = Wire([device], baudrate=float(line.baudrate), bits=float(line.bits))
         end = Pty(self.address)
         end.plug()
         (file,) = end.files()
         poll = select.poll()
         poll.register(file, select.POLLIN)
         answers = late = last = 0.0
+        due: deque[tuple[float, bytes]] = deque()
         parent = os.getppid()
+        _NOTES.pack_into(self._notes, 0, 1.0, wire.busy, answers, late)
         while os.getppid() == parent:
             if poll.poll(0):
-                wire.receive(end.read(file) or b"", time.monotonic())
+                for data, when in self._heard(end.read(file) or b""):
+                    wire.receive(data, when)
                 answers += last > 0.0
                 late += last
                 last = 0.0
-            due = wire.next_due()
-            now = time.monotonic()
-            if due is not None and due <= now:
-                data = b"".join(wire.step(now))
+                while (when := wire.next_due()) is not None:
+                    due.append((when, b"".join(wire.step(when))))
+                _NOTES.pack_into(self._notes, 0, 1.0, wire.busy, answers, late)
+            while due and due[0][0] - time.monotonic() < _AT_ONCE:
+                when, data = due.popleft()
+                while time.monotonic() < when:
+                    pass
                 if data:
                     end.write(data)
-                    last = time.monotonic() - due
-            _NOTES.pack_into(self._notes, 0, 1.0, wire.busy, answers, late)
+                    last = time.monotonic() - when
 
 
 class ApartEnds(PlayedEnds):
@@ -123,8 +169,12 @@ class ApartPool(BusPool):
     """A pool that plays the devices of serial lines in processes of their own."""
 
     def __init__(self) -> None:
-        super().__init__(wire_time=True)
+        super().__init__(wire_time=True, trace=self._traced)
         self._ends: ApartEnds = ApartEnds()
+
+    def _traced(self, bus: str, direction: str, data: bytes, stamp: float) -> None:
+        if direction == "tx" and bus in self._ends.apart:
+            self._ends.apart[bus].wrote(len(data), stamp)
 
     def busy(self) -> float:
         """Return the time that all wires were taken so far [s]."""
