@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from rtee.types import ActuatorSpec
 
+_NEAR = 1e-9
+
 
 @dataclass(slots=True)
 class Plant:
@@ -60,6 +62,8 @@ class Plant:
         most = min(self.spec.velocity, self.max_velocity) * dt
         before = self.position
         moved = min(max((self.target - before) * follow, -most), most)
+        if abs(self.target - before) < _NEAR:  # it would come ever nearer and never be there
+            moved = self.target - before
         after = min(max(before + moved, self.spec.lower), self.spec.upper)
         after = self._stopped(before, after)
         self.position = after

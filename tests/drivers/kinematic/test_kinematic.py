@@ -59,6 +59,16 @@ async def test_it_follows_as_a_first_order_lag() -> None:
         assert state.fresh
 
 
+async def test_it_arrives() -> None:
+    driver, clock = await active()
+    for target in (0.3, 0.0):
+        await driver.move(Reference.at([target, 0.0]))
+        for _ in range(1000):
+            clock.seconds += 0.001
+            state = await driver.sense()
+        assert (state.position[0], state.velocity[0]) == (target, 0.0)
+
+
 async def test_how_often_it_is_asked_changes_nothing() -> None:
     often, first = await active()
     seldom, second = await active()
