@@ -42,8 +42,8 @@ _GATHER: Final = 4e-3
 _LONGEST_NAP: Final = 20e-3
 """Loops of a longer period than this [s] wake the writer."""
 
-_BEHIND: Final = 50
-"""With more waiting than this, the writer does not spare the loop's ticks any more."""
+_BEHIND: Final = 1.0
+"""With more waiting than this [s], the writer does not spare the loop's ticks any more."""
 
 _QUIET: Final = (0.45, 0.85)
 """Part of the loop's period in which the writer works: the loop itself works at its beginning."""
@@ -273,7 +273,7 @@ class Recorder:
     def _give_way(self) -> None:
         """Sleep while the loop is at work, and until there is enough to do."""
         waiting, period = self._queue.qsize(), self._period
-        if waiting > _BEHIND:
+        if waiting * period > _BEHIND:
             time.sleep(_YIELD)
         elif self._stamp is not None and period <= _LONGEST_NAP:
             begin, end = _QUIET

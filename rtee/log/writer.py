@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 
@@ -98,6 +99,8 @@ class LogWriter:
         )
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
         self._due: float | None = None
+        # Those of hands in one process write their chunks by turns.
+        self._chunk_time = settings.chunk_time * (1.0 + crc32(hand.name.encode()) / 2**32) / 2
         self._compared = False
         self._anchor = 0
         self._sequence = 0
@@ -203,7 +206,8 @@ class LogWriter:
 
     def _begun(self) -> None:
         if self._due is None:
-            self._due = self._monotonic() + self._settings.chunk_time
+            self._due = self._monotonic() + self._chunk_time
+            self._chunk_time = self._settings.chunk_time
 
     def start(self) -> None:
         """Begin a recording on the disk."""
