@@ -129,9 +129,10 @@ class Span:
     Attributes:
         name: The action with its elements, or the inner action's name.
         start: When it began, since the recording's start [s].
-        end: When it ended [s]; the recording's end if it still ran.
+        end: When it ended [s]; the recording's end if it still ran. Where a full disk took its
+            result: when the next one began, at the latest.
         outcome: ``reached``, ``grasped``, ``stalled``, ``preempted``, ``cancelled``,
-            ``timed_out``, ``aborted``, or ``running``.
+            ``timed_out``, ``aborted``, ``running``, or ``unknown``.
         goal_id: The goal.
         inner: The inner actions of a timed action.
     """
@@ -229,12 +230,13 @@ class Recording:
             feedback.setdefault(entry.value.goal_id, []).append(entry)
         spans = []
         names = {plan.value.goal.goal_id: plan.value.action for plan in self.plans}
-        for goal in self.goals:
+        ends = [(entry.t, "unknown") for entry in self.goals[1:]] + [(self.duration, "running")]
+        for goal, (after, left) in zip(self.goals, ends, strict=False):
             action = names.get(goal.value.goal_id, goal.value.action)
             name = " ".join((action, *goal.value.elements))
             ended = results.get(goal.value.goal_id)
-            end = ended.t if ended else self.duration
-            outcome = outcome_of(ended.value) if ended else "running"
+            end = ended.t if ended else after
+            outcome = outcome_of(ended.value) if ended else left
             given = feedback.get(goal.value.goal_id, [])
             inner = tuple(_inner_spans(given, goal.value.goal_id, end, outcome))
             spans.append(Span(name, goal.t, end, outcome, goal.value.goal_id, inner))

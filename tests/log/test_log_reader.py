@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,19 @@ def test_a_goal_without_a_result_is_running(claw: Hand, tmp_path: Path) -> None:
     (span,) = read(recorded(tmp_path)[0]).spans
     assert span.outcome == "running"
     assert span.end == pytest.approx(0.29)
+
+
+def test_a_goal_whose_result_was_lost_ended_when_the_next_began(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path))
+    log.run(0, 10)
+    log.writer.item(GOAL, log.time.now)
+    log.run(10, 30)
+    log.writer.item(replace(GOAL, goal_id="next"), log.time.now)
+    log.run(30, 40)
+    log.writer.close()
+    first, second = read(recorded(tmp_path)[0]).spans
+    assert (first.end, first.outcome) == (second.start, "unknown")
+    assert second.outcome == "running"
 
 
 def test_only_what_is_asked_for_is_read(story: Path) -> None:
