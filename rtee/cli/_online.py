@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
@@ -47,8 +47,9 @@ def _plain(values: Any) -> Any:
     return values
 
 
-def sentence(result: Result) -> str:
-    """Return how a goal ended, for people."""
+def sentence(result: Result, elements: Sequence[str] = ()) -> str:
+    """Return how a goal with some elements ended, for people."""
+    why = f": {result.reason}" if result.reason else ""
     said = [
         words
         for true, words in (
@@ -56,14 +57,15 @@ def sentence(result: Result) -> str:
             (result.grasped, "grasped" + _by(result.grasped_fingers)),
             (result.stalled and not result.grasped, "stalled"),
             (result.preempted, "pre-empted by another goal"),
-            (result.cancelled, "cancelled"),
+            (result.cancelled, f"cancelled{why}"),
             (result.timed_out, "timed out"),
-            (result.aborted, f"aborted: {result.reason}"),
+            (result.aborted, f"aborted{why}"),
         )
         if true
     ]
     how = ", ".join(said) or "ended"
-    return f"{result.action}: {how} (error {result.error:.3g}, {result.duration:.2f} s)"
+    name = " ".join((result.action, *elements))
+    return f"{name}: {how} (error {result.error:.3g}, {result.duration:.2f} s)"
 
 
 def _by(fingers: tuple[str, ...]) -> str:

@@ -92,5 +92,5 @@ def do(
     if as_json:
         print(to_json(asdict(result) | {"succeeded": result.succeeded}))
     else:
-        print(sentence(result))
+        print(sentence(result, chosen))
     raise typer.Exit(0 if result.succeeded else 1)

@@ -233,7 +233,10 @@ def _show_check(found: Check, as_json: bool) -> None:
 
 @app.command()
 def recover(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE…", help="Recordings.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE…", help="Recordings, or folders: their newest recordings."),
+    ],
     output: Annotated[
         Path | None,
         typer.Option("--out", metavar="PATH", help="Write the whole file here instead."),
@@ -242,9 +245,10 @@ def recover(
     """Make recordings whole whose program was killed."""
     from rtee.log.recover import recover as make_whole
 
-    if output is not None and len(files) > 1:
+    paths = [path for file in files for path in _paths(file, False)]
+    if output is not None and len(paths) > 1:
         raise LogError("--out goes with one file only")
-    for file in files:
+    for file in paths:
         done = make_whole(file, output)
         if done.untouched:
             print(f"{done.path}: is whole, {done.messages} messages, {done.seconds:.1f} s")

@@ -38,7 +38,8 @@ def _show(found: HandStatus) -> None:
     from rtee.cli._table import Column, Row, Table, on_terminal
 
     clock = found.statistics
-    print(f"{found.hand}: {clock.measured_rate:.1f} Hz of {clock.rate:g} Hz, ", end="")
+    measured = f"{clock.measured_rate:.1f} Hz of " if clock.measured_rate else ""  # in 1 s
+    print(f"{found.hand}: {measured}{clock.rate:g} Hz, ", end="")
     print(f"{clock.ticks} ticks, {clock.missed} missed, {clock.dropped} log records dropped")
     print(f"lateness: {_times(clock.lateness_p50, clock.lateness_p99, clock.lateness_max)}")
     print(f"busy:     {_times(clock.busy_p50, clock.busy_p99, clock.busy_max)}")

@@ -315,6 +315,10 @@ def test_log_recover(story: Path, tmp_path: Path) -> None:
     assert status == 0
     assert "recovered" in out
     assert "is whole" in out
+    newest = tmp_path / "claw_20260101T000000000Z_000.mcap"
+    newest.write_bytes(story.read_bytes()[:-400])
+    _, out = run("recover", tmp_path)
+    assert out.startswith(f"{newest}: recovered")
 
 
 def test_info_of_a_series(claw: Hand, tmp_path: Path) -> None:

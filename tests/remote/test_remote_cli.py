@@ -36,7 +36,8 @@ def run(module: object, *words: str, status: int = 0) -> str:
 
 
 def test_do(served: Served) -> None:
-    assert "PinchTight: reached" in run(do, "pinchTight", "thumb", "index", "--intensity", "0.3")
+    done = run(do, "pinchTight", "thumb", "index", "--intensity", "0.3")
+    assert "PinchTight thumb index: reached" in done
     goal = served.watcher.goals[0]
     assert (goal.intensity, goal.elements) == (0.3, ("thumb", "index"))
     assert goal.client.startswith("rtee-do-")
