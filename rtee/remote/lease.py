@@ -51,9 +51,11 @@ class Lease:
         self._taken = client
 
     def release(self, client: str) -> None:
-        """Give the hand back, if this client took it; a goal that runs is still its own."""
+        """Give the hand back, if this client took or jogged it; a goal that runs stays its own."""
         if self._taken == client:
             self._taken = ""
+        if self._jogger == client:
+            self._jogged_until = 0.0
 
     def runs(self, goal_id: str) -> bool:
         """Return whether a goal of that name runs."""
@@ -78,6 +80,4 @@ class Lease:
         for goal, who in tuple(self._goals.items()):
             if who == client:
                 self.ended(goal)
-        if self._jogger == client:
-            self._jogged_until = 0.0
         return held

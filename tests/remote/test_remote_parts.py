@@ -74,6 +74,11 @@ def test_jogging_holds_the_hand_for_a_moment(lease: Lease, time: Time) -> None:
         lease.check("b")
     time.now = JOGGING
     lease.check("b")
+    lease.jogged("a")
+    lease.release("b")
+    assert lease.holder == "a"
+    lease.release("a")
+    lease.check("b")
 
 
 @pytest.mark.parametrize("how", ["take", "goal", "jog"])

@@ -13,7 +13,14 @@ from rtee.drivers.base import Driver
 from rtee.drivers.kinematic.options import KinematicOptions
 from rtee.drivers.kinematic.plant import Plant
 from rtee.drivers.options import read_options
-from rtee.errors import BusBroken, ConfigError, DeviceFault, NotConnected, suggestion
+from rtee.errors import (
+    BusBroken,
+    CommandRejected,
+    ConfigError,
+    DeviceFault,
+    NotConnected,
+    suggestion,
+)
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference, readonly
 
 if TYPE_CHECKING:
@@ -193,7 +200,10 @@ class KinematicDriver(Driver):
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """See `Driver.set_gains`."""
-        self._time_constant = gains.get("time_constant", self._time_constant)
+        value = gains.get("time_constant", self._time_constant)
+        if not value > 0.0:
+            raise CommandRejected(self.spec.name, f"time_constant must be above 0 s, not {value:g}")
+        self._time_constant = value
 
     async def deactivate(self) -> None:
         """See `Driver.deactivate`."""

@@ -9,7 +9,7 @@ import pytest
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.drivers.registry import find_driver
-from rtee.errors import BusBroken, ConfigError, DeviceFault
+from rtee.errors import BusBroken, CommandRejected, ConfigError, DeviceFault
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 
 pytestmark = pytest.mark.anyio
@@ -67,6 +67,15 @@ async def test_it_arrives() -> None:
             clock.seconds += 0.001
             state = await driver.sense()
         assert (state.position[0], state.velocity[0]) == (target, 0.0)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
+async def test_a_gain_without_sense_is_refused(value: float) -> None:
+    driver, clock = await active()
+    with pytest.raises(CommandRejected, match="time_constant must be above 0 s"):
+        await driver.set_gains({"time_constant": value})
+    clock.seconds += 0.1
+    await driver.sense()
 
 
 async def test_how_often_it_is_asked_changes_nothing() -> None:
