@@ -26,9 +26,12 @@ class Driver(ABC):
         spec: The device as configured.
         buses: The buses of this process; a driver asks it for the bus it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
+        doing: What takes a while now, in words such as ``homing the thumb``; else empty. It is told
+            while the call is under way.
     """
 
     Options: ClassVar[type[BaseModel] | None] = None
+    doing: str = ""
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.spec = spec

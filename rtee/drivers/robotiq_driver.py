@@ -164,7 +164,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         if not status.ready:
             if not allowed:
                 raise self._fault(NOT_ACTIVATED)
-            await self._within(self._activate)
+            await self._within("activating itself", self._activate)
         await self._prepare(allowed)
         self._home_asked = False
         self._forget()
@@ -179,8 +179,9 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         await self._write(self.ACTIVATE)
         await self._until(lambda status: status.ready)
 
-    async def _within(self, steps: Callable[[], Awaitable[None]]) -> None:
+    async def _within(self, doing: str, steps: Callable[[], Awaitable[None]]) -> None:
         """Do what moves the gripper by itself, in time; cancelling stops it."""
+        self.doing = doing
         try:
             with self._open().unhurried():
                 async with asyncio.timeout(self._settings.activation_timeout):
@@ -198,6 +199,8 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
             with contextlib.suppress(BusError):
                 await self._write(self.RESET)
             raise
+        finally:
+            self.doing = ""
 
     async def _until(self, done: Callable[[S], bool]) -> None:
         missed = 0

@@ -53,6 +53,7 @@ class Exchange(Connection):
         self._offered = False
         self._next_due = 0
         self._look_at = -math.inf
+        self._doing = ""
 
     def due(self, tick: int) -> bool:
         """Return whether it is this device's turn; asked once per tick."""
@@ -64,6 +65,8 @@ class Exchange(Connection):
     def offer(self, reference: Reference | None) -> None:
         """Have one exchange done: read the state, then send the reference if there is one."""
         now = self._now()
+        if self.driver.doing != self._doing:
+            self._tell_doing()
         if self._busy:
             self._accounts.overruns += self._exchanging
             if now >= self._give_up_at:
@@ -78,6 +81,13 @@ class Exchange(Connection):
         self._reference = None if self.muted else reference
         self._offered = True
         self._requests.wake.set()
+
+    def _tell_doing(self) -> None:
+        """Tell what the driver has begun to do; of several steps, the first as a warning."""
+        before, self._doing = self._doing, self.driver.doing
+        if self._doing:
+            severity = "info" if before else "warning"
+            self._event("device_busy", f"is {self._doing}", severity)
 
     # --- the task ----------------------------------------------------------------------------
 

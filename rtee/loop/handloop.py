@@ -83,10 +83,11 @@ class HandLoop(HandTicks):
 
     def _check_able(self, indices: Iterable[int], able: Collection[int]) -> None:
         idle = [self.hand.actuators[i].name for i in sorted(indices) if i not in able]
-        if idle:
-            raise GoalRejected(
-                f"the device of {', '.join(idle)} is not active; see `rtee status`, then recover"
-            )
+        if not idle:
+            return
+        doing = [f"; {n} is {d.driver.doing}" for n, d in self.devices.items() if d.driver.doing]
+        hint = "".join(doing) or "; see `rtee status`, then recover"
+        raise GoalRejected(f"the device of {', '.join(idle)} is not active{hint}")
 
     async def execute(self, goal: Goal, *, partly: bool = False) -> Result:
         """Take a goal and wait for its result; being cancelled cancels the goal. See `submit`."""

@@ -38,7 +38,7 @@ class Supervisor(Exchange):
             fault_name="" if fault is None else fault.name,
             recoverable=fault is not None and fault.recoverable,
             hint="" if fault is None else fault.hint,
-            message=self._message,
+            message=self.driver.doing or self._message,
             gains=self.driver.capabilities.gains,
         )
 

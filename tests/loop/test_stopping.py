@@ -16,7 +16,7 @@ from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
 from rtee.loop.stopping import bring_to_rest
 from rtee.types import ActuatorState, Goal, Lifecycle, Reference
 
-from .hands import Rig, device, running
+from .hands import Rig, Watcher, device, running
 
 pytestmark = pytest.mark.anyio
 
@@ -153,7 +153,11 @@ async def test_stop_interrupts_homing(hand: Hand) -> None:
         async def activate(self) -> None:
             self.homed += 1
             if self.homed == 1:
-                await anyio.sleep_forever()
+                self.doing = "homing the thumb"
+                try:
+                    await anyio.sleep_forever()
+                finally:
+                    self.doing = ""
             await super().activate()
 
     settings = device(hand)
@@ -166,12 +170,19 @@ async def test_stop_interrupts_homing(hand: Hand) -> None:
     clock = ManualClock(100.0)
     driver.now = clock.now
     loop = HandLoop(hand, make_library(hand), LoopSettings(), [(settings, driver)], now=clock.now)
+    watcher = Watcher()
+    loop.add_observer(watcher)
     async with loop:
         for _ in range(20):
             await clock.settle()
             loop.tick(clock.next())
         assert loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE
+        assert loop.statuses()[0].message == "homing the thumb"
+        assert "device 'dummy' is homing the thumb" in [event.text for event in watcher.events]
+        with pytest.raises(GoalRejected, match="is not active; dummy is homing the thumb"):
+            loop.submit(Goal("open"))
         assert await loop.stop() == [("dummy", True)]
+        assert "homing" not in loop.statuses()[0].message
         for _ in range(50):
             await clock.settle()
             loop.tick(clock.next())

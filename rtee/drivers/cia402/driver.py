@@ -197,6 +197,7 @@ class Cia402Driver(Cia402Cycle):
         await bus.run(lambda: drive.download(Object.HOMING_METHOD, 0, "b", method), _SETTING_UP)
         end = time.monotonic() + self.options.homing_timeout
         begun = math.inf
+        self.doing = f"homing {drive.name}"
         try:
             self.mode = Mode.HOMING
             while True:
@@ -219,7 +220,7 @@ class Cia402Driver(Cia402Cycle):
                         self.spec.name,
                         _HOMING_FAILED,
                         f"homing failed: {drive.name}",
-                        hint="is something in the way?",
+                        hint="free it; `rtee recover` homes again",
                     )
                 await asyncio.sleep(_HOMING_PERIOD)
         except BaseException:
@@ -229,7 +230,7 @@ class Cia402Driver(Cia402Cycle):
                 bus.send_now(CanFrame(cia301.SYNC))
             raise
         finally:
-            self.mode = mode
+            self.mode, self.doing = mode, ""
         drive.controlword = Control.ENABLE
         self._homed.add(drive.id)
 

@@ -99,7 +99,7 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
                 f"in mode '{self._status.mode.name.lower()}', not '{self.options.mode}'",
                 hint="`rtee recover` changes the mode, which moves the scissor",
             )
-        await self._within(self._change_mode)
+        await self._within("changing its mode", self._change_mode)
 
     async def _change_mode(self) -> None:
         await self._write(Command(activate=True, mode=self._mode).to_registers()[:_SIMPLE])

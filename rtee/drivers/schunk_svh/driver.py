@@ -212,8 +212,10 @@ class SchunkSvhDriver(Driver):
         await power.disable(self._hand)
         await self._limits.write(self._hand, self._index)
         stops: dict[int, int] = {}
-        for channel in HOMING_ORDER:
-            if channel in self._index:
+        order = [channel for channel in HOMING_ORDER if channel in self._index]
+        try:
+            for number, channel in enumerate(order, start=1):
+                self.doing = f"homing {self._table[channel].name}, {number} of {len(order)}"
                 stops[channel] = await power.home(
                     self._hand,
                     self.spec.name,
@@ -222,6 +224,8 @@ class SchunkSvhDriver(Driver):
                     self._limits.current[channel],
                     timeout=self.options.home_timeout,
                 )
+        finally:
+            self.doing = ""
         self._adopt_stops(stops)
         write_stops(self.options.stops_file, stops)
 

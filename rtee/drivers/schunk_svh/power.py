@@ -122,7 +122,7 @@ async def _seek(
                 device,
                 HOMING_FAILED,
                 f"homing failed: {channel.name} does not move",
-                hint="is the 24 V supply on, and is nothing in the way?",
+                hint="switch the 24 V supply on, clear its way; `rtee recover` homes again",
             )
         await asyncio.sleep(_POLL)
 
@@ -138,5 +138,5 @@ async def _settle(link: SvhLink, device: str, channel: Channel, goal: int, timeo
         device,
         HOMING_FAILED,
         f"homing failed: {channel.name} does not come back from its stop",
-        hint="is something holding the finger?",
+        hint="free the finger; `rtee recover` homes again",
     )

@@ -285,14 +285,33 @@ async def test_over_temperature_is_a_warning() -> None:
 
 
 async def test_homing_that_meets_no_stop_fails_and_switches_off() -> None:
-    spec = device(["Pinky"], home_timeout=0.1)
+    spec = device(["Pinky"], home_timeout=0.5)
     async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
         await made.configure()
         hand(pool).inject("stuck")
         hand(pool).channels[7].axis.gain = 0.0
-        with pytest.raises(DeviceFault, match="Pinky does not move"):
-            await made.activate()
+        told: set[str] = set()
+        async with anyio.create_task_group() as watching:
+
+            async def watch() -> None:
+                while True:
+                    told.add(made.doing)
+                    await anyio.sleep(0.005)
+
+            watching.start_soon(watch)
+            with pytest.raises(
+                DeviceFault, match=r"Pinky does not move.*`rtee recover` homes again"
+            ):
+                await made.activate()
+            watching.cancel_scope.cancel()
+        assert "homing Pinky, 1 of 1" in told
+        assert made.doing == ""
         assert not hand(pool).channels[7].axis.enabled
+        hand(pool).clear()
+        hand(pool).channels[7].axis.gain = math.inf
+        await made.recover()
+        await made.activate()
+        assert np.isfinite((await made.sense()).position).all()
 
 
 async def test_another_device_is_refused() -> None:
