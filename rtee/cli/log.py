@@ -167,6 +167,11 @@ def export(
     from rtee.log.reader import read
 
     if kind is None:
+        if output.suffix in (".csv", ".parquet"):
+            raise LogError(
+                f"OUT should be a folder, not '{output}': there is a file for each topic;"
+                f" give --format {output.suffix[1:]}"
+            )
         kind = "npz" if output.suffix == ".npz" else "csv"
     if kind not in list(Format):
         raise LogError(f"--format should be csv, parquet or npz, not '{kind}'")

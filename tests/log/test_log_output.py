@@ -302,6 +302,8 @@ def test_wrong_options_are_said(story: Path, tmp_path: Path) -> None:
         run("plot", story, "--by", "joint")
     with pytest.raises(LogError, match="--format should be"):
         run("export", story, tmp_path, "--format", "xls")
+    with pytest.raises(LogError, match=r"OUT should be a folder, .*; give --format parquet"):
+        run("export", story, tmp_path / "story.parquet")
     with pytest.raises(LogError, match="one file only"):
         run("recover", story, story, "--out", tmp_path / "x")
     with pytest.raises(LogError, match="no settings of the loop"):
