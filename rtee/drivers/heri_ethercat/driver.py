@@ -7,7 +7,6 @@ import contextlib
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -20,7 +19,6 @@ from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (
     ACKNOWLEDGE_OBJECT,
     COMMAND_OBJECT,
-    FIRMWARE_OBJECT,
     MOTORS,
     PHALANXES,
     WARNINGS,
@@ -31,14 +29,13 @@ from rtee.drivers.heri_ethercat.codec import (
     Reply,
 )
 from rtee.drivers.heri_ethercat.emulator import HeriEmulator
-from rtee.drivers.heri_ethercat.options import HeriEthercatOptions
+from rtee.drivers.heri_ethercat.identity import firmware, identify
+from rtee.drivers.heri_ethercat.options import HeriEthercatOptions, motors_of
 from rtee.drivers.options import read_options
 from rtee.errors import (
     BusTimeout,
-    ConfigError,
     DeviceFault,
     FrameError,
-    HandshakeError,
     NotConnected,
     RteeError,
 )
@@ -51,8 +48,6 @@ _REFUSED = 0x10000
 _POLL = 0.005
 _PATIENCE = 0.5
 """Longest time for an exchange that belongs to no cycle [s]."""
-_WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
-"""The motors of the public description, counted over its two boards."""
 _BEST_RATE = 1000.0
 
 
@@ -69,7 +64,7 @@ class HeriEthercatDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.options = read_options(HeriEthercatOptions, spec)
-        self._motors = _motors(spec, self.options)
+        self._motors = motors_of(spec, self.options)
         self._boards = max(self._motors) // MOTORS + 1
         self._bus: EthercatBus | None = None
         self._references = [0.0] * (self._boards * MOTORS)
@@ -103,13 +98,12 @@ class HeriEthercatDriver(Driver):
             owner=owner_of(self.spec),
             emulator=emulator_of(self.spec, HeriEmulator),
         )
-        self._identify(bus)
-        firmware = [await bus.run(partial(self._firmware, i), 1.0) for i in range(self._boards)]
+        identify(bus, self._boards, options, self.spec.name)
         self.capabilities = replace(
             self.capabilities,
             identity={
                 "model": f"HERI II, {self._boards} boards (unverified on hardware)",
-                "firmware": ", ".join(dict.fromkeys(firmware)),
+                "firmware": await firmware(bus, self._boards),
             },
         )
         await self._operate()
@@ -132,33 +126,6 @@ class HeriEthercatDriver(Driver):
             await self._exchange()
 
         await patiently(begin)
-
-    def _identify(self, bus: EthercatBus) -> None:
-        if len(bus.slaves) < self._boards:
-            raise HandshakeError(
-                self.spec.name,
-                f"{self._boards} boards at {self.options.interface}",
-                f"{len(bus.slaves)} slaves",
-                hint="check cables and supply",
-            )
-        for position, slave in enumerate(bus.slaves[: self._boards]):
-            for what, wanted, found in (
-                ("vendor", self.options.vendor, slave.vendor),
-                ("product", self.options.product, slave.product),
-            ):
-                if wanted is not None and wanted != found:
-                    raise HandshakeError(
-                        self.spec.name,
-                        f"{what} {wanted:#x} as slave {position}",
-                        f"{what} {found:#x} ({slave.name})",
-                    )
-
-    @staticmethod
-    def _firmware(position: int, ring: Ring) -> str:
-        try:
-            return ring.read(position, *FIRMWARE_OBJECT).decode("ascii", "replace").strip("\x00 ")
-        except OSError:
-            return "not told"
 
     def _to_safe(self, ring: Ring) -> None:
         for position in range(self._boards):
@@ -337,19 +304,3 @@ class HeriEthercatDriver(Driver):
         self._powered = False
         await self._in_operation()
         await self._clear_faults()
-
-
-def _motors(spec: DeviceSpec, options: HeriEthercatOptions) -> list[int]:
-    """Return the motor of each actuator; raises `ConfigError`."""
-    names = [a.name for a in spec.actuators]
-    if not options.motors:
-        wired = all(name in _WIRING for name in names)
-        return [_WIRING[name] for name in names] if wired else list(range(len(names)))
-    missing = [name for name in names if name not in options.motors]
-    found = [options.motors[name] for name in names if name not in missing]
-    if missing or len(set(found)) != len(found):
-        raise ConfigError(
-            f"device '{spec.name}': option 'motors' must give each actuator a motor of its own; "
-            f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
-        )
-    return found

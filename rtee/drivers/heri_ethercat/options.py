@@ -8,6 +8,11 @@ from pydantic import Field
 
 from rtee.drivers.heri_ethercat.codec import MOTORS, TORQUE_PER_AMPERE
 from rtee.drivers.options import DeviceOptions
+from rtee.errors import ConfigError
+from rtee.types import DeviceSpec
+
+_WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
+"""The motors of the public description, counted over its two boards."""
 
 Positive = Annotated[float, Field(gt=0.0)]
 Raw = Annotated[int, Field(ge=0, le=0xFFFF)]
@@ -38,3 +43,19 @@ class HeriEthercatOptions(DeviceOptions):
     watchdog: Annotated[float, Field(ge=0.0, le=6.5)] = 0.25
     order_timeout: Positive = 1.0
     deadline: Positive = 0.02
+
+
+def motors_of(spec: DeviceSpec, options: HeriEthercatOptions) -> list[int]:
+    """Return the motor of each actuator; raises `ConfigError`."""
+    names = [a.name for a in spec.actuators]
+    if not options.motors:
+        wired = all(name in _WIRING for name in names)
+        return [_WIRING[name] for name in names] if wired else list(range(len(names)))
+    missing = [name for name in names if name not in options.motors]
+    found = [options.motors[name] for name in names if name not in missing]
+    if missing or len(set(found)) != len(found):
+        raise ConfigError(
+            f"device '{spec.name}': option 'motors' must give each actuator a motor of its own; "
+            f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
+        )
+    return found
