@@ -25,6 +25,7 @@ INDEX_ENTRY = 16
 
 _AFTER_LENGTH = MESSAGE.size - 9
 _INDEX_AFTER_LENGTH = INDEX.size - 9
+_LEAST_ROOM = 65536
 
 
 Entries = Mapping[int, tuple[NDArray[np.uint64], NDArray[np.uint64]]]
@@ -118,10 +119,12 @@ class ChunkBuilder:
     def __init__(self, block: Sequence[tuple[int, int]] = (), level: int = 3) -> None:
         self._block = tuple(block)
         self._compressor = zstandard.ZstdCompressor(level=level, write_content_size=True)
+        # Used again for every chunk: a new one each time, grown bit by bit, leaves holes in memory.
+        self._room = bytearray(_LEAST_ROOM)
         self._clear()
 
     def _clear(self) -> None:
-        self._data = bytearray()
+        self._size = 0
         self._times: dict[int, list[int]] = {}
         self._offsets: dict[int, list[int]] = {}
         self._block_times: list[int] = []
@@ -130,7 +133,7 @@ class ChunkBuilder:
     @property
     def size(self) -> int:
         """Bytes collected."""
-        return len(self._data)
+        return self._size
 
     @property
     def blocks(self) -> int:
@@ -140,19 +143,26 @@ class ChunkBuilder:
     def add(self, channel: int, sequence: int, time: int, data: bytes) -> None:
         """Add a message of log time ``time`` [ns since 1970]."""
         self._times.setdefault(channel, []).append(time)
-        self._offsets.setdefault(channel, []).append(len(self._data))
-        self._data += message_head(channel, sequence, time, len(data))
-        self._data += data
+        self._offsets.setdefault(channel, []).append(self._size)
+        self._append(message_head(channel, sequence, time, len(data)))
+        self._append(data)
 
     def add_block(self, time: int, block: bytes | bytearray) -> None:
         """Add the message records of one tick of log time ``time`` [ns since 1970]."""
         self._block_times.append(time)
-        self._block_offsets.append(len(self._data))
-        self._data += block
+        self._block_offsets.append(self._size)
+        self._append(block)
+
+    def _append(self, data: bytes | bytearray) -> None:
+        begin, room = self._size, self._room
+        self._size = end = begin + len(data)
+        if end > len(room):
+            room += bytes(end)
+        room[begin:end] = data
 
     def pack(self) -> PackedChunk | None:
         """Return what was collected as a chunk, ``None`` if nothing was, and start a new one."""
-        if not self._data:
+        if not self._size:
             return None
         entries = {
             channel: (_array(self._times[channel]), _array(self._offsets[channel]))
@@ -163,13 +173,13 @@ class ChunkBuilder:
             offsets = _array(self._block_offsets)
             for channel, begin in self._block:
                 entries[channel] = (times, offsets + np.uint64(begin))
-        data = self._data
-        self._clear()
-        return pack(data, entries, self._compressor)
+        with memoryview(self._room) as room, room[: self._size] as data:
+            self._clear()
+            return pack(data, entries, self._compressor)
 
 
 def pack(
-    data: bytes | bytearray,
+    data: bytes | bytearray | memoryview,
     entries: Entries,
     compressor: zstandard.ZstdCompressor,
 ) -> PackedChunk:
@@ -180,7 +190,9 @@ def pack(
         entries: Channel to log times [ns] and offsets of its messages in ``data``.
         compressor: What compresses them.
     """
-    compressed = compressor.compress(data)
+    # In pieces of 128 kB: in one, room for the longest possible outcome would be taken first.
+    stream = compressor.compressobj(size=len(data))
+    compressed = stream.compress(data) + stream.flush()
     start = min(int(times.min()) for times, _ in entries.values())
     end = max(int(times.max()) for times, _ in entries.values())
     record = record_bytes(
