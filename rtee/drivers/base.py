@@ -93,6 +93,18 @@ class Driver(ABC):
             BusError: if the bus fails.
         """
 
+    async def examine(self) -> str:
+        """Ask a device that is connected, but not active, for what would keep it from that.
+
+        Returns:
+            What it has to do first and would move by, such as ``not homed``; else empty.
+
+        Raises:
+            DeviceFault: if it reports a fault.
+            BusError: if the bus fails.
+        """
+        return ""
+
     def counters(self) -> Mapping[str, int]:
         """Return the counters of its bus, for the device's status; must return at once."""
         return {}

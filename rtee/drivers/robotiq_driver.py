@@ -218,6 +218,12 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
             self._refuse(status)
             await asyncio.sleep(0.01)
 
+    async def examine(self) -> str:
+        """Return whether it is not activated; raises the fault that it reports."""
+        status = self._status = await self._read()
+        self._refuse(status)
+        return "" if status.ready else "not activated"
+
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:

@@ -135,13 +135,7 @@ class Cia402Driver(Cia402Cycle):
     async def activate(self) -> None:
         """Enable the drives where they stand; homes first where that is needed and allowed."""
         await self._settled()
-        needy = [
-            d
-            for d in self.drives
-            if d.options.homing_method is not None
-            and d.id not in self._homed
-            and d.state is not State.ENABLED
-        ]
+        needy = self._needy()
         if needy and self.options.home != "on_connect" and not self._home_asked:
             raise DeviceFault(
                 self.spec.name,
@@ -159,6 +153,25 @@ class Cia402Driver(Cia402Cycle):
                 drive.stand(self._measured(drive))
         self._attached.begin(i for i, holds in enumerate(holding) if holds)
         self._active = True
+
+    def _needy(self) -> list[DriveLink]:
+        """Return the drives that do not know where they are."""
+        return [
+            d
+            for d in self.drives
+            if d.options.homing_method is not None
+            and d.id not in self._homed
+            and d.state is not State.ENABLED
+        ]
+
+    async def examine(self) -> str:
+        """Return which drives are not homed; raises the fault that one reports."""
+        await self._settled()
+        for drive in self.drives:
+            if drive.state in (State.FAULT, State.FAULT_REACTION):
+                raise self._fault(drive)
+        needy = ", ".join(d.name for d in self._needy())
+        return f"not homed: {needy}" if needy else ""
 
     async def _walk(self, goal: State) -> None:
         """Bring all drives to a state, one transition at a time.

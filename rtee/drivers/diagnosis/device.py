@@ -82,7 +82,21 @@ async def _connected(
     except RteeError as error:
         return [*found, wrong("state", str(error), "check the cable")]
     found += _state(state, driver.capabilities.homing)
+    found.append(await _fit(driver))
     return [*found, _rate(driver), _wire(driver), _watchdog(driver)]
+
+
+async def _fit(driver: Driver) -> Check:
+    """Say what keeps the device from being activated."""
+    try:
+        needs = await patiently(driver.examine)
+    except DeviceFault as fault:
+        return wrong("fault", f"{fault.code}: {fault.name}", fault.hint or "`rtee recover`")
+    except RteeError as error:
+        return wrong("fault", str(error), "check the cable")
+    if needs:
+        return warning("fault", f"none, but {needs}", "rtee recover, which moves it")
+    return ok("fault", "none")
 
 
 async def _elsewhere(driver: Driver, pool: BusPool, address: str) -> str:

@@ -197,6 +197,17 @@ class DynamixelDriver(DynamixelCycle):
             )
             link.delay = sum(found.return_delay for found in self._found.values()) * 2e-6
 
+    async def examine(self) -> str:
+        """Raise the fault that the servos report."""
+        link = self._line
+
+        def look() -> None:
+            _, errors = link.read_group(table.STATE, table.STATE_SIZE)
+            setup.refuse(link, self.spec.name, self._names, errors)
+
+        await link.run(look, _SLOW)
+        return ""
+
     async def deactivate(self) -> None:
         """Take the torque away."""
         self._active = False

@@ -189,6 +189,11 @@ class OnRobot3FGDriver(BlocksDriver):
         self._sent = None
         self._active = True
 
+    async def examine(self) -> str:
+        """Raise the fault that it reports."""
+        self._refuse(await self._read())
+        return ""
+
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:

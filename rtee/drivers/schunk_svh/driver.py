@@ -127,7 +127,7 @@ class SchunkSvhDriver(Driver):
         await self._limits.read(link, self.spec.name, self._used(), options.channels, device=own)
         state = await link.state()
         self._enabled = state.enabled
-        self._baseline = state
+        self._baseline = _latched(state)
         if not self.stops:
             self._adopt_stops(read_stops(options.stops_file))
         if self.stops and not self._plausible(await link.feedback_all()):
@@ -198,6 +198,11 @@ class SchunkSvhDriver(Driver):
         self._home_asked = False
         await self._enable()
         self._hand.patient = False
+
+    async def examine(self) -> str:
+        """Return whether it is not homed; raises the fault that it reports."""
+        self._check(await self._hand.state())
+        return "" if set(self._index) <= set(self.stops) else "not homed"
 
     async def home(self) -> None:
         """Look for every channel's stop, one after the other; this moves the fingers.
@@ -331,9 +336,7 @@ class SchunkSvhDriver(Driver):
         self._enabled = 0
         self._warnings = ()
         state = await self._hand.state()
-        # What was written to clear the latches may come back as it is; then it tells nothing.
-        echoed = state.pwm_fault == codec.ControllerState.CLEAR
-        self._baseline = state if echoed else codec.ControllerState()
+        self._baseline = _latched(state)
         self._check(state)
         self._home_asked = not set(self._index) <= set(self.stops)
         if not self._home_asked:
@@ -356,3 +359,9 @@ class SchunkSvhDriver(Driver):
         self._answer = None
         if link is not None:
             await link.bus.release(owner_of(self.spec))
+
+
+def _latched(state: codec.ControllerState) -> codec.ControllerState:
+    """Return the bits that tell nothing: those written to clear latches, if they come back."""
+    echoed = state.pwm_fault == codec.ControllerState.CLEAR
+    return state if echoed else codec.ControllerState()

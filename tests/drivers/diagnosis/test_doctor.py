@@ -158,6 +158,38 @@ async def test_another_device_is_found_out() -> None:
     assert "driver: schunk_svh" in check.remedy
 
 
+@pytest.mark.parametrize(
+    ("driver", "name", "options", "fault", "text"),
+    [
+        ("robotiq_2f", "finger_joint", {}, "overcurrent", "14: overcurrent"),
+        ("schunk_svh", "hand_Pinky", {}, "driver_fault", "3: driver fault 0x01"),
+        (
+            "dynamixel",
+            "jaw",
+            {"servos": {"jaw": {"id": 1}}, "baudrate": 57600},
+            "overload",
+            "32: overload in servo 1 (jaw)",
+        ),
+        ("robotiq_2f", "finger_joint", {}, "", "none, but not activated"),
+        ("schunk_svh", "hand_Pinky", {}, "", "none, but not homed"),
+    ],
+)
+async def test_what_keeps_a_device_from_being_active_is_told(
+    driver: str, name: str, options: dict[str, Any], fault: str, text: str
+) -> None:
+    emulator = make_emulator(driver, {})
+    if fault:
+        emulator.inject(fault)
+    with SimulatedLine([emulator], wire_time=False) as line:
+        spec = gripper(options={"port": line.address, **options})
+        spec = replace(spec, driver=driver, actuators=(actuator(name, 0.0, 0.8),))
+        async with BusPool() as pool:
+            check = named(await check_device(spec, pool), "fault")
+    assert check.verdict is (Verdict.WRONG if fault else Verdict.WARNING)
+    assert check.text == text
+    assert "recover" in check.remedy
+
+
 async def test_a_device_without_supply() -> None:
     with SimulatedLine([]) as line:
         async with BusPool() as pool:
