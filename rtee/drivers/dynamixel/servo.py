@@ -1,4 +1,4 @@
-"""One emulated X-series servo: its control table, its motor, its faults."""
+"""One emulated X-series servo: what it takes, its motor, its faults."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from rtee.drivers.axis import Axis
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import Error, Hardware
+from rtee.drivers.dynamixel.memory import Memory
 from rtee.drivers.dynamixel.table import Mode, Register
 
 QUARTER_TURN = table.PULSES / 4.0
@@ -52,6 +53,8 @@ class Servo:
 
     Attributes:
         properties: What it is like.
+        get: Returns a register's value.
+        set: Sets a register, whatever it allows.
         axis: Its shaft, in pulses counted over turns.
         silent_until: It answers nothing before this time [s].
         unplugged: It answers nothing at all.
@@ -72,14 +75,12 @@ class Servo:
         self.silent_until = -math.inf
         self.unplugged = False
         self.cause = Hardware(0)
-        self._memory = bytearray(table.END)
-        self._indirect = list(table.INDIRECT_DATA)
+        self._memory = Memory()
+        self.get, self.set = self._memory.get, self._memory.set
         self._registered: tuple[int, bytes] | None = None
         self._heard = -math.inf
         self._strained: float | None = None
         self._turn = 0
-        for register in table.REGISTERS:
-            self.set(register, register.default)
         self.set(table.ID, number)
         self.set(table.MODEL, properties.model)
         self.set(table.HOMING_OFFSET, properties.homing_offset)
@@ -88,15 +89,6 @@ class Servo:
         self._start()
 
     # --- memory ----------------------------------------------------------------------------
-
-    def get(self, register: Register) -> int:
-        """Return a register's value."""
-        return register.unpack(bytes(self._memory[register.address :]))
-
-    def set(self, register: Register, value: int) -> None:
-        """Set a register, whatever it allows."""
-        end = register.address + register.size
-        self._memory[register.address : end] = register.pack(value)
 
     @property
     def number(self) -> int:
@@ -113,22 +105,14 @@ class Servo:
         if length == 0 or address + length > table.END:
             return None
         self._report()
-        out = bytearray(self._memory[address : address + length])
-        for at in range(max(address, table.INDIRECT_DATA.start), address + length):
-            out[at - address] = self._memory[self._points_to(at)]
-        return bytes(out)
-
-    def _points_to(self, at: int) -> int:
-        source = self._indirect[at - table.INDIRECT_DATA.start]
-        return source if 64 <= source < table.END else at
+        return self._memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> Error:
         """Write bytes as a host may, and return what the servo says to it."""
         if address + len(data) > table.END or not data:
             return Error.DATA_RANGE
         if address >= table.INDIRECT_DATA.start:
-            for offset, byte in enumerate(data):
-                self._memory[self._points_to(address + offset)] = byte
+            self._memory.write(address, data)
             self._act()
             return Error.NONE
         touched = [
@@ -136,16 +120,12 @@ class Servo:
             for r in table.REGISTERS
             if r.address < address + len(data) and address < r.address + r.size
         ]
-        after = bytearray(self._memory)
-        after[address : address + len(data)] = data
-        error = self._objection(touched, after)
+        error = self._objection(touched, self._memory.after(address, data))
         if error is not Error.NONE:
             return error
         mode = self.get(table.OPERATING_MODE)
         powered = self.get(table.TORQUE)
-        self._memory = after
-        if address >= table.INDIRECT.start:
-            self._point(address, data)
+        self._memory.write(address, data)
         if self.get(table.OPERATING_MODE) != mode:
             self._enter_mode()
         if self.get(table.TORQUE) and not powered:
@@ -153,13 +133,13 @@ class Servo:
         self._act()
         return Error.NONE
 
-    def _objection(self, touched: list[Register], after: bytearray) -> Error:
+    def _objection(self, touched: list[Register], after: bytes) -> Error:
         torque = self.get(table.TORQUE)
         tripped = self.get(table.BUS_WATCHDOG) < 0
         for register in touched:
             if not register.writable or (register.eeprom and torque):
                 return Error.ACCESS
-            value = register.unpack(bytes(after[register.address :]))
+            value = register.unpack(after[register.address :])
             low, high = register.minimum, register.maximum
             if (low is not None and value < low) or (high is not None and value > high):
                 return Error.DATA_RANGE
@@ -181,12 +161,6 @@ class Servo:
             return not self.get(table.MIN_POSITION) <= value <= self.get(table.MAX_POSITION)
         return False
 
-    def _point(self, address: int, data: bytes) -> None:
-        for offset in range(len(data)):
-            slot = (address + offset - table.INDIRECT.start) // 2
-            at = table.INDIRECT.start + 2 * slot
-            self._indirect[slot] = self._memory[at] | self._memory[at + 1] << 8
-
     def register_write(self, address: int, data: bytes) -> Error:
         """Keep bytes to be written by `action`."""
         self._registered = (address, data)
@@ -206,9 +180,7 @@ class Servo:
     def reboot(self, now: float) -> None:
         """Begin anew: RAM at its defaults, no torque, turns lost, errors cleared."""
         self.silent_until = now + self.properties.reboot_time
-        for register in table.REGISTERS:
-            if not register.eeprom:
-                self.set(register, register.default)
+        self._memory.reset(register for register in table.REGISTERS if not register.eeprom)
         self._registered = None
         self._start()
 
@@ -216,8 +188,7 @@ class Servo:
         """Forget the EEPROM, too; option 1 keeps the id, 2 the baud rate as well."""
         kept = {0x01: (table.ID,), 0x02: (table.ID, table.BAUD_RATE)}.get(option, ())
         values = [(register, self.get(register)) for register in (*kept, table.MODEL)]
-        for register in table.REGISTERS:
-            self.set(register, register.default)
+        self._memory.reset(table.REGISTERS)
         for register, value in values:
             self.set(register, value)
         self.reboot(now)
