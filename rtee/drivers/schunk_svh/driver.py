@@ -24,11 +24,12 @@ from rtee.drivers.schunk_svh.channels import (
     channels_of,
 )
 from rtee.drivers.schunk_svh.emulator import SchunkSvhEmulator
+from rtee.drivers.schunk_svh.health import HOMING, Health
 from rtee.drivers.schunk_svh.limits import Limits
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.drivers.schunk_svh.options import SchunkSvhOptions
 from rtee.drivers.schunk_svh.scales import Scales
-from rtee.drivers.schunk_svh.stops import read_stops, write_stops
+from rtee.drivers.schunk_svh.stops import plausible, read_stops, write_stops
 from rtee.errors import (
     BusTimeout,
     DeviceFault,
@@ -41,12 +42,6 @@ from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Refe
 
 if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
-
-
-_HOMING = (
-    "`rtee recover`, or `rtee run --home`, homes it: every finger moves to its open stop, so "
-    "nothing may be in the way"
-)
 
 
 class SchunkSvhDriver(Driver):
@@ -76,15 +71,13 @@ class SchunkSvhDriver(Driver):
         self._scales: Scales | None = None
         self._limits = Limits()
         self._targets = [0] * codec.CHANNELS
-        self._enabled = 0
+        self._health = Health(spec.name)
         self._attached = Attached(spec.actuators)
         self._here: FloatArray = np.full(len(spec.actuators), math.nan)
         self._home_asked = False
-        self._baseline = codec.ControllerState()
         self._answer: tuple[codec.FeedbackAll, float] | None = None
         self._last: tuple[codec.FeedbackAll, float] | None = None
         self._count = 0
-        self._warnings: tuple[str, ...] = ()
         exchange = 2 * codec.PACKET * 10.0 / codec.BAUDRATE + self.options.turnaround
         self.capabilities = Capabilities(
             measures=frozenset({"position", "effort", "current"}),
@@ -126,13 +119,13 @@ class SchunkSvhDriver(Driver):
         own = options.settings == "device" or (options.settings == "auto" and firmware.major >= 2)
         await self._limits.read(link, self.spec.name, self._used(), options.channels, device=own)
         state = await link.state()
-        self._enabled = state.enabled
-        self._baseline = _latched(state)
+        enabled = {c for c in range(codec.CHANNELS) if state.enabled >> c & 1}
+        self._health.found(state)
         if not self.stops:
             self._adopt_stops(read_stops(options.stops_file))
-        if self.stops and not self._plausible(await link.feedback_all()):
+        if self.stops and not plausible(self.stops, self._table, await link.feedback_all()):
             self._adopt_stops({})
-        if not set(self._index) <= {c for c in range(codec.CHANNELS) if state.enabled >> c & 1}:
+        if not set(self._index) <= enabled:
             # Switched off since: the supply may have been, too, and with it the encoders' zero.
             self._adopt_stops({})
         self._scales = None
@@ -148,27 +141,8 @@ class SchunkSvhDriver(Driver):
             self._scales = Scales(self._used(), self.stops, rates)
         return self._scales
 
-    def _plausible(self, feedback: codec.FeedbackAll) -> bool:
-        """Return whether every finger stands where its stop allows."""
-        for index, stop in self.stops.items():
-            low, high = self._table[index].soft_limits(stop)
-            slack = (high - low) // 10
-            if not low - slack <= feedback.positions[index] <= high + slack:
-                return False
-        return True
-
     def _adopt(self, firmware: codec.FirmwareInfo) -> None:
-        def with_options(channel: Channel) -> Channel:
-            given = self.options.channels.get(channel.name)
-            if given is None:
-                return channel
-            changes = given.model_dump(exclude_none=True, exclude={"current_limit"})
-            per_ampere = changes.pop("effort_per_ampere", None)
-            if per_ampere is not None:
-                changes |= {"force_slope": per_ampere / 1000.0, "force_offset": 0.0, "lever": 1.0}
-            return replace(channel, **changes)
-
-        self._table = tuple(with_options(c) for c in channels_for(firmware.version))
+        self._table = self.options.applied_to(channels_for(firmware.version))
         self.capabilities = replace(
             self.capabilities,
             identity={
@@ -186,14 +160,14 @@ class SchunkSvhDriver(Driver):
         self._hand.patient = True
         wanted = sum(1 << channel for channel in self._index)
         homed = set(self._index) <= set(self.stops)
-        if homed and self._enabled & wanted == wanted:
+        if homed and self._health.enabled & wanted == wanted:
             await self._seed()
             self._attached.begin(range(len(self._index)))
             self._hand.patient = False
             return
         if not homed:
             if self.options.home == "on_demand" and not self._home_asked:
-                raise DeviceFault(self.spec.name, power.NOT_HOMED, "not homed", hint=_HOMING)
+                raise DeviceFault(self.spec.name, power.NOT_HOMED, "not homed", hint=HOMING)
             await self.home()
         self._home_asked = False
         await self._enable()
@@ -212,7 +186,7 @@ class SchunkSvhDriver(Driver):
             BusError: if an exchange fails.
         """
         self._answer = None
-        self._enabled = 0
+        self._health.off()
         self._adopt_stops({})
         await power.disable(self._hand)
         await self._limits.write(self._hand, self._index)
@@ -238,9 +212,9 @@ class SchunkSvhDriver(Driver):
         await self._limits.write(self._hand, self._index)
         await self._seed()
         await self._hand.set_targets(self._targets)
-        self._baseline = await power.enable(self._hand, self._index)
-        self._enabled = sum(1 << channel for channel in self._index)
-        self._check(self._baseline)
+        state = await power.enable(self._hand, self._index)
+        self._health.begin(state, self._index)
+        self._check(state)
 
     async def _seed(self) -> None:
         """Take the measured positions for targets, so that nothing moves when power comes."""
@@ -268,32 +242,17 @@ class SchunkSvhDriver(Driver):
         position, effort, current = units.measured(feedback)
         self._here = position
         return ActuatorState.measured(
-            position, stamp, effort=effort, current=current, warnings=self._warnings
+            position, stamp, effort=effort, current=current, warnings=self._health.warnings
         )
 
     def _check(self, state: codec.ControllerState) -> None:
-        """Raise a fault the state tells of; bits set when it was enabled tell nothing."""
-        faults = state.pwm_fault & ~self._baseline.pwm_fault
-        lost = self._enabled & ~state.enabled
-        hot = state.pwm_otw & ~self._baseline.pwm_otw
-        self._warnings = (f"over-temperature warning {hot:#04x}",) if hot else ()
-        if faults:
-            raise DeviceFault(
-                self.spec.name,
-                power.DRIVER_FAULT,
-                f"driver fault {faults:#04x}",
-                hint="let it cool down, then `rtee recover`",
-            )
-        if lost:
-            # Without its supply the hand forgets where its fingers are.
-            self._adopt_stops({})
-            names = ", ".join(c.name for c in self._table if lost >> c.index & 1)
-            raise DeviceFault(
-                self.spec.name,
-                power.LOST_POWER,
-                f"switched off: {names}",
-                hint=f"was the 24 V supply cut? {_HOMING}",
-            )
+        try:
+            self._health.check(state, self._table)
+        except DeviceFault as fault:
+            if fault.code == power.LOST_POWER:
+                # Without its supply the hand forgets where its fingers are.
+                self._adopt_stops({})
+            raise
 
     async def move(self, reference: Reference) -> None:
         """Send changed limits, then the targets of all channels, which brings the state back."""
@@ -333,10 +292,9 @@ class SchunkSvhDriver(Driver):
         """
         self._hand.patient = True
         await power.disable(self._hand)
-        self._enabled = 0
-        self._warnings = ()
+        self._health.off()
         state = await self._hand.state()
-        self._baseline = _latched(state)
+        self._health.cleared(state)
         self._check(state)
         self._home_asked = not set(self._index) <= set(self.stops)
         if not self._home_asked:
@@ -346,7 +304,7 @@ class SchunkSvhDriver(Driver):
         """Switch every channel off."""
         self._answer = None
         if self._link is not None:
-            self._enabled = 0
+            self._health.off()
             await power.disable(self._link)
 
     def counters(self) -> Mapping[str, int]:
@@ -359,9 +317,3 @@ class SchunkSvhDriver(Driver):
         self._answer = None
         if link is not None:
             await link.bus.release(owner_of(self.spec))
-
-
-def _latched(state: codec.ControllerState) -> codec.ControllerState:
-    """Return the bits that tell nothing: those written to clear latches, if they come back."""
-    echoed = state.pwm_fault == codec.ControllerState.CLEAR
-    return state if echoed else codec.ControllerState()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from rtee.drivers.options import DeviceOptions
-from rtee.drivers.schunk_svh.channels import CHANNELS
+from rtee.drivers.schunk_svh.channels import CHANNELS, Channel
 from rtee.drivers.schunk_svh.packets import TURNAROUND
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -34,6 +35,14 @@ class ChannelOptions(BaseModel):
     reset_factor: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     current_limit: Positive | None = None
     effort_per_ampere: Positive | None = None
+
+    def applied_to(self, channel: Channel) -> Channel:
+        """Return the channel with what differs; the current's limit is the controller's."""
+        changes = self.model_dump(exclude_none=True, exclude={"current_limit"})
+        per_ampere = changes.pop("effort_per_ampere", None)
+        if per_ampere is not None:
+            changes |= {"force_slope": per_ampere / 1000.0, "force_offset": 0.0, "lever": 1.0}
+        return replace(channel, **changes)
 
 
 class SchunkSvhOptions(DeviceOptions):
@@ -65,6 +74,15 @@ class SchunkSvhOptions(DeviceOptions):
     deadline: Positive = 0.05
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     turnaround: Annotated[float, Field(ge=0.0)] = TURNAROUND
+
+    def applied_to(self, table: tuple[Channel, ...]) -> tuple[Channel, ...]:
+        """Return the channels with what differs from the table."""
+        return tuple(
+            self.channels[channel.name].applied_to(channel)
+            if channel.name in self.channels
+            else channel
+            for channel in table
+        )
 
     @field_validator("channels")
     @classmethod

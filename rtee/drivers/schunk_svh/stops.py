@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rtee.drivers.schunk_svh import codec
+from rtee.drivers.schunk_svh.channels import Channel
 from rtee.hand.files import make_folder, write_atomically
 
 
@@ -27,3 +29,15 @@ def write_stops(path: Path | None, stops: dict[int, int]) -> None:
         make_folder(path.parent)
         text = json.dumps({"stops": {str(c): stops[c] for c in sorted(stops)}}, indent=2)
         write_atomically(path, text + "\n")
+
+
+def plausible(
+    stops: Mapping[int, int], table: Sequence[Channel], feedback: codec.FeedbackAll
+) -> bool:
+    """Return whether every finger stands where its stop allows."""
+    for index, stop in stops.items():
+        low, high = table[index].soft_limits(stop)
+        slack = (high - low) // 10
+        if not low - slack <= feedback.positions[index] <= high + slack:
+            return False
+    return True
