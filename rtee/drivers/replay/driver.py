@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import anyio.to_thread
 import numpy as np
@@ -20,6 +20,9 @@ from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 if TYPE_CHECKING:
     from rtee.buses.pool import BusPool
+
+_PATIENCE = 0.02
+"""An exchange waits this long for what is being read [s]; it must not count as unanswered."""
 
 _WORDS: dict[int, bool | None] = {-1: None, 0: False, 1: True}
 
@@ -40,6 +43,7 @@ class ReplayDriver(Driver):
     Attributes:
         now: The clock that it follows [s].
         ended: Whether the recording has been played to its end.
+        behind: Whether what is to be shown now is still being read; the last state stands.
     """
 
     Options = ReplayOptions
@@ -47,7 +51,7 @@ class ReplayDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.now: Callable[[], float] = time.monotonic
-        self.ended = False
+        self.ended = self.behind = False
         self._options = read_options(ReplayOptions, spec)
         self._states: RecordedStates | None = None
         self._blocks: Iterator[Block] = iter(())
@@ -55,9 +59,11 @@ class ReplayDriver(Driver):
         self._next: Block | None = None
         self._first = 0.0
         self._following: asyncio.Future[Block | None] | None = None
+        self._beginning: asyncio.Future[None] | None = None
         self._row = 0
         self._shown = -1
         self._begin: float | None = None
+        self._patience = 0.0
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "effort", "current", "temperature"}),
             identity={"model": "replay", "file": self._options.file.name},
@@ -82,6 +88,7 @@ class ReplayDriver(Driver):
         if self._block is None:
             raise NotConnected(self.spec.name, "is not open")
         passed = 0.0 if self._begin is None else self.now() - self._begin
+        self._patience = asyncio.get_running_loop().time() + _PATIENCE
         await self._advance(passed * self._options.speed)
         block, row = self._block, self._row
         fresh, self._shown = row != self._shown, row
@@ -103,11 +110,12 @@ class ReplayDriver(Driver):
 
     async def close(self) -> None:
         """See `Driver.close`."""
-        following, self._following = self._following, None
-        if following is not None:
-            following.cancel()
+        reading = [task for task in (self._beginning, self._following) if task is not None]
+        self._beginning = self._following = None
+        for task in reading:
+            task.cancel()
             # The thread may still be reading; the file is closed when it is done.
-            await asyncio.wait([following])
+            await asyncio.wait([task])
         states, self._states = self._states, None
         self._block = self._next = None
         if states is not None:
@@ -129,6 +137,12 @@ class ReplayDriver(Driver):
 
     async def _advance(self, played: float) -> None:
         """Go to the last state that is not later than a time since the first one [s]."""
+        if self._beginning is not None:
+            if not await self._there(self._beginning):
+                return
+            beginning, self._beginning = self._beginning, None
+            beginning.result()
+            self._begin, played = self.now(), 0.0
         wanted = self._first + played
         while self._block is not None:
             stamps = self._block.stamp
@@ -136,8 +150,9 @@ class ReplayDriver(Driver):
             if self._row < len(stamps) - 1 or self.ended:
                 return
             if self._next is None and self._following is not None:
-                self._next = await asyncio.shield(self._following)
-                self._following = None
+                if not await self._there(self._following):
+                    return
+                self._next, self._following = self._following.result(), None
             if self._next is not None:
                 if wanted < self._next.stamp[0]:
                     return
@@ -145,8 +160,15 @@ class ReplayDriver(Driver):
                 self._shown = -1
                 self._fetch()
             elif self._options.repeat:
-                await self._rewind()
-                self._begin = self.now()
+                self._beginning = asyncio.ensure_future(self._rewind())
+                await self._advance(0.0)
                 return
             else:
                 self.ended = True
+
+    async def _there(self, reading: asyncio.Future[Any]) -> bool:
+        """Wait for what is being read, but not for long; return whether it is there."""
+        left = self._patience - asyncio.get_running_loop().time()
+        done, _ = await asyncio.wait([reading], timeout=max(0.0, left))
+        self.behind = not done
+        return bool(done)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,12 @@ from mcap.writer import Writer
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.replay.driver import ReplayDriver
-from rtee.drivers.replay.states import RecordedStates
+from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import ConfigError, LogError, NotConnected
 from rtee.messages.layout import actuator_state_fields
 from rtee.messages.schema import message_type
 from rtee.messages.topics import log_topic
-from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from rtee.types import ActuatorSpec, ActuatorState, DeviceSpec, JointKind, Reference
 
 pytestmark = pytest.mark.anyio
 KIND = message_type("rtee_msgs/msg/ActuatorState")
@@ -78,12 +79,19 @@ class Player:
     async def __aexit__(self, *_: object) -> None:
         await self.driver.close()
 
+    async def sense(self) -> ActuatorState:
+        """Return what is to be shown now, once it has been read."""
+        state = await self.driver.sense()
+        while self.driver.behind:
+            state = await self.driver.sense()
+        return state
+
 
 async def test_states_come_by_name_at_their_time(recording: Path) -> None:
     async with Player(recording) as player:
         for k in (0, 1, 2, 700, 1100, STATES - 1):
             player.seconds = 5.0 + k * PERIOD + 1e-9
-            state = await player.driver.sense()
+            state = await player.sense()
             assert state.position.tolist() == [-k, k]
             assert state.velocity.tolist() == [2.0, 1.0]
             assert state.effort.tolist() == [4.0, 3.0]
@@ -92,57 +100,81 @@ async def test_states_come_by_name_at_their_time(recording: Path) -> None:
             assert state.grasped == (None, True)
             assert state.fresh
             assert state.stamp == player.seconds
-            assert not (await player.driver.sense()).fresh
+            assert not (await player.sense()).fresh
 
 
 async def test_every_state_is_played_in_order(recording: Path) -> None:
     async with Player(recording) as player:
         seen = []
         for _ in range(STATES):
-            seen.append((await player.driver.sense()).position[1])
+            seen.append((await player.sense()).position[1])
             player.seconds += PERIOD * (1 + 1e-9)
         assert seen == list(range(STATES))
+
+
+async def test_what_takes_long_to_read_is_not_waited_for(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the exchange would count as unanswered, and the replay as a lost device."""
+    held = threading.Event()
+    blocks = RecordedStates.blocks
+
+    def slow(states: RecordedStates, size: int = 500) -> Iterator[Block]:
+        for number, block in enumerate(blocks(states, size)):
+            if number:
+                held.wait()
+            yield block
+
+    monkeypatch.setattr(RecordedStates, "blocks", slow)
+    async with Player(recording) as player:
+        player.seconds += 700 * PERIOD + 1e-9
+        state = await player.driver.sense()
+        assert (state.position[1], player.driver.behind) == (499, True)
+        assert not (await player.driver.sense()).fresh
+        held.set()
+        assert (await player.sense()).position[1] == 700
+        assert not player.driver.behind
 
 
 async def test_it_stays_at_the_end(recording: Path) -> None:
     async with Player(recording) as player:
         player.seconds += 1000.0
-        state = await player.driver.sense()
+        state = await player.sense()
         assert state.position[1] == STATES - 1
         assert player.driver.ended
-        assert not (await player.driver.sense()).fresh
+        assert not (await player.sense()).fresh
 
 
 async def test_it_may_repeat(recording: Path) -> None:
     async with Player(recording, repeat=True) as player:
         player.seconds += STATES * PERIOD
-        assert (await player.driver.sense()).position[1] == 0
+        assert (await player.sense()).position[1] == 0
         player.seconds += 10 * PERIOD + 1e-9
-        assert (await player.driver.sense()).position[1] == 10
+        assert (await player.sense()).position[1] == 10
 
 
 async def test_time_may_pass_faster(recording: Path) -> None:
     async with Player(recording, speed=10.0) as player:
         player.seconds += 20 * PERIOD + 1e-9
-        assert (await player.driver.sense()).position[1] == 200
+        assert (await player.sense()).position[1] == 200
 
 
 async def test_references_change_nothing(recording: Path) -> None:
     async with Player(recording) as player:
         await player.driver.move(Reference.at([5.0, 5.0]))
-        assert (await player.driver.sense()).position.tolist() == [0.0, 0.0]
+        assert (await player.sense()).position.tolist() == [0.0, 0.0]
 
 
 async def test_it_can_be_closed_and_opened_again(recording: Path) -> None:
     async with Player(recording) as player:
         player.seconds += 0.5
-        await player.driver.sense()
+        await player.sense()
         await player.driver.close()
         await player.driver.close()
         with pytest.raises(NotConnected):
-            await player.driver.sense()
+            await player.sense()
         await player.driver.configure()
-        assert (await player.driver.sense()).position[1] == 0
+        assert (await player.sense()).position[1] == 0
 
 
 def test_a_recording_of_one_other_hand_will_do(tmp_path: Path) -> None:
