@@ -16,8 +16,9 @@ BIN := .venv/bin
 demo: .venv/.ready
 	$(BIN)/python examples/demo.py
 
+# Two processes: half of the tests wait for simulated wires and for a browser.
 test: lint types layers
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 lint: .venv/.ready
 	$(BIN)/ruff format --check .

@@ -78,7 +78,7 @@ def run(folder: Path, *, pictures: bool = True, steps: Sequence[Step] = STEPS) -
     stills: list[tuple[str, bytes]] = []
     with ExitStack() as stack:
         # The browser first: if there is none, nothing is started in vain.
-        context = stack.enter_context(browser(*SIZE))
+        context = stack.enter_context(browser(*SIZE, scale=1.0 if pictures else 0.5))
         place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rtee-")))
         hand = ("run", HAND, "--driver", "mujoco", "--rate", _RATE, "--log", str(logs))
         stack.enter_context(_program(place, rf"{HAND}: .* active", *hand))

@@ -66,7 +66,7 @@ def test_an_experiment_that_fails_says_so(tmp_path: Path) -> None:
 @pytest.mark.browser
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium was found")
-def test_dagana_does_what_is_clicked(tmp_path: Path) -> None:
+def test_dagana_does_what_is_clicked_in_a_browser(tmp_path: Path) -> None:
     outcome = dagana_gui.run(tmp_path, pictures=False, steps=dagana_gui.STEPS[::2])
     assert passed(outcome)
     assert {path.suffix for path in outcome.files} == {".mcap", ".png"}
