@@ -109,7 +109,7 @@ class DynamixelDriver(DynamixelCycle):
     def _scale(self) -> None:
         for servo, scale in zip(self._servos, self.scales, strict=True):
             model = model_of(self._found[servo.id].model)
-            scale.current_unit = model.current_unit
+            scale.current_unit = servo.current_unit or model.current_unit
             scale.torque_per_ampere = servo.torque_per_ampere or model.torque_per_ampere
 
     def _describe(self) -> None:

@@ -28,6 +28,7 @@ class ServoOptions(BaseModel):
         i: Integral gain.
         d: Derivative gain.
         current: Largest current [A]; else that of the line.
+        current_unit: Current per count [A]; else that of the model.
         torque_per_ampere: Torque per current [N·m/A]; else that of the model.
     """
 
@@ -43,6 +44,7 @@ class ServoOptions(BaseModel):
     i: Gain | None = None
     d: Gain | None = None
     current: Positive | None = None
+    current_unit: Positive | None = None
     torque_per_ampere: Positive | None = None
 
 

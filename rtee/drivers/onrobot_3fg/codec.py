@@ -57,6 +57,11 @@ class GripType(IntEnum):
     EXTERNAL = 0
     INTERNAL = 1
 
+    @property
+    def sign(self) -> int:
+        """-1 where the fingertips' surfaces are nearer together than their centres, else +1."""
+        return -1 if self is GripType.EXTERNAL else 1
+
 
 @dataclass(frozen=True, slots=True)
 class Command:
@@ -64,7 +69,7 @@ class Command:
 
     Attributes:
         force: Part of the largest force, 0 to 1000 [0.1 %].
-        diameter: Raw diameter, between the fingertips' centres [0.1 mm].
+        diameter: Target diameter [0.1 mm].
         grip_type: From outside or from inside.
         control: What to do.
     """
@@ -175,8 +180,7 @@ class Fingers:
 
     def diameter(self, raw_diameter: float, grip_type: GripType) -> float:
         """Return the diameter of what fits between (or into) the fingertips [m]."""
-        sign = -2.0 if grip_type is GripType.EXTERNAL else 2.0
-        return raw_diameter + sign * self.offset
+        return raw_diameter + grip_type.sign * 2.0 * self.offset
 
 
 _PIVOT = 0.037

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 from pydantic import BaseModel
@@ -29,6 +30,7 @@ from rtee.drivers.onrobot_3fg.codec import (
     Scale,
     Status,
     metres,
+    offset_metres,
     serial_number,
 )
 from rtee.drivers.onrobot_3fg.emulator import OnRobot3FGEmulator
@@ -79,6 +81,7 @@ class OnRobot3FGDriver(BlocksDriver):
         self._kind = GripType[self.options.grip.upper()]
         self._status = Status()
         self._sent: Command | None = None
+        self._tips = 0
         self._wanted: tuple[int, int] = (0, 0)
         self._wanted_since = 0.0
         self._moved_at = 0.0
@@ -149,7 +152,7 @@ class OnRobot3FGDriver(BlocksDriver):
         self._status = await self._read()
         unit = self.options.unit
         smallest, largest = await bus.read(unit, LIMITS, 2, deadline=0.5)
-        length, _, hole, _ = await bus.read(unit, GEOMETRY, 4, deadline=0.5)
+        length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=0.5)
         if hole not in (1, 2, 3) or not smallest < largest:
             raise HandshakeError(
                 self.spec.name,
@@ -157,6 +160,8 @@ class OnRobot3FGDriver(BlocksDriver):
                 f"a tool with finger position {hole} and diameters {smallest} to {largest}",
                 hint="is another tool mounted?",
             )
+        if self.options.target == "tips":
+            self._tips = round(self._kind.sign * 2.0 * offset_metres(offset) / metres(1))
         self.scale = self._scaled(self.options.largest or metres(largest))
         if self.scale.largest <= self.scale.smallest:
             raise ConfigError(
@@ -224,7 +229,7 @@ class OnRobot3FGDriver(BlocksDriver):
         )
         if command is None:
             return
-        block = await blocks.exchange(command.to_registers())
+        block = await blocks.exchange(self._registers(command))
         self._sent = command
         self._note(Status.from_registers(block, self.options.address))
         blocks.keep(block)
@@ -263,6 +268,11 @@ class OnRobot3FGDriver(BlocksDriver):
     def _command(self, force: int, diameter: int, control: Control) -> Command:
         return Command(force, diameter, self._kind, control)
 
+    def _registers(self, command: Command) -> Sequence[int]:
+        """Return what goes over the wire for a command whose diameter is raw."""
+        wanted = max(command.diameter + self._tips, 0)
+        return replace(command, diameter=wanted).to_registers()
+
     def _note(self, status: Status) -> None:
         if abs(status.raw_diameter - self._status.raw_diameter) > 1:
             self._moved_at = time.monotonic()
@@ -277,7 +287,7 @@ class OnRobot3FGDriver(BlocksDriver):
         status = self._status
         force = self._sent.force if self._sent else status.force
         command = self._command(force, status.raw_diameter, Control.STOP)
-        if await self._insist(command.to_registers()):
+        if await self._insist(self._registers(command)):
             self._sent = None
 
     async def recover(self) -> None:

@@ -49,6 +49,8 @@ class OnRobot3FGProperties:
         speed: Of the diameter [m/s].
         force_time: Time to build up the force after the contact [s].
         busy_ignores: While busy it ignores only ``grip``, or ``all`` commands but stop.
+        target: Whether a target diameter is ``raw``, between the fingertips' centres, or between
+            their surfaces, the ``tips``.
         grip: Which way it closes on an object: ``external``, inwards, or ``internal``, outwards.
         position: Raw diameter at power-up [m]; by default open for such a grip.
         product: Its product code.
@@ -65,6 +67,7 @@ class OnRobot3FGProperties:
     speed: Positive = 0.080
     force_time: Duration = 0.3
     busy_ignores: Literal["grip", "all"] = "grip"
+    target: Literal["raw", "tips"] = "raw"
     grip: Literal["external", "internal"] = "external"
     position: float | None = None
     product: int = 0x70
@@ -256,9 +259,10 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         self.axis.max_effort = (
             min(_APPROACH_FORCE, self._force()) if self._grips else _APPROACH_FORCE
         )
-        self.axis.target = min(
-            max(self._targets[1] * 1e-4, self.properties.smallest), self.properties.largest
-        )
+        wanted = self._targets[1] * 1e-4
+        if self.properties.target == "tips":
+            wanted -= GripType(self._targets[2] & 1).sign * 2.0 * self.fingers.offset
+        self.axis.target = min(max(wanted, self.properties.smallest), self.properties.largest)
         self.moves += 1
         self.begun = self._targets[0]
 

@@ -27,6 +27,11 @@ class OnRobot3FGOptions(DeviceOptions):
     largest: float | None = Field(
         None, gt=0.0, description="raw diameter at its lower limit [m]; by default as it tells"
     )
+    target: Literal["raw", "tips"] = Field(
+        "raw",
+        description="what the target diameter means: between the fingertips' centres, or their "
+        "surfaces",
+    )
     settle: float = Field(
         0.1, ge=0.0, description="a reference that rests this long is gripped at with force [s]"
     )

@@ -228,6 +228,16 @@ async def test_missing_and_wrong_servos_are_named() -> None:
         )
 
 
+async def test_a_model_that_is_not_known_is_driven_with_the_units_given() -> None:
+    servo = {"id": 0, "model": 1000, "current_unit": 0.00269, "torque_per_ampere": 2.0}
+    spec = device(1, servos={"j0": servo}, emulator={"servo": {"model": 1000}})
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        assert {"current", "effort"} <= made.capabilities.measures
+        await made.activate()
+        await made.move(Reference.at([0.1], max_effort=np.array([0.538])))
+        assert line(pool).servos[0].get(table.GOAL_CURRENT) == 100
+
+
 async def test_a_reversed_drive_mode_is_named() -> None:
     spec = device(1, emulator={"servo": {"drive_mode": 1}})
     async with BusPool(wire_time=False) as pool:

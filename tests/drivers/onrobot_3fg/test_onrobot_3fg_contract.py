@@ -55,6 +55,16 @@ async def gripped(session: Session, goal: float, **limits: Any) -> Any:
     pytest.fail("it never gripped")
 
 
+@pytest.mark.parametrize("grip", ["external", "internal"])
+async def test_targets_between_the_tips_are_reached_too(grip: str) -> None:
+    options = {**TCP.options, "target": "tips", "grip": grip}
+    options["emulator"] = {**TCP.options["emulator"], "target": "tips"}
+    async with Session(replace(TCP, options=options)) as session:
+        await session.start()
+        assert session.near(await session.reach([1.2]), [1.2])
+        assert session.emulator.status().raw_diameter == pytest.approx(SCALE.register(1.2), abs=10)
+
+
 async def test_a_reference_that_rests_is_gripped_at_with_its_force() -> None:
     async with Session(TCP) as session:
         await session.start()
