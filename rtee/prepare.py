@@ -98,7 +98,8 @@ class PreparedHand:
             max_file_size=given.max_file_size,
             max_file_time=given.max_file_time,
             max_total_size=given.max_total_size,
-            flight_recorder=given.flight_recorder,
+            # What is shown again has been recorded.
+            flight_recorder=0.0 if options.driver == "replay" else given.flight_recorder,
             decimation=given.decimation,
         )
 

@@ -11,7 +11,7 @@ def show(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     """Run the hand of a recording on its recorded states until Ctrl-C.
 
     The hand is the configured one of that name if it has the same actuators, else the one that the
-    recording itself describes.
+    recording itself describes. A recording that was never closed is shown from a whole copy.
 
     Args:
         path: The recording.
@@ -26,12 +26,15 @@ def show(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
 
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
+    from rtee.log.recover import recover
     from rtee.messages.topics import ROBOT_DESCRIPTION
     from rtee.remote.server import Server
     from rtee.run import RunOptions, run_hands
 
     recording = read(path, only=[ROBOT_DESCRIPTION])
     with tempfile.TemporaryDirectory(prefix="rtee-replay-") as folder:
+        if not recording.finished:
+            path = recover(path, Path(folder) / path.name).path
         hand = recording.hand
         if not _configured(hand, recording.metadata.get("actuators", "").split()):
             hand = str(write_hand(recording, Path(folder)))
