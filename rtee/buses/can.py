@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import threading
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rtee.buses.bus import Bus
+from rtee.buses.can_guard import Guarded
 from rtee.buses.emulator import CanFrame
 from rtee.errors import BusBroken, BusTimeout
 
@@ -214,7 +214,7 @@ class CanBus(Bus):
         import can
 
         raw = can.Bus(interface=self.interface, channel=self.name, bitrate=self.bitrate)
-        return _Guarded(raw, self._failed_elsewhere)
+        return Guarded(raw, self._failed_elsewhere)
 
     async def _close(self) -> None:
         bus, notifier = self._bus, self._notifier
@@ -235,61 +235,6 @@ class CanBus(Bus):
             bus.shutdown()
 
         await asyncio.shield(asyncio.get_running_loop().run_in_executor(None, stop))
-
-
-class _Guarded:
-    """A python-can bus whose receiving never raises, so that the notifier cannot die of it."""
-
-    def __init__(self, bus: Any, failed: Callable[[str], None]) -> None:
-        self._bus = bus
-        self._failed = failed
-        self._dead = threading.Event()
-        self._ended = False
-        self.channel_info = bus.channel_info
-
-    def fileno(self) -> int:
-        return int(self._bus.fileno())
-
-    def fileno_or_none(self) -> int | None:
-        try:
-            return int(self._bus.fileno())
-        except NotImplementedError:
-            return None
-
-    def end(self) -> None:
-        """Have the notifier's thread end now instead of when its wait is over."""
-        self._ended = True
-        wake(self._bus)
-
-    def recv(self, timeout: float | None = None) -> Any:
-        if self._ended:
-            raise SystemExit  # ends a thread without a word
-        if self._dead.is_set():
-            time.sleep(timeout or 0.0)
-            return None
-        try:
-            message = self._bus.recv(timeout)
-            return None if self._ended else message
-        except Exception as error:
-            self._dead.set()
-            self._failed(str(error))
-            return None
-
-    def send(self, message: Any, timeout: float | None = None) -> None:
-        self._bus.send(message, timeout)
-
-    def shutdown(self) -> None:
-        self._dead.set()
-        self._bus.shutdown()
-
-
-def wake(bus: Any) -> None:
-    """End the wait of whoever receives from a virtual bus, by an error frame of its own."""
-    import can
-
-    queue = getattr(bus, "queue", None)
-    if queue is not None:
-        queue.put(can.Message(is_error_frame=True))
 
 
 def _traced(frame: CanFrame) -> bytes:

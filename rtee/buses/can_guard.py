@@ -1,0 +1,75 @@
+"""A python-can bus that its notifier can read without dying, and without a thread left behind."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rtee.buses.timing import ask_for_short_slices, wake_exactly
+
+
+class Guarded:
+    """A python-can bus whose receiving never raises, so that the notifier cannot die of it."""
+
+    def __init__(self, bus: Any, failed: Callable[[str], None]) -> None:
+        self._bus = bus
+        self._failed = failed
+        self._dead = threading.Event()
+        self._ended = False
+        self._prompt = self.fileno_or_none() is not None  # else the notifier has a thread for it
+        self.channel_info = bus.channel_info
+
+    def fileno(self) -> int:
+        """Return its file descriptor; raises `NotImplementedError` where it has none."""
+        return int(self._bus.fileno())
+
+    def fileno_or_none(self) -> int | None:
+        """Return its file descriptor, or ``None`` where it has none."""
+        try:
+            return int(self._bus.fileno())
+        except NotImplementedError:
+            return None
+
+    def end(self) -> None:
+        """Have the notifier's thread end now instead of when its wait is over."""
+        self._ended = True
+        wake(self._bus)
+
+    def recv(self, timeout: float | None = None) -> Any:
+        """Return the next message, ``None`` where none came in time [s] or the bus broke."""
+        if self._ended:
+            raise SystemExit  # ends a thread without a word
+        if not self._prompt:
+            self._prompt = True
+            wake_exactly()
+            ask_for_short_slices()
+        if self._dead.is_set():
+            time.sleep(timeout or 0.0)
+            return None
+        try:
+            message = self._bus.recv(timeout)
+            return None if self._ended else message
+        except Exception as error:
+            self._dead.set()
+            self._failed(str(error))
+            return None
+
+    def send(self, message: Any, timeout: float | None = None) -> None:
+        """Send a message; raises what the bus raises."""
+        self._bus.send(message, timeout)
+
+    def shutdown(self) -> None:
+        """Close the bus."""
+        self._dead.set()
+        self._bus.shutdown()
+
+
+def wake(bus: Any) -> None:
+    """End the wait of whoever receives from a virtual bus, by an error frame of its own."""
+    import can
+
+    queue = getattr(bus, "queue", None)
+    if queue is not None:
+        queue.put(can.Message(is_error_frame=True))
