@@ -74,6 +74,8 @@ def export(
     if kind is Format.NPZ:
         _write_npz(output, found)
         return [output]
+    if kind is Format.PARQUET:
+        _parquet()
     written = []
     for name, table in found.items():
         path = output / f"{name}.{kind}"
@@ -93,12 +95,17 @@ def _write_csv(path: Path, table: Table) -> None:
             writer.writerows(zip(*part, strict=True))
 
 
-def _write_parquet(path: Path, table: Table) -> None:
+def _parquet() -> Any:
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
         raise LogError("Parquet needs pyarrow: pip install 'rtee[plot]'") from None
+    return pyarrow
+
+
+def _write_parquet(path: Path, table: Table) -> None:
+    pyarrow = _parquet()
     columns = {name: pyarrow.array(column) for name, column in table.items()}
     pyarrow.parquet.write_table(pyarrow.table(columns), path, compression="zstd")
 

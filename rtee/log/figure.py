@@ -156,7 +156,8 @@ def figure(
     until = recording.duration if end is None else end
     within = (states.t >= begin) & (states.t <= until)
     if not within.any():
-        raise LogError("holds no states in that time", path=recording.paths[0])
+        when = " in that time" if len(states) else ""
+        raise LogError(f"holds no states{when}", path=recording.paths[0])
     groups = _groups(chosen, by, fingers or {})
     efforts, label = _efforts(recording, within)
     rows = []

@@ -297,6 +297,20 @@ def test_a_missing_file_is_one_sentence(arguments: tuple[str, ...]) -> None:
     assert caught.value.exit_status == 2
 
 
+def test_what_is_not_installed_is_said(
+    story: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("pyarrow", "pyarrow.parquet", "plotly", "matplotlib.figure"):
+        monkeypatch.setitem(sys.modules, name, None)
+    out = tmp_path / "out"
+    with pytest.raises(LogError, match=r"pip install 'rtee\[plot\]'"):
+        run("export", story, out, "--format", "parquet")
+    for more in ((), ("--no-html",)):
+        with pytest.raises(LogError, match=r"pip install 'rtee\[plot\]'"):
+            run("plot", story, "--out", out, *more)
+    assert not list(tmp_path.glob("out*"))
+
+
 def test_wrong_options_are_said(story: Path, tmp_path: Path) -> None:
     with pytest.raises(LogError, match="--by should be"):
         run("plot", story, "--by", "joint")
