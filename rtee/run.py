@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import sys
+import threading
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ from rtee.loop.realtime import (
     favoured_session,
     set_up,
     share_the_interpreter,
+    small_stacks,
 )
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
 from rtee.loop.settings import Behaviour, RealtimeSettings
@@ -87,6 +89,7 @@ async def run_hands(
     realtime = _realtime(prepared, options)
     collector = Collector()
     async with AsyncExitStack() as stack:
+        stack.callback(threading.stack_size, small_stacks())
         signals = stack.enter_context(receive_signals())
         trace = _Trace()
         pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))

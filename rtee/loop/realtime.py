@@ -21,6 +21,7 @@ SWITCH_INTERVAL = 50e-6
 HELPERS_NICE = -15
 """Nice value of the loop's helper threads, where that is permitted."""
 
+_STACK = 2 * 1024 * 1024
 _AUTOGROUP = Path("/proc/self/autogroup")
 _MCL_CURRENT = 1
 _MCL_FUTURE = 2
@@ -103,6 +104,17 @@ def favoured_session(settings: RealtimeSettings) -> Iterator[None]:
         if before:
             with contextlib.suppress(OSError):
                 _AUTOGROUP.write_text(before)
+
+
+def small_stacks() -> int:
+    """Give threads that are started from now on stacks of 2 MiB instead of Linux' 8.
+
+    Memory that is locked is taken up whole.
+
+    Returns:
+        What was set before, for `threading.stack_size`.
+    """
+    return threading.stack_size(_STACK)
 
 
 def share_the_interpreter() -> float:
