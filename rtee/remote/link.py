@@ -57,9 +57,23 @@ class Link:
         self._subscribers.append(self._declared(network_key(self.hand, topic), take))
 
     @contextlib.contextmanager
-    def subscribed(self, key: str, take: Callable[[bytes], object]) -> Any:
-        """Have messages on a key taken for as long as the context lasts."""
-        subscriber = self._declared(key, take)
+    def subscribed(self, key: str, take: Callable[[bytes], object], most: int) -> Any:
+        """Have messages on a key taken for as long as the context lasts.
+
+        While the event loop is held up, the newest ``most`` wait.
+        """
+        waiting: deque[bytes] = deque(maxlen=most)
+
+        def drain() -> None:
+            while waiting:
+                _decoded(take, waiting.popleft())
+
+        def received(sample: zenoh.Sample) -> None:
+            waiting.append(sample.payload.to_bytes())
+            if len(waiting) == 1:
+                self._call_soon(drain)
+
+        subscriber = self._session.declare_subscriber(key, direct(received))
         try:
             yield
         finally:
@@ -71,7 +85,7 @@ class Link:
 
         Zenoh's thread collects them: the event loop is not woken.
         """
-        found: deque[bytes] = deque(maxlen=most)
+        found: deque[bytes] = deque()
 
         def received(sample: zenoh.Sample) -> None:
             found.append(sample.payload.to_bytes())

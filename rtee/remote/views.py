@@ -123,7 +123,7 @@ class View:
 
         self._streams.add(queue)
         try:
-            with self._link.subscribed(reply["text"], take):
+            with self._link.subscribed(reply["text"], take, _MOST_WAITING):
                 while not self._gone and (state := await queue.get()) is not None:
                     yield state
         finally:

@@ -7,11 +7,13 @@ import threading
 import anyio
 import numpy as np
 import pytest
+import zenoh
 
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, LeaseHeld, NoHand, RequestRejected
 from rtee.hand.model import Hand
+from rtee.remote.session import direct
 from rtee.types import Feedback, Lifecycle
 
 from .serving import RATE, Config, Remote, make_hand, make_library, serving, until
@@ -248,6 +250,27 @@ async def test_states_are_collected_until_somebody_looks(
         assert few[0] > kept[-1]
         assert len(few) == 2
         assert few[1] - few[0] >= 4
+
+
+async def test_what_nobody_takes_does_not_pile_up(hand: Hand, library: ActionLibrary) -> None:
+    taken: list[bytes] = []
+    received = threading.Event()
+
+    def at_last(sample: zenoh.Sample) -> None:
+        if sample.payload.to_bytes() == b"299":
+            received.set()
+
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        session, key = remote._link._session, "rtee/small/states/test"
+        with remote._link.subscribed(key, taken.append, 10):
+            watched = session.declare_subscriber(key, direct(at_last))
+            while not received.is_set():  # until the subscriptions have got around
+                for number in range(300):
+                    served.server.streams._session.put(key, str(number))
+                received.wait(0.2)  # the event loop is held up
+            await until(lambda: taken[-1:] == [b"299"])
+            watched.undeclare()
+    assert len(taken) <= 20
 
 
 async def test_a_single_state(hand: Hand, library: ActionLibrary) -> None:
