@@ -85,7 +85,7 @@ class Link:
 
         Zenoh's thread collects them: the event loop is not woken.
         """
-        found: deque[bytes] = deque()
+        found: deque[bytes] = deque(maxlen=most)
 
         def received(sample: zenoh.Sample) -> None:
             found.append(sample.payload.to_bytes())
