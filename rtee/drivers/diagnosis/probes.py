@@ -16,6 +16,9 @@ from rtee.buses.pool import BusPool
 from rtee.buses.serial import SerialBus
 from rtee.errors import BusError, BusTimeout, FrameError
 
+_HAND_INFO = 7
+"""Bytes in which an Allegro Hand tells what it is."""
+
 _OWNER = "scan"
 _ANSWER = 0.04
 
@@ -211,7 +214,8 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     heard: dict[int, bytes] = {}
 
     def hear(frame: CanFrame) -> None:
-        heard.setdefault(frame.id, frame.data)
+        if not frame.remote:  # some interfaces hand back what was sent
+            heard.setdefault(frame.id, frame.data)
 
     undo = bus.subscribe(hear)
     try:
@@ -227,7 +231,7 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     found = [
         Found("allegro", f"Allegro Hand {hand}", {**where, "hand": hand})
         for hand in range(4)
-        if request(Command.HAND_INFO, hand).id in heard
+        if len(heard.get(request(Command.HAND_INFO, hand).id, b"")) >= _HAND_INFO
     ]
     for node in range(1, 128):
         answer = heard.get(0x580 + node)

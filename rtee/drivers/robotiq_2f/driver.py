@@ -36,8 +36,11 @@ from rtee.drivers.robotiq_2f.emulator import Robotiq2FEmulator
 from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
 from rtee.drivers.robotiq_driver import SAME, RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
-from rtee.errors import BusTimeout, CalibrationError, ConfigError
+from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
+
+_MORE = 6
+"""Registers that published programs read from a two-finger gripper, too."""
 
 
 class Robotiq2FDriver(RobotiqDriver[Status]):
@@ -86,6 +89,28 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             stops = read_end_stops(options.calibration, self.spec.name, options.model, options.unit)
             self.scale = self._scaled(stops.open_count, stops.closed_count)
         await super().configure()
+
+    async def _identify(self) -> None:
+        await super()._identify()
+        if self.options.register_base is not None:
+            return
+        # Inactive grippers of two and three fingers differ only in what follows: there the other
+        # gripper tells where its second and third finger are.
+        bus, options = self._open().bus, self.options
+        try:
+            block = await bus.read(
+                options.unit, INPUT, _MORE, deadline=PATIENT, function=self._places()[2]
+            )
+        except BusError:
+            return  # it answers no more than its own registers
+        second, third = block[3] & 0xFF, block[5] >> 8
+        if second and third:
+            raise HandshakeError(
+                self.spec.name,
+                f"a {self.MODEL}",
+                "one with more motors",
+                hint="for a 3-Finger gripper set 'driver: robotiq_3f'",
+            )
 
     def _told(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()

@@ -29,7 +29,7 @@ from rtee.drivers.robotiq_3f.emulator import Robotiq3FEmulator
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
 from rtee.drivers.robotiq_driver import SAME, RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
-from rtee.errors import DeviceFault
+from rtee.errors import DeviceFault, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, Reference
 
 _PRESSING = (Contact.OPENING, Contact.CLOSING)
@@ -62,6 +62,18 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
         self._scissor = "scissor" in self.roles
         self._sent: Command | None = None
         super().__init__(spec, buses, self.options)
+
+    async def _identify(self) -> None:
+        await super()._identify()
+        # The scissor rests in the middle and open fingers at some counts: only a gripper that has
+        # no such motors tells zeros.
+        if not any(axis.position for axis in self._status.axes[1:]):
+            raise HandshakeError(
+                self.spec.name,
+                f"a {self.MODEL}",
+                "one with fewer motors",
+                hint="for a 2-finger gripper set 'driver: robotiq_2f'",
+            )
 
     def _told(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()

@@ -198,12 +198,21 @@ async def test_a_device_without_supply() -> None:
     assert "supply" in check.remedy
 
 
-async def test_a_three_finger_gripper_is_no_two_finger_gripper() -> None:
-    emulator = make_emulator("robotiq_3f", {"emulator": {"activated": True}})
-    with SimulatedLine([emulator]) as line:
+@pytest.mark.parametrize("activated", [True, False])
+@pytest.mark.parametrize(
+    ("there", "asked", "remedy"),
+    [("robotiq_3f", "robotiq_2f", "3-Finger"), ("robotiq_2f", "robotiq_3f", "2-finger")],
+)
+async def test_a_gripper_with_other_fingers_is_refused(
+    there: str, asked: str, remedy: str, activated: bool
+) -> None:
+    emulator = make_emulator(there, {"emulator": {"activated": activated}})
+    with SimulatedLine([emulator], wire_time=False) as line:
         async with BusPool() as pool:
-            check = wrong(await check_device(gripper(options={"port": line.address}), pool))
+            spec = replace(gripper(options={"port": line.address}), driver=asked)
+            check = wrong(await check_device(spec, pool))
     assert check.subject == "identity"
+    assert remedy in check.remedy or activated
 
 
 async def test_more_than_the_wire_gives_is_a_warning() -> None:

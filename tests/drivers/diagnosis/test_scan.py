@@ -119,6 +119,13 @@ async def test_what_is_no_port_and_no_name_says_so(tmp_path: Path) -> None:
     assert "no_such_interface" in interface
 
 
+async def test_what_a_can_interface_hands_back_is_no_device() -> None:
+    async with BusPool() as pool:
+        plan = Plan("239.74.163.93", probes=(probes.can("udp_multicast", 1_000_000),))
+        [found] = await scan([plan], pool)
+    assert (found.found, found.problem) == ((), "")
+
+
 async def test_nodes_on_a_can_bus_are_found() -> None:
     async with BusPool() as pool:
         await pool.can("can0", owner="x", emulator=lambda: make_emulator("allegro", {}))
