@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import sys
@@ -102,16 +103,20 @@ def root(
 _Usage: Final[Any] = typer.BadParameter.__mro__[2]
 """The base of typer's errors, which it does not hand on by name."""
 
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What a disk says on which there is no room."""
+
 
 def main() -> None:
     """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
     try:
         status = cli(prog_name="rtee", standalone_mode=False)
+        sys.stdout.flush()
         sys.exit(status if isinstance(status, int) else 0)
     except SystemExit as ended:
         # The reader of our output left (`rtee … | head`); nothing is wrong, but typer says 1.
         if isinstance(ended.__context__, BrokenPipeError):
-            _leave_quietly()
+            _leave_unread(0)
         raise
     except RteeError as error:
         print(f"rtee: {error}", file=sys.stderr)
@@ -120,15 +125,24 @@ def main() -> None:
         _explain(error)
         sys.exit(error.exit_code)
     except BrokenPipeError:
-        _leave_quietly()
+        _leave_unread(0)
+    except OSError as error:
+        # Files are written by functions that say so themselves; what is left is our output.
+        if error.errno not in _FULL:
+            raise
+        print(
+            f"rtee: the output cannot be written: {os.strerror(error.errno).lower()}",
+            file=sys.stderr,
+        )
+        _leave_unread(2)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
 
 
-def _leave_quietly() -> NoReturn:
-    """End well though nobody reads what is still to be printed."""
+def _leave_unread(status: int) -> NoReturn:
+    """End though nobody gets what is still to be printed."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    sys.exit(0)
+    sys.exit(status)
 
 
 def _explain(error: Any) -> None:

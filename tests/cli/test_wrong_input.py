@@ -374,3 +374,16 @@ def test_a_reader_that_leaves_is_no_mistake() -> None:
     finally:
         os.close(theirs)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("unbuffered", [(), ("-u",)], ids=["at the end", "at once"])
+def test_a_disk_that_is_full_of_our_output(unbuffered: tuple[str, ...]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, *unbuffered, "-m", "rtee", "--version"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert done.returncode == 2
+    assert done.stderr == "rtee: the output cannot be written: no space left on device\n"
