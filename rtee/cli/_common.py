@@ -133,13 +133,16 @@ def hand_folder(name: str | None) -> Path:
 
 
 def actions_of(name: str | None) -> ActionLibrary:
-    """Return the stored actions of a hand.
+    """Return the stored actions of a hand; what is noteworthy about them is said on stderr.
 
     Raises:
         UserError: if the hand or one of its files cannot be used.
     """
+    import logging
+
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_hand
 
+    logging.basicConfig(format="rtee: warning: %(message)s")
     folder = hand_folder(name)
     return ActionLibrary.load(load_hand(folder), folder / "actions")

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -81,8 +83,12 @@ def test_compose(home: Path) -> None:
 
 def test_compose_warns_of_a_scale_above_one(home: Path) -> None:
     result = CliRunner().invoke(compose.app, ["hard", "trig:index*1.5", "--hand", "small"])
-    assert "warning" in result.stderr
-    assert "1.5" in result.stderr
+    said = "rtee: warning: 'hard' scales Trig (index) by 1.5"
+    assert said in result.stderr
+    later = subprocess.run(
+        [sys.executable, "-m", "rtee", "actions", "small"], capture_output=True, text=True
+    )
+    assert later.stderr.startswith(said)
 
 
 def test_time(home: Path) -> None:
