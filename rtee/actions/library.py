@@ -181,7 +181,8 @@ class ActionLibrary:
         others = self._index.without(action)
         if len(others) < len(self) and not replace_same:
             elements = action.elements if isinstance(action, Primitive) else ()
-            raise ActionError(f"there already is an action '{label(action.name, elements)}'")
+            there = self.find(action.name, elements).name
+            raise ActionError(f"there already is an action '{label(there, elements)}'")
         if not isinstance(action, Primitive):
             check_custom_name(action.name)
         index = Index(self.hand, (*others, action))

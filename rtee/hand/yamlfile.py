@@ -115,8 +115,11 @@ def parse_yaml(text: str, path: Path, what: str) -> YamlDocument:
         node = yaml_reader().compose(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
+        problem = str(error.problem or error.context)
+        if problem.startswith("but "):
+            problem = f"{error.context}, {problem}"
         raise ConfigError(
-            f"{what} is not YAML: {error.problem or error.context}",
+            f"{what} is not YAML: {problem}",
             path=path,
             line=mark.line + 1 if mark else None,
         ) from None

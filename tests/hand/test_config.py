@@ -124,7 +124,7 @@ def test_two_devices_for_one_actuator(configured: Path) -> None:
         (b"name: \xff\xfe", "hand.yaml is not UTF-8 text"),
         (b"a: " + b"[" * 50_000, "hand.yaml:1: hand.yaml is nested too deeply"),
         (b"- " * 5_000, "hand.yaml is not YAML: nested too deeply"),
-        (b"a: 1\n--- \nb: 2\n", "hand.yaml is not YAML: but found another document"),
+        (b"a: 1\n--- \nb: 2\n", "expected a single document in the stream, but found another"),
         (b"a: &a [x]\nb: [*a, *a]\n", "anchors and aliases are refused"),
         (b"x" * 1_000_001, "hand.yaml is larger than 1 MB"),
     ],
