@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import typer
 
 from rtee.cli._common import ConnectOption, RunningOption
@@ -29,7 +31,10 @@ def stop(hand: RunningOption = None, connect: ConnectOption = None) -> None:
         try:
             async with connected(name, endpoint=connect, client="rtee-stop") as remote:
                 remote_hand: RemoteHand = remote
-                confirmed[remote_hand.name] = await remote_hand.stop()
+                devices = confirmed[remote_hand.name] = await remote_hand.stop()
+            for device, done in devices.items():  # at once: another hand may not answer
+                words = "has stopped" if done else "did NOT confirm the stop"
+                print(f"{remote_hand.name}: {device} {words}", flush=True)
         except RteeError as error:
             errors.append(error)
 
@@ -39,9 +44,8 @@ def stop(hand: RunningOption = None, connect: ConnectOption = None) -> None:
                 group.start_soon(one, name)
 
     anyio.run(everyone)
-    for name, devices in confirmed.items():
-        for device, done in devices.items():
-            print(f"{name}: {device} {'has stopped' if done else 'did NOT confirm the stop'}")
+    for error in errors[1:]:
+        print(f"rtee: {error}", file=sys.stderr)
     if errors:
         raise errors[0]
     raise typer.Exit(0 if all(all(devices.values()) for devices in confirmed.values()) else 1)

@@ -62,7 +62,12 @@ async def open_hand(
 async def _here(hand: str | None) -> tuple[zenoh.Session, str]:
     found = running()
     name = _chosen(hand, found, "on this computer")
-    session = await anyio.to_thread.run_sync(open_client, found[name].endpoints)
+    try:
+        session = await anyio.to_thread.run_sync(open_client, found[name].endpoints)
+    except NoHand:
+        raise NoHand(
+            f"the hand '{name}' does not answer; it runs in process {found[name].pid}"
+        ) from None
     return session, name
 
 

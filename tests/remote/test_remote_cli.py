@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.cli import _common, compose, do, open, recover, state, status, stop
 from rtee.errors import ConfigError, NoHand, RequestRejected
 from rtee.hand.model import Hand
+from rtee.remote.directory import announced
 
 from .serving import Served, make_hand, make_library, serving
 
@@ -117,6 +119,14 @@ def test_stop_stops_all_hands(served: Served, tmp_path_factory: pytest.TempPathF
         assert "small: sim has stopped" in shown
         assert "other: sim has stopped" in shown
         assert [e.kind for e in second.watcher.events] == ["stop"]
+
+
+def test_a_hand_that_does_not_answer_is_named_and_the_others_stop(served: Served) -> None:
+    with announced("ghost", ["tcp/127.0.0.1:1"]):
+        reason = f"'ghost' does not answer; it runs in process {os.getpid()}"
+        with pytest.raises(NoHand, match=reason):
+            run(stop)
+    assert "stop" in [event.kind for event in served.watcher.events]
 
 
 def test_ctrl_c_cancels_the_goal(served: Served) -> None:
