@@ -60,7 +60,9 @@ class DynamixelDriver(DynamixelCycle):
             baudrate=options.baudrate,
             emulator=emulator_of(self.spec, DynamixelEmulator),
         )
-        link = self._link = DynamixelLink(bus, self._ids, options.deadline, options.retries)
+        link = self._link = DynamixelLink(
+            bus, self._ids, options.deadline, options.retries, options.turnaround
+        )
         named = {name: options.servos[name] for name in self._names.values()}
         self._found = await link.run(
             lambda: setup.find(link, self.spec.name, named, options.port), _SLOW

@@ -15,7 +15,7 @@ from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError
 
 T = TypeVar("T")
 _NO_ERROR = 0x7F
-_LATENCY = 0.004
+_LATENCY = 0.008
 _PATIENT_LATENCY = 0.03
 """Time allowed for an answer beyond that of its bytes [s]."""
 
@@ -82,7 +82,12 @@ class DynamixelLink:
     """
 
     def __init__(
-        self, bus: DynamixelBus, ids: Sequence[int], deadline: float, retries: int
+        self,
+        bus: DynamixelBus,
+        ids: Sequence[int],
+        deadline: float,
+        retries: int,
+        turnaround: float = 0.0,
     ) -> None:
         self.bus = bus
         self.ids = tuple(ids)
@@ -91,6 +96,7 @@ class DynamixelLink:
         self.delay = 0.0
         self._deadline = deadline
         self._retries = retries
+        self._latency = max(_LATENCY, 2.0 * turnaround)
         self._groups: dict[tuple[int, int], GroupRead] = {}
 
     async def run(self, function: Callable[[], T], deadline: float | None = None) -> T:
@@ -113,7 +119,7 @@ class DynamixelLink:
             FrameError: if something came but no valid packet.
             BusBroken: if nothing could be sent.
         """
-        latency = _PATIENT_LATENCY if self.patient else _LATENCY
+        latency = max(_PATIENT_LATENCY, self._latency) if self.patient else self._latency
         end = time.monotonic() + self.delay + max(self._deadline, 5.0 * latency)
         counters, result = self.bus.counters, int(sdk.COMM_SUCCESS)
         self.bus.port.latency = (latency + self.delay) * 1000.0

@@ -328,6 +328,16 @@ async def test_lost_and_damaged_packets_are_retried() -> None:
         assert np.isfinite((await made.sense()).position).all()
 
 
+async def test_an_adapter_that_keeps_bytes_back_is_waited_for() -> None:
+    async with BusPool() as pool, connected(pool, device(turnaround=0.016, deadline=0.2)) as made:
+        await made.activate()
+        before = made.counters()["timeouts"]
+        for _ in range(5):
+            state = await made.sense()
+            await made.move(Reference.at(state.position))
+        assert made.counters()["timeouts"] == before
+
+
 async def test_calibration_is_taken_stored_and_compared(tmp_path: Path) -> None:
     path = tmp_path / "calibration" / "leap.json"
     plain = device(emulator={"servo": {"start": 1111.0}}, outside=10.0)
