@@ -13,6 +13,8 @@ from rtee.types import ActuatorSpec, FloatArray, Reference
 
 _SAME = 0.01
 """A reference this near to the measured position asks for no motion, as part of the range."""
+_CHANGED = 1e-4
+"""One that has changed by more than this since the first one does, as part of the range."""
 
 
 class Attached:
@@ -24,8 +26,9 @@ class Attached:
 
     def __init__(self, actuators: Sequence[ActuatorSpec]) -> None:
         spans = [a.upper - a.lower for a in actuators]
-        self._bands = [_SAME * (span if math.isfinite(span) else 1.0) for span in spans]
+        self._spans = [span if math.isfinite(span) else 1.0 for span in spans]
         self._left: set[int] = set()
+        self._first: dict[int, float] = {}
 
     def __bool__(self) -> bool:
         """Return whether there are any."""
@@ -34,6 +37,7 @@ class Attached:
     def begin(self, found: Iterable[int] = ()) -> None:
         """Leave the actuators alone that were found active, and no others."""
         self._left = set(found)
+        self._first.clear()
 
     def left(self, reference: Reference, measured: FloatArray) -> Collection[int]:
         """Return those that a reference does not ask to move; the others are driven from now on.
@@ -43,7 +47,10 @@ class Attached:
             measured: Where they stand.
         """
         for i in tuple(self._left):
-            away = abs(float(reference.position[i]) - float(measured[i]))
-            if reference.mask[i] and not away <= self._bands[i]:
+            if not reference.mask[i]:
+                continue
+            asked, span = float(reference.position[i]), self._spans[i]
+            changed = abs(asked - self._first.setdefault(i, asked))
+            if not abs(asked - float(measured[i])) <= _SAME * span or changed > _CHANGED * span:
                 self._left.remove(i)
         return self._left

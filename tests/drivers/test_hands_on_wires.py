@@ -14,6 +14,7 @@ from rtee.buses.pool import BusPool
 from rtee.buses.simulated import Simulation
 from rtee.drivers.emulators import owner_of
 from rtee.drivers.objects import ObjectInHand
+from rtee.drivers.qb_softhand.codec import Command as QbCommand
 from rtee.drivers.registry import find_driver
 from rtee.drivers.robotiq_2f.codec import Command
 from rtee.loop import connection, supervisor
@@ -30,6 +31,7 @@ from rtee.types import Event, Goal, Lifecycle, Result
 
 pytestmark = pytest.mark.anyio
 RATE = 200.0
+SET_INPUTS = QbCommand.SET_INPUTS
 
 
 class Wired(Observer):
@@ -190,6 +192,26 @@ async def test_a_grip_survives_the_end_of_the_run_and_the_next_one_drops_nothing
         await until(lambda: gripper.loop.statuses()[0].exchanges > exchanges + 20)
         assert gripper.emulator.moves == moves
         assert gripper.emulator.axis.effort == pytest.approx(effort, rel=0.01)
+
+
+async def test_a_hand_told_by_positions_alone_keeps_its_grip_too() -> None:
+    async with on_wires("qb_softhand", object_in_hand="0.5") as (hand,):
+        hand.loop.submit(Goal("Grasp"))
+        assert (await hand.result()).grasped
+        hand.wire.unplug()
+        await until(lambda: hand.device.lifecycle is Lifecycle.UNCONFIGURED)
+        hand.wire.replug()
+        await until(lambda: hand.device.lifecycle is Lifecycle.INACTIVE)
+        axis, frames = hand.emulator.axes[0], dict(hand.emulator.frames)
+        effort = axis.effort
+        assert effort > 200.0
+        await hand.loop.recover()
+        exchanges = hand.loop.statuses()[0].exchanges
+        await until(lambda: hand.loop.statuses()[0].exchanges > exchanges + 20)
+        assert hand.emulator.frames[SET_INPUTS] == frames[SET_INPUTS]
+        assert axis.effort == effort
+        hand.loop.submit(Goal("open"))
+        assert (await hand.result()).reached
 
 
 async def test_an_object_taken_away_is_told() -> None:
