@@ -55,7 +55,7 @@ class BusPool:
     @property
     def buses(self) -> tuple[Bus, ...]:
         """The buses that somebody owns at present."""
-        return tuple(bus for bus, _, _ in self._buses.values())
+        return tuple(bus for bus, _, _ in self._buses.values() if bus.owners)
 
     def played(self, owner: str) -> Emulator:
         """Return the emulator that is played for a device; raises `KeyError`."""
@@ -267,7 +267,10 @@ class BusPool:
     async def _acquire(
         self, key: str, kind: type[B], settings: object, owner: str, make: Callable[[], B]
     ) -> B:
-        entry = self._buses.get(key)
+        while (entry := self._buses.get(key)) is not None and not entry[0].owners:
+            await entry[0].close()  # somebody gives it back: its port is free when that is done
+            if self._buses.get(key) is entry:
+                del self._buses[key]
         if entry is None:
             bus = make()
             bus.trace = self.trace
@@ -278,9 +281,9 @@ class BusPool:
         found = cast("B", entry[0])
 
         async def forget() -> None:
+            await found.close()
             if self._buses.get(key, (None,))[0] is found:
                 del self._buses[key]
-            await found.close()
 
         found.acquire(owner, forget)
         try:

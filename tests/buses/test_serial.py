@@ -12,6 +12,7 @@ import pytest
 import serial
 import serial.rfc2217
 
+from rtee.buses import link
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
 from rtee.buses.pool import BusPool
@@ -318,3 +319,25 @@ async def test_the_gap_before_a_request_is_kept() -> None:
         await bus.close()
     sent, received = stamps[0::2], stamps[1::2]
     assert all(after - before >= 0.01 for before, after in zip(received, sent[1:], strict=False))
+
+
+async def test_a_port_that_is_slow_to_close_holds_up_only_who_closes_it(
+    pool: BusPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus, go, waited = await bus_in(pool, "/dev/ttyUSB9"), threading.Event(), list[bool]()
+    original = link._close
+
+    def slow(port: object) -> None:
+        waited.append(go.wait(10.0))
+        original(port)
+
+    monkeypatch.setattr(link, "_close", slow)
+    closing = asyncio.ensure_future(bus.release("a"))
+    again = asyncio.ensure_future(bus_in(pool, "/dev/ttyUSB9"))
+    await asyncio.sleep(0.01)
+    assert not closing.done(), "who closes waits until the port is given back"
+    assert not again.done(), "and so does who opens it again"
+    go.set()
+    await closing
+    assert waited == [True], "the event loop went on meanwhile"
+    assert await (await again).transact(frame_of(b"x"), StarParser(), 1.0) == b"X"
