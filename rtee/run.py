@@ -105,7 +105,6 @@ async def run_hands(
             say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
         cpus = affinity()
         for warning in set_up(realtime):
-            say(f"warning: {warning}")
             log.warning("%s", warning)
         stack.enter_context(favoured_session(realtime))
         stack.callback(sys.setswitchinterval, share_the_interpreter())

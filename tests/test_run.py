@@ -348,3 +348,11 @@ def test_options_of_a_driver_are_read_like_yaml(folder: Path) -> None:
     _, errors = process.communicate(timeout=20)
     assert process.returncode == 2
     assert "should be NAME=VALUE" in errors
+
+
+def test_what_is_not_permitted_is_told_once(folder: Path) -> None:
+    write_hand(folder, "pinned", "realtime: {enabled: true, cpus: [4000], lock_memory: false}\n")
+    process = start(folder, "--duration", "0.1", hand="pinned")
+    output, errors = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert (output + errors).count("CPU 4000 cannot be used") == 1
