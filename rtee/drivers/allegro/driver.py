@@ -172,6 +172,11 @@ class AllegroDriver(Driver):
         self._refuse(await self._hand.info(patient=True))
         self._hold()
 
+    async def examine(self) -> str:
+        """Raise the fault that the hand reports."""
+        self._refuse(await self._hand.info(patient=True))
+        return ""
+
     def _hold(self) -> None:
         for joint in self._joints:
             self.control.refer(joint, self.control.position[joint])

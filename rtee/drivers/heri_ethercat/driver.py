@@ -167,6 +167,12 @@ class HeriEthercatDriver(Driver):
                 await self._clear_faults()
         self._powered = True
 
+    async def examine(self) -> str:
+        """Raise the fault that a board reports."""
+        await self._in_operation()
+        self._refuse()
+        return ""
+
     async def _in_operation(self) -> None:
         """Exchange; boards that have left operation are brought back first."""
         try:

@@ -253,6 +253,8 @@ async def test_faults_are_named_and_recovered() -> None:
         with pytest.raises(DeviceFault, match="over-temperature"):
             await made.sense()
         with pytest.raises(DeviceFault, match="over-temperature"):
+            await made.examine()
+        with pytest.raises(DeviceFault, match="over-temperature"):
             await made.recover()
         hand(pool).clear()
         await made.recover()

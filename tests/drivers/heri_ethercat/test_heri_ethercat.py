@@ -207,6 +207,8 @@ async def test_faults_are_named_and_acknowledged() -> None:
             await hold(made, [0.6] * 4)
         assert told.value.code == Fault.HARDWARE
         with pytest.raises(DeviceFault, match="hardware"):
+            await made.examine()
+        with pytest.raises(DeviceFault, match="hardware"):
             await made.recover()
         hand(pool).clear()
         await made.recover()
