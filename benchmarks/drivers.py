@@ -15,9 +15,12 @@ of its master. ``rate`` is that of all seconds together, ``of it`` its share of 
 ``median`` is that of the median exchange, which other programs on the machine disturb less.
 
 The device at a serial line is played by a process of its own (`farend`) on the machine's last
-processor, and the driver runs on the others: the device shall not take the driver's time. By how
-much its last answer before a request was too late, on average, stands under ``end`` [µs]; ``of it``
-and ``median`` do not forgive the driver that. ``but for it`` is ``of it`` with it taken off.
+processor, and the driver runs on the others: the device shall not take the driver's time. The
+wire's time begins when the driver writes; the way to the device through the pseudo-terminal is not
+counted, the way back is: a program that only writes and reads comes to 92 % of the qb hand's limit.
+By how much the device's last answer before a request was too late, on average, stands under ``end``
+[µs]; ``of it`` and ``median`` do not forgive the driver that. ``but for it`` is ``of it`` with it
+taken off.
 
 Devices without a wire of that kind (networks, process data) have no such limit; a device that sends
 by itself (Allegro) has its own pace for one. Beside stands the rate that the driver itself names as
