@@ -80,8 +80,9 @@ def let_go_at_once() -> None:
     closes them in the thread that receives: one client that stalls or is cut off would keep all
     others from being heard.
     """
-    for name in os.listdir("/dev/fd"):
-        if not Path("/dev/fd", name).is_socket():
+    folder = Path("/dev/fd")
+    for name in os.listdir(folder) if folder.is_dir() else ():
+        if not (folder / name).is_socket():
             continue
         with (
             contextlib.suppress(OSError),  # closed meanwhile
