@@ -146,10 +146,12 @@ class HandTicks:
             await group.__aexit__(None, None, None)
 
     def end(self) -> None:
-        """End a goal that still runs, once there are no ticks any more; its result is told."""
+        """End what goals were taken, once there are no ticks any more; their results are told."""
         if not self._ended:
             self._ended = True
-            self._take_at_once(Command("freeze", "the loop ended", stamp=self._now()))
+            while self._pending:  # no tick came for it
+                self._take_at_once(self._pending.popleft(), self._now())
+            self._take_at_once(Command("freeze", "the loop ended"), self._now())
 
     async def ready(self) -> None:
         """Wait until every device has tried to connect once.
@@ -304,8 +306,8 @@ class HandTicks:
             else:
                 self._observers.command(what)
 
-    def _take_at_once(self, command: Command) -> None:
-        self._begin(command, 0 if self._record is None else self._record.tick + 1, command.stamp)
+    def _take_at_once(self, what: Plan | Command, stamp: float) -> None:
+        self._begin(what, 0 if self._record is None else self._record.tick + 1, stamp)
         self._tell_begun()
         self._deliver()
 

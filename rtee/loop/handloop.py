@@ -49,6 +49,8 @@ class HandLoop(HandTicks):
             UnknownAction: if there is no such action.
             ActionError: if the action doesn't exist with these elements.
         """
+        if self._ended:
+            raise GoalRejected("the loop has ended")
         plan = make_plan(
             goal,
             self.hand,

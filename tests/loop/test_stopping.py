@@ -397,3 +397,15 @@ async def test_an_observer_that_fails_is_dropped_and_the_hand_goes_on(hand: Hand
         assert (await rig.do("fist")).reached
         assert failing.ticks == 10
         assert "observer_failed" in rig.watcher.kinds()
+
+
+async def test_a_goal_taken_after_the_last_tick_has_its_result_too(hand: Hand) -> None:
+    async with running(hand) as rig:
+        rig.loop.submit(Goal("Trig", ("index",), goal_id="late"))
+        rig.loop.end()
+        assert [goal.goal_id for goal, _ in rig.watcher.goals] == ["late"]
+        (result,) = rig.watcher.results
+        assert (result.goal_id, result.cancelled, result.reason) == ("late", True, "the loop ended")
+        with pytest.raises(GoalRejected, match="ended"):
+            rig.loop.submit(Goal("Trig", ("index",)))
+    assert len(rig.watcher.results) == 1
