@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from rtee.extract.motion import Motion, Way
+from rtee.extract.motion import Known, Motion, Way
 from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.spheres import Spheres
 from rtee.types import FloatArray
@@ -27,6 +27,9 @@ _COARSE_PARTS: Final = 16
 
 _PARTS: Final = 32
 """Into how many parts a way is halved for other links."""
+
+_FEW: Final = 12
+"""So few pairs of links are measured without looking at their spheres first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +111,7 @@ class Watch:
         self.pairs = tuple(pairs)
         self._nested = nested
         self._spheres = Spheres(scene, self.pairs)
+        self._known = Known(motion, self.pairs)
         self._ways: dict[bytes, Blocked | None] = {}
 
     def at(self, u: FloatArray) -> list[LinkPair]:
@@ -123,9 +127,13 @@ class Watch:
         return self._touching(u, len(self.pairs) - self._nested, len(self.pairs))
 
     def _touching(self, u: FloatArray, begin: int, end: int) -> list[LinkPair]:
-        self._scene.place(u)
-        close = np.flatnonzero(self._spheres.gaps()[begin:end] <= 0.0) + begin
-        return [self.pairs[c] for c in close if self._scene.touching(self.pairs[c])]
+        scene = self._scene
+        scene.place(u)
+        near = begin + np.flatnonzero(self._known.least(scene.joints)[begin:end] <= 0.0)
+        if len(near) > _FEW:
+            near = near[self._spheres.gaps()[near] <= 0.0]
+        self._known.learn(near, [scene.distance(self.pairs[c]) for c in near], scene.joints)
+        return [self.pairs[c] for c in near if scene.touching(self.pairs[c])]
 
     def along(self, u: FloatArray) -> Blocked | None:
         """Return where the straight way from rest to a posture is first blocked, if it is.

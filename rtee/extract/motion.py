@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from rtee.extract.scene import LinkPair, Scene
 from rtee.types import FloatArray, JointKind
@@ -53,6 +54,11 @@ class Motion:
         self._scene = scene
         self._bounds: dict[tuple[str, str], FloatArray] = {}
 
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self._scene.hand.joints)
+
     def way(self, goal: FloatArray) -> Way:
         """Return the straight way from rest to a posture."""
         hand = self._scene.hand
@@ -64,11 +70,18 @@ class Motion:
             travel = 1.5 * np.abs(np.diff(q, axis=0)).max(axis=0) * (_STATIONS - 1)
         return Way(hand.rest, goal, travel)
 
-    def speed(self, pair: LinkPair, way: Way) -> float:
-        """Return a bound on the speed of two links against each other per unit of the way [m]."""
+    def levers(self, pair: LinkPair) -> FloatArray:
+        """Return how far two links can move against each other per unit of each joint ``(m,)``.
+
+        Metres for revolute joints, 1 for prismatic ones, 0 for joints that move both or neither.
+        """
         if pair.links not in self._bounds:
             self._bounds[pair.links] = self._bound(pair)
-        return float(self._bounds[pair.links] @ way.travel)
+        return self._bounds[pair.links]
+
+    def speed(self, pair: LinkPair, way: Way) -> float:
+        """Return a bound on the speed of two links against each other per unit of the way [m]."""
+        return float(self.levers(pair) @ way.travel)
 
     def travelled(self, pair: LinkPair, way: Way, stations: Sequence[float]) -> FloatArray:
         """Return how far two links have moved against each other where they are near.
@@ -170,6 +183,36 @@ class Motion:
             points = shape.points @ placement.rotation.T + placement.translation
             radii.append(float(np.linalg.norm(points, axis=1).max()))
         return radii
+
+
+class Known:
+    """Lower bounds on the distances of some links, from what was measured at earlier postures.
+
+    Two links come nearer to each other by no more than they can move.
+    """
+
+    def __init__(self, motion: Motion, pairs: Sequence[LinkPair]) -> None:
+        """Begin with nothing known of some pairs of links."""
+        self._levers = np.zeros((len(pairs), motion.joints))
+        for levers, pair in zip(self._levers, pairs, strict=True):
+            levers[:] = motion.levers(pair)
+        self._gaps = np.full(len(pairs), -np.inf)
+        self._joints = np.zeros(self._levers.shape)
+
+    def least(self, joints: FloatArray) -> FloatArray:
+        """Return the least possible distance of every pair ``(p,)`` [m].
+
+        Args:
+            joints: Joint positions ``(m,)`` [rad | m].
+        """
+        moved = np.abs(joints - self._joints)
+        least: FloatArray = self._gaps - np.einsum("pm,pm->p", self._levers, moved)
+        return least
+
+    def learn(self, pairs: NDArray[np.intp], gaps: Sequence[float], joints: FloatArray) -> None:
+        """Learn the distances [m] of some pairs, by their numbers, at joint positions ``(m,)``."""
+        self._gaps[pairs] = gaps
+        self._joints[pairs] = joints
 
 
 def _stacked(poses: Sequence[pin.SE3]) -> tuple[FloatArray, FloatArray]:

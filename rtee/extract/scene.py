@@ -93,6 +93,7 @@ class Scene:
         shapes: All collision shapes, and the clipped ones of joined tips.
         pairs: All pairs of links that have geometry and move against each other, by names in the
             order of the URDF's tree.
+        joints: Joint positions at the posture ``(m,)`` [rad | m].
         tips: The pairs of fingertips that actuators move against each other, in the fingers' order.
     """
 
@@ -188,7 +189,8 @@ class Scene:
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
         """
-        pin.forwardKinematics(self._model, self._data, self.couplings.joints(u))
+        self.joints = self.couplings.joints(u)
+        pin.forwardKinematics(self._model, self._data, self.joints)
         self._stamp += 1
         self._at = u
 
@@ -250,7 +252,7 @@ class Scene:
 
         Both are 0 where they touch.
         """
-        if self.touching(pair):
+        if self.exact_distance(pair) == 0.0:
             return 0.0, np.zeros(space.size)
         found = self.exact_witness(pair)
         return found.distance, self._derivative(found.normal, found.first, pair, space)
@@ -293,28 +295,42 @@ class Scene:
         """Return where two links' convex parts are closest or deepest in each other."""
         return _witness(pair, self._convex_of(pair), self._stamp)
 
-    def touching(self, pair: LinkPair) -> bool:
+    def touching(self, pair: LinkPair, *, surfaces: bool = True) -> bool:
         """Return whether two links touch: their geometry as given, meshes not convexified.
 
         Meshes touch where their surfaces meet or one lies within the other; primitives are solid.
+
+        Args:
+            pair: The links.
+            surfaces: Whether their surfaces may meet; if it is known that they do not, they are not
+                looked at.
         """
         convex = self._convex_of(pair)
         if convex.least(self._stamp)[0] > TOUCH:
             return False
         results = convex.results
         return any(
-            self._touching(pair, k, couple)
+            self._touching(pair, k, couple, surfaces=surfaces)
             for k, couple in enumerate(convex.couples)
             if results[k].min_distance <= TOUCH
         )
 
-    def _touching(self, pair: LinkPair, k: int, couple: tuple[int, int]) -> bool:
-        """Return whether a couple of shapes touches whose convex parts do."""
+    def _touching(
+        self, pair: LinkPair, k: int, couple: tuple[int, int], *, surfaces: bool = True
+    ) -> bool:
+        """Return whether a couple of shapes touches whose convex parts do.
+
+        Args:
+            pair: The links.
+            k: Number of the couple.
+            couple: The indices of its shapes.
+            surfaces: Whether their surfaces may meet.
+        """
         i, j = couple
         a, b = self.shapes[i], self.shapes[j]
         if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
             return True
-        if self._exact_of(pair).collide(k, self._stamp):
+        if surfaces and self._exact_of(pair).collide(k, self._stamp):
             return True
         overlap = -self._convex_of(pair).results[k].min_distance
         if overlap < min(a.least_width, b.least_width):
@@ -324,9 +340,8 @@ class Scene:
 
     def exact_distance(self, pair: LinkPair) -> float:
         """Return the distance of two links' geometry as given, 0 where they touch [m]."""
-        if self.touching(pair):
-            return 0.0
-        return max(0.0, self._exact_of(pair).least(self._stamp)[0])
+        least = self._exact_of(pair).least(self._stamp)[0]
+        return 0.0 if self.touching(pair, surfaces=least <= TOUCH) else max(0.0, least)
 
     def exact_witness(self, pair: LinkPair) -> Witness:
         """Return where two links that do not touch are closest, in their geometry as given."""

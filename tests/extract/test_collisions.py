@@ -8,7 +8,7 @@ import pytest
 from extract.models import Model, box, sphere
 from rtee.extract.collisions import Watch, first_contact
 from rtee.extract.evidence import Inspector
-from rtee.extract.motion import Motion
+from rtee.extract.motion import Known, Motion
 from rtee.extract.scene import Scene
 from rtee.hand.load import load_hand
 
@@ -108,6 +108,25 @@ def test_no_distance_changes_faster_than_the_bound_on_the_motion(name: str) -> N
                     scene.place(way.at(s))
                     distances.append(scene.distance(pair))
                 assert abs(distances[1] - distances[0]) <= bound * step + 1e-6
+
+
+@pytest.mark.parametrize("name", ["schunk_svh", "heri_ii"])
+def test_what_is_known_of_distances_is_never_more_than_they_are(name: str) -> None:
+    scene = Scene(load_hand(name))
+    pairs = tuple(scene.pairs.values())
+    known, hand = Known(Motion(scene), pairs), scene.hand
+    random = np.random.default_rng(3)
+    u, told = hand.rest.copy(), 0
+    for _ in range(30):
+        u = np.clip(u + random.uniform(-0.1, 0.1, len(u)), hand.lower, hand.upper)
+        scene.place(u)
+        least = known.least(scene.joints)
+        gaps = np.array([scene.distance(pair) for pair in pairs])
+        assert (least <= gaps + 1e-6).all()
+        told += int((least > 0.0).sum())
+        some = np.flatnonzero(random.random(len(pairs)) < 0.5)
+        known.learn(some, gaps[some].tolist(), scene.joints)
+    assert told > 0
 
 
 def test_first_contact_is_where_the_tips_begin_to_touch(tmp_path: Path) -> None:
