@@ -11,9 +11,9 @@ random postures for tight pinches, 5,000 with widened limits, 5,000 for distance
 number of fingers, with the signed distance of the tips' convex parts. A pair counts as found where
 it is negative.
 
-With `--starts N`, a second table: per pinch, the depth that is stored as a share of the depth that
-descents from the first N points of a low-discrepancy sequence find on the same geometry, the best
-eight of them polished.
+With `--starts N`, a second table: per pinch, those of several fingers too, the depth that is stored
+as a share of the depth that descents from the first N points of a low-discrepancy sequence find on
+the same geometry, the best eight of them polished.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from rtee.extract.descent import descend
+from rtee.extract.descent import Minimum, descend
 from rtee.extract.evidence import Inspector
-from rtee.extract.goals import Pinch, Placed
+from rtee.extract.goals import Goal, Link, MultiPinch, Pinch, Placed
 from rtee.extract.polish import polish
 from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.search import distinct
-from rtee.extract.space import halton, make_space, real_limits, widened_limits
+from rtee.extract.space import Space, halton, make_space, real_limits, widened_limits
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 
@@ -49,17 +49,17 @@ POLISHED = 8
 NOTHING = 1e-7
 """A smaller depth is a bare contact [m]."""
 
-Pair = frozenset[str]
+Fingers = frozenset[str]
 
 
 @dataclass
 class Measured:
-    """What runs of the extraction cost, and the depths of the pairs they found [m]."""
+    """What runs of the extraction cost, and the depths of the pinches they found [m]."""
 
     wall: float
     cpu: float
     peak: float
-    depths: dict[Pair, float]
+    depths: dict[Fingers, float]
 
 
 def files(hand: str) -> tuple[Path, Path | None] | None:
@@ -104,12 +104,12 @@ def extracted(hand: str, runs: int, jobs: int) -> Measured:
             e["evidence"].get("depth", 0.0) for e in (p, *p.get("alternatives", ()))
         )
         for p in json.loads(output)["primitives"]
-        if p["kind"] == "PinchTight"
+        if "PinchTight" in p["kind"]
     }
     return Measured(statistics.median(walls), statistics.median(cpus), max(peaks), depths)
 
 
-def tip_pairs(scene: Scene) -> dict[Pair, LinkPair]:
+def tip_pairs(scene: Scene) -> dict[Fingers, LinkPair]:
     """Return the pairs of fingertips by the names of their fingers."""
     tipped = [f for f in scene.hand.fingers if f.tip]
     return {
@@ -119,12 +119,12 @@ def tip_pairs(scene: Scene) -> dict[Pair, LinkPair]:
     }
 
 
-def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Pair, float]]:
+def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Fingers, float]]:
     """Return the time [s] random sampling takes and the depths of the pairs it finds [m]."""
     scene = Inspector.of(hand).scene
     random = np.random.default_rng(seed)
     start = time.perf_counter()
-    depths: dict[Pair, float] = {}
+    depths: dict[Fingers, float] = {}
     pairs = tip_pairs(scene)
     tips = sum(finger.tip is not None for finger in hand.fingers)
     rounds = [(real_limits(hand), TIGHT + DISTANCE), (widened_limits(hand), WIDE)]
@@ -139,16 +139,50 @@ def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Pair, float]]:
     return time.perf_counter() - start, depths
 
 
-def deepest(scene: Scene, tips: LinkPair, starts: int) -> float:
-    """Return the depth [m] at which two tips touch that descents from many starts find."""
-    space = make_space(scene.hand, sorted(tips.actuators), real_limits(scene.hand))
-    function = Placed(scene, Pinch(scene, tips), space)
-    found = [descend(function, y, evaluations=60) for y in halton(space.size, starts)]
-    best = distinct(found)[:POLISHED]
+def goals(scene: Scene, found: Iterable[Fingers]) -> Iterator[tuple[Fingers, Goal, Space]]:
+    """Yield what to press together, and where to search: all pairs, and the groups found."""
+    limits, pairs = real_limits(scene.hand), tip_pairs(scene)
+    for names, tips in pairs.items():
+        yield names, Pinch(scene, tips), make_space(scene.hand, sorted(tips.actuators), limits)
+    pinching = [names for names in pairs if names in found]
+    for group in sorted((names for names in found if len(names) > 2), key=sorted):
+        order = [f.name for f in scene.hand.fingers if f.name in group]
+        links = [
+            Link((order.index(a), order.index(b)), pairs[frozenset((a, b))])
+            for a, b in combinations(order, 2)
+            if frozenset((a, b)) in pinching
+        ]
+        moving = sorted(frozenset().union(*(link.tips.actuators for link in links)))
+        strangers = [
+            tips
+            for names, tips in pairs.items()
+            if not names <= group and tips.actuators & set(moving)
+        ]
+        goal = MultiPinch(scene, len(order), links, strangers)
+        yield group, goal, make_space(scene.hand, moving, limits)
+
+
+def meets_strangers(scene: Scene, goal: MultiPinch, space: Space, found: Sequence[Minimum]) -> bool:
+    """Return whether minima overlap tips that take no part, which the goal then pushes away."""
+    met = False
+    for minimum in found:
+        scene.place(space.posture(minimum.y))
+        met |= goal.meet()
+    return met
+
+
+def deepest(scene: Scene, goal: Goal, space: Space, starts: int) -> float:
+    """Return the depth [m] at which tips touch that descents from many starts find."""
+    function = Placed(scene, goal, space)
+    while True:
+        found = [descend(function, y, evaluations=60) for y in halton(space.size, starts)]
+        best = distinct(found)[:POLISHED]
+        if not (isinstance(goal, MultiPinch) and meets_strangers(scene, goal, space, best)):
+            break
     ends = [*best, *(polish(function, m.y, evaluations=60) for m in best)]
     for end in sorted(ends, key=lambda m: m.value):
         scene.place(space.posture(end.y))
-        if end.value < 0.0 and scene.touching(tips):
+        if end.value < 0.0 and goal.touching():
             return -end.value
     return 0.0
 
@@ -159,9 +193,10 @@ def compare_speed(hands: Sequence[str], runs: int, jobs: int, *, sampling: bool)
     print("| --- " * (9 if sampling else 6) + "|")
     for hand in hands:
         measured = extracted(hand, runs, jobs)
+        pairs = [depth for names, depth in measured.depths.items() if len(names) == 2]
         print(
             f"| {Path(hand).stem} | {measured.wall:.2f} | {measured.cpu:.2f} | {measured.peak:.0f} "
-            f"| {len(measured.depths)} | {1e3 * sum(measured.depths.values()):.1f} |",
+            f"| {len(pairs)} | {1e3 * sum(pairs):.1f} |",
             end="",
         )
         if sampling:
@@ -177,8 +212,8 @@ def compare_depth(hands: Sequence[str], jobs: int, starts: int) -> None:
         name, depths = Path(hand).stem, extracted(hand, 1, jobs).depths
         scene = Scene(loaded(hand))
         shares = []
-        for names, tips in tip_pairs(scene).items():
-            known, depth = deepest(scene, tips, starts), depths.get(names, 0.0)
+        for names, goal, space in goals(scene, depths):
+            known, depth = deepest(scene, goal, space, starts), depths.get(names, 0.0)
             if known or depth:
                 shares.append(depth / known if known > NOTHING else 1.0)
                 print(

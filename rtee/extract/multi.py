@@ -15,8 +15,9 @@ from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Link, MultiPinch, Placed, linked, trees
 from rtee.extract.postures import clear_postures, stored
 from rtee.extract.ranking import Candidate, Found, Rank, ranked
+from rtee.extract.recombination import Block
 from rtee.extract.scene import LinkPair
-from rtee.extract.search import SEVERAL, minima
+from rtee.extract.search import FEW, MANY, SEVERAL, minima
 from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
@@ -83,9 +84,10 @@ class MultiSearch:
 
     def _minima(self, goal: MultiPinch, space: Space, links: Sequence[Link]) -> list[FloatArray]:
         """Return coordinates of local minima, the deepest first; again where strangers are met."""
-        scene, warm = self.inspector.scene, self._warm(space, links)
+        scene, warm, blocks = self.inspector.scene, self._warm(space, links), self._blocks(space)
+        effort = SEVERAL if space.size <= FEW else MANY
         while True:
-            found = [m.y for m in minima(Placed(scene, goal, space), warm, SEVERAL)]
+            found = [m.y for m in minima(Placed(scene, goal, space), warm, effort, blocks)]
             met = False
             for y in found:
                 scene.place(space.posture(y))
@@ -109,7 +111,7 @@ class MultiSearch:
         ]
 
     def _warm(self, space: Space, links: Sequence[Link]) -> list[FloatArray]:
-        """Return starts combined from the pinches of pairs that link the fingers."""
+        """Return the pinches of pairs, and starts combined from those that link the fingers."""
         starts = []
         ends = [link.ends for link in links]
         for tree in trees(len(self.fingers), ends)[:_MOST_TREES]:
@@ -123,7 +125,16 @@ class MultiSearch:
                 if chosen:
                     u[actuator] = np.mean(chosen)
             starts.append(space.coordinates(u))
-        return starts
+        pinches = [self.pinches[frozenset(self.fingers[k].name for k in end)] for end in ends]
+        return [*starts, *(space.coordinates(u) for u in pinches)]
+
+    def _blocks(self, space: Space) -> list[Block]:
+        """Return the coordinates that belong to each finger, and those that belong to none."""
+        owner = {self._hand.actuator_index(n): f.name for f in self.fingers for n in f.own}
+        blocks: dict[str | None, list[int]] = {}
+        for coordinate, actuator in enumerate(space.index.tolist()):
+            blocks.setdefault(owner.get(actuator), []).append(coordinate)
+        return [np.array(block, dtype=np.intp) for block in blocks.values()]
 
 
 def find_multi(

@@ -11,6 +11,7 @@ import numpy as np
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.goals import Placed
 from rtee.extract.polish import polish
+from rtee.extract.recombination import Block, recombined
 from rtee.extract.space import Space, halton
 from rtee.types import FloatArray
 
@@ -23,6 +24,9 @@ class Effort:
         screened: Points of the low-discrepancy sequence at which the function is evaluated.
         starts: How many of them, the best, a descent starts from.
         quick: Most evaluations of these descents.
+        rounds: How often starts are put together from minima that were found.
+        parents: From how many minima, the deepest.
+        children: How many of these starts, the best, a descent is tried from.
         kept: How many of their ends, distinct ones, are polished.
         polish: Most evaluations of the polishing of one.
         again: How often the deepest end is polished again where that did not suffice.
@@ -31,13 +35,20 @@ class Effort:
     screened: int = 192
     starts: int = 12
     quick: int = 28
+    rounds: int = 0
+    parents: int = 6
+    children: int = 4
     kept: int = 3
     polish: int = 22
     again: int = 3
 
 
 PAIR: Final = Effort()
-SEVERAL: Final = Effort(screened=64, starts=5, quick=20, kept=2, polish=22, again=0)
+SEVERAL: Final = Effort(screened=32, starts=3, rounds=3, kept=2, again=1)
+MANY: Final = Effort(screened=32, starts=3, quick=60, rounds=4, kept=2, again=1)
+"""Of several tips that more than `FEW` actuators move."""
+
+FEW: Final = 9
 
 _SAME: Final = 0.02
 _LITTLE: Final = 0.002
@@ -49,13 +60,15 @@ def minima(
     function: Placed,
     warm: Sequence[FloatArray] = (),
     effort: Effort = PAIR,
+    blocks: Sequence[Block] = (),
 ) -> list[Minimum]:
     """Return distinct local minima, the deepest first.
 
     Args:
         function: The function to minimise over its space.
-        warm: Further starts, coordinates ``(k,)``.
+        warm: Starts that are known, coordinates ``(k,)``.
         effort: How much to try.
+        blocks: Which coordinates go together when starts are put together from minima.
     """
     space = function.space
     if space.size == 0:
@@ -63,16 +76,15 @@ def minima(
         return [Minimum(y, function.value(y), 1)]
     if space.size == 1:
         return on_a_line(function)
-    points = np.concatenate(
-        [halton(space.size, max(effort.screened, effort.starts)), _landmarks(space)]
-    )
-    values = np.array([function.value(y) for y in points])
-    order = np.argsort(values, kind="stable")[: effort.starts]
-    first = [
-        descend(function, y, evaluations=effort.quick) for y in (*warm, *(points[i] for i in order))
-    ]
-    best = distinct(first)[: effort.kept]
-    done = [polish(function, m.y, evaluations=effort.polish) for m in best]
+    starts = [*warm, *_screened(function, effort)]
+    first = [descend(function, y, evaluations=effort.quick) for y in starts]
+    seen: set[bytes] = set()
+    for _ in range(effort.rounds):
+        new = recombined(distinct(first)[: effort.parents], blocks, seen)
+        best = _best(function, new, effort.children)
+        first += [descend(function, y, evaluations=effort.quick) for y in best]
+    deep = distinct(first)[: effort.kept]
+    done = [polish(function, m.y, evaluations=effort.polish) for m in deep]
     deepest = min(done, key=lambda m: m.value)
     for _ in range(effort.again):
         if deepest.evaluations < effort.polish:
@@ -82,6 +94,18 @@ def minima(
         if before.value - deepest.value < _LITTLE * abs(deepest.value):
             break
     return distinct([*done, *first])
+
+
+def _screened(function: Placed, effort: Effort) -> list[FloatArray]:
+    """Return the best of the points of the low-discrepancy sequence and the landmarks."""
+    points = halton(function.space.size, max(effort.screened, effort.starts))
+    return _best(function, [*points, *_landmarks(function.space)], effort.starts)
+
+
+def _best(function: Placed, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
+    """Return those points at which the function is least, the best first."""
+    values = [function.value(y) for y in points]
+    return [points[i] for i in np.argsort(values, kind="stable")[:count]]
 
 
 def _landmarks(space: Space) -> FloatArray:
