@@ -87,12 +87,14 @@ async def test_moves_and_senses(names: tuple[str, ...], goal: list[float], gener
         assert Command.SET_INPUTS not in hand(pool).frames
         assert await settle(made, goal) == pytest.approx(goal, abs=1e-3)
         await made.sense()
-        before = dict(hand(pool).frames)
-        await made.sense()
-        await made.move(Reference.at(goal))
-        await made.sense()
-        spent = {c: n - before.get(c, 0) for c, n in hand(pool).frames.items()}
-        assert sum(spent.values()) == (3 if len(names) == 1 else 5)
+        spent = []
+        for _ in range(5):  # on a busy computer a frame may be repeated
+            before = sum(hand(pool).frames.values())
+            await made.sense()
+            await made.move(Reference.at(goal))
+            await made.sense()
+            spent.append(sum(hand(pool).frames.values()) - before)
+        assert min(spent) == (3 if len(names) == 1 else 5)
 
 
 async def test_attaches_to_an_active_hand_without_a_word_of_motion() -> None:
