@@ -24,7 +24,7 @@ from rtee.types import FloatArray
 
 _MOST_TREES: Final = 4
 
-_THREE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=2, more=1, settle=False)
+_THREE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=2, more=2, settle=False)
 _MORE: Final = Patience(pool=2, tries=1, rounds=3, leaps=1, creeps=3, ways=2, settle=False)
 
 Pinches = Mapping[frozenset[str], FloatArray]
