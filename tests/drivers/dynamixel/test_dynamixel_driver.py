@@ -239,6 +239,7 @@ async def test_a_model_that_is_not_known_is_driven_with_the_units_given() -> Non
         assert {"current", "effort"} <= made.capabilities.measures
         await made.activate()
         await made.move(Reference.at([0.1], max_effort=np.array([0.538])))
+        await made.sense()  # answered after what was written before
         assert line(pool).servos[0].get(table.GOAL_CURRENT) == 100
 
 
