@@ -31,6 +31,9 @@ _PARTS: Final = 32
 _FEW: Final = 12
 """So few pairs of links are measured without looking at their spheres first."""
 
+_SURE: Final = 1e-5
+"""Links that are known to be farther apart do not touch, however distances are rounded [m]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
@@ -129,7 +132,7 @@ class Watch:
     def _touching(self, u: FloatArray, begin: int, end: int) -> list[LinkPair]:
         scene = self._scene
         scene.place(u)
-        near = begin + np.flatnonzero(self._known.least(scene.joints)[begin:end] <= 0.0)
+        near = begin + np.flatnonzero(self._known.least(scene.joints)[begin:end] <= _SURE)
         if len(near) > _FEW:
             near = near[self._spheres.gaps()[near] <= 0.0]
         self._known.learn(near, [scene.distance(self.pairs[c]) for c in near], scene.joints)
