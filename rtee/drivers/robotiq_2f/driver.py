@@ -92,7 +92,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
 
     async def _identify(self) -> None:
         await super()._identify()
-        if self.options.register_base is not None:
+        if self.options.register_base is not None or not self.options.check_fingers:
             return
         # Inactive grippers of two and three fingers differ only in what follows: there the other
         # gripper tells where its second and third finger are.
@@ -109,7 +109,8 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
                 self.spec.name,
                 f"a {self.MODEL}",
                 "one with more motors",
-                hint="for a 3-Finger gripper set 'driver: robotiq_3f'",
+                hint="for a 3-Finger gripper set 'driver: robotiq_3f'; if it has two fingers, "
+                "'check_fingers: false'",
             )
 
     def _told(self, block: Sequence[int]) -> Status:

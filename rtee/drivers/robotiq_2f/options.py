@@ -36,4 +36,7 @@ class Robotiq2FOptions(DeviceOptions):
         None, description="Modbus function to read with; by default 3, or 4 with `register_base`"
     )
     exchange: ExchangeKind = Field("auto", description="function 23, or 16 and a read")
+    check_fingers: bool = Field(
+        True, description="refuse a gripper that tells positions of a second and third finger"
+    )
     activation_timeout: float = Field(15.0, gt=0.0, description="[s]")

@@ -65,14 +65,15 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
 
     async def _identify(self) -> None:
         await super()._identify()
-        # The scissor rests in the middle and open fingers at some counts: only a gripper that has
-        # no such motors tells zeros.
-        if not any(axis.position for axis in self._status.axes[1:]):
+        # The scissor rests in the middle and open fingers at some counts, so zeros tell of no such
+        # motors. No manual says what a gripper tells before it is activated: hence the option.
+        if self.options.check_fingers and not any(axis.position for axis in self._status.axes[1:]):
             raise HandshakeError(
                 self.spec.name,
                 f"a {self.MODEL}",
                 "one with fewer motors",
-                hint="for a 2-finger gripper set 'driver: robotiq_2f'",
+                hint="for a 2-finger gripper set 'driver: robotiq_2f'; if it has three fingers, "
+                "'check_fingers: false'",
             )
 
     def _told(self, block: Sequence[int]) -> Status:

@@ -37,6 +37,9 @@ class Robotiq3FOptions(DeviceOptions):
         None, description="Modbus function to read with; by default 4 on tcp://, else 3"
     )
     exchange: ExchangeKind = Field("auto", description="function 23, or 16 and a read")
+    check_fingers: bool = Field(
+        True, description="refuse a gripper that tells no positions of a second and third finger"
+    )
     current_per_count: float = Field(
         0.01, gt=0.0, description="[A]; the manuals contradict each other about it"
     )

@@ -215,6 +215,20 @@ async def test_a_gripper_with_other_fingers_is_refused(
     assert remedy in check.remedy or activated
 
 
+@pytest.mark.parametrize(
+    ("there", "asked"), [("robotiq_3f", "robotiq_2f"), ("robotiq_2f", "robotiq_3f")]
+)
+async def test_the_check_of_an_inactive_gripper_s_fingers_can_be_left_out(
+    there: str, asked: str
+) -> None:
+    emulator = make_emulator(there, {"emulator": {"activated": False}})
+    with SimulatedLine([emulator], wire_time=False) as line:
+        async with BusPool() as pool:
+            spec = gripper(options={"port": line.address, "check_fingers": False})
+            checks = await check_device(replace(spec, driver=asked), pool)
+    assert named(checks, "identity").verdict is Verdict.OK
+
+
 async def test_more_than_the_wire_gives_is_a_warning() -> None:
     async with BusPool() as pool:
         checks = await check_device(gripper(emulated=True, every=1), pool)
