@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -160,6 +160,8 @@ class _Person:
 
     def do(self, step: Step) -> tuple[str, float]:
         """Do an action at an intensity; returns what its card says, and where the claw is [rad]."""
+        from playwright.sync_api import TimeoutError as NotThere
+
         page = self._page
         search = self._field("Search")
         search.fill(step.action)
@@ -168,27 +170,28 @@ class _Person:
             page.get_by_text(other, exact=True).locator("visible=true").first.wait_for(
                 state="detached"
             )
-        if not page.get_by_role("button", name="Do", exact=True).first.is_visible():
-            page.get_by_text(step.action, exact=True).first.click()
+        title = page.get_by_text(step.action, exact=True).locator("visible=true").first
+        title.wait_for()
+        if title.locator(".tabler-icon-chevron-down").count():  # it is folded
+            title.click()
         intensity = self._field("Intensity [%]")
         intensity.fill(str(step.intensity))
         intensity.press("Enter")
         page.get_by_role("button", name="Do", exact=True).first.click()
         word = page.get_by_text(re.compile(r"^(reached|grasped|stalled|timed out|aborted)"))
-        word.locator("visible=true").first.wait_for()
+        try:
+            word.locator("visible=true").first.wait_for()
+        except NotThere as error:
+            shown = page.locator("body").inner_text()
+            raise ConfigError(f"{step.action} did not end; the page shows: {shown}") from error
         said = word.locator("visible=true").first.inner_text()
-        return said, self._settled()
+        at, within = (step.at, TOLERANCE) if step.at is not None else (2.0 * CLOSED, CLOSED)
+        return said, self._position(at, within)
 
     def open(self) -> float:
         """Press Open; returns where the claw is when it stands [rad]."""
         self._page.get_by_role("button", name="Open", exact=True).first.click()
-        self._page.get_by_role("tab", name="Joints").click()
-        self._page.wait_for_function(
-            "([name, most]) => [...document.querySelectorAll('td')].some(cell =>"
-            " cell.innerText === name && Math.abs(+cell.nextSibling.innerText) <= most)",
-            arg=[CLAW, TOLERANCE],
-        )
-        return self._settled()
+        return self._position(0.0, TOLERANCE)
 
     def look(self) -> bytes:
         """Return a picture of the page with the plots."""
@@ -197,9 +200,21 @@ class _Person:
         self._page.wait_for_timeout(700)  # the plots are drawn anew some times a second
         return self._page.screenshot(timeout=120_000)
 
-    def _settled(self) -> float:
-        """Read the claw's position from the table of joints, when it no longer changes [rad]."""
+    def _position(self, at: float, within: float) -> float:
+        """Read where the claw is from the table of joints, once it stands [rad].
+
+        The table may come seconds after the hand on a busy computer, so it is given time to show
+        the position at which the claw should be.
+        """
+        from playwright.sync_api import TimeoutError as NotThere
+
         self._page.get_by_role("tab", name="Joints").click()
+        with suppress(NotThere):  # then what it shows instead is told
+            self._page.wait_for_function(
+                "([name, at, within]) => [...document.querySelectorAll('td')].some(cell =>"
+                " cell.innerText === name && Math.abs(+cell.nextSibling.innerText - at) <= within)",
+                arg=[CLAW, at, within],
+            )
         row = self._page.locator("tr", has=self._page.locator("td", has_text=CLAW)).first
         cell = row.locator("td").nth(1)
         before, now = "", cell.inner_text()

@@ -354,5 +354,5 @@ def test_what_is_not_permitted_is_told_once(folder: Path) -> None:
     write_hand(folder, "pinned", "realtime: {enabled: true, cpus: [4000], lock_memory: false}\n")
     process = start(folder, "--duration", "0.1", hand="pinned")
     output, errors = process.communicate(timeout=20)
-    assert process.returncode == 0
+    assert process.returncode == 0, errors
     assert (output + errors).count("CPU 4000 cannot be used") == 1

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rtee.cli._common import HAND_VARIABLE, actions_of
-from rtee.errors import RteeError
+from rtee.errors import RteeError, UnknownAction
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
-    from rtee.actions.types import Action
+    from rtee.actions.types import Composed, Generic, Timed
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the new action.")]
 Description = Annotated[str, typer.Option("--description", help="One sentence for people.")]
-Replace = Annotated[bool, typer.Option("--replace", help="Replace an action of the same name.")]
+Replace = Annotated[
+    bool,
+    typer.Option("--replace", help="Replace an action of the same name; it keeps its description."),
+]
 
 
 def complete_part(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -51,19 +56,32 @@ def _library(ctx: typer.Context) -> ActionLibrary | None:
         return None
 
 
-def store(library: ActionLibrary, action: Action, replace: bool) -> None:
+def store(library: ActionLibrary, action: Composed | Timed | Generic, replace: bool) -> None:
     """Store a new action, and say what was done and what is noteworthy about it.
+
+    One that replaces another keeps its description unless it has one of its own.
 
     Raises:
         UserError: if the name is taken or the file cannot be written.
     """
     from rtee.actions.build import warnings_of
 
+    if replace and not action.description:
+        action = dataclasses.replace(action, description=_description(library, action.name))
     library.add(action, store=True, replace_same=replace)
     for warning in warnings_of(action):
         print(f"rtee: warning: {warning}", file=sys.stderr)
     print(f"'{action.name}' is now an action of {library.hand.name}")
     _tell(library.hand.name)
+
+
+def _description(library: ActionLibrary, name: str) -> str:
+    from rtee.actions.types import Primitive
+
+    with suppress(UnknownAction):
+        action = library.find(name)
+        return "" if isinstance(action, Primitive) else action.description
+    return ""
 
 
 def _tell(hand: str) -> None:

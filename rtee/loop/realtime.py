@@ -96,7 +96,9 @@ def favoured_session(settings: RealtimeSettings) -> Iterator[None]:
     before = ""
     if settings.enabled:
         with contextlib.suppress(OSError):
-            before = _AUTOGROUP.read_text().split()[-1]
+            before = _AUTOGROUP.read_text().rpartition(" ")[2].strip()
+    if before:  # the file is empty for a program that is in no such group
+        with contextlib.suppress(OSError):
             _AUTOGROUP.write_text(str(HELPERS_NICE))
     try:
         yield

@@ -81,6 +81,16 @@ def test_compose(home: Path) -> None:
     run(compose, *words, "--replace")
 
 
+def test_what_replaces_an_action_keeps_its_description_unless_it_brings_one(home: Path) -> None:
+    words = ("fist", "trig:index", "--hand", "small")
+    run(compose, *words, "--description", "a fist")
+    run(compose, "fist", "trig:middle", "--hand", "small", "--replace")
+    assert stored(home).find("fist").description == "a fist"
+    assert stored(home).find("fist").posture.involved == ("middle_joint",)
+    run(compose, *words, "--replace", "--description", "another")
+    assert stored(home).find("fist").description == "another"
+
+
 def test_compose_warns_of_a_scale_above_one(home: Path) -> None:
     result = CliRunner().invoke(compose.app, ["hard", "trig:index*1.5", "--hand", "small"])
     said = "rtee: warning: 'hard' scales Trig (index) by 1.5"

@@ -8,11 +8,13 @@ import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from rtee.buses.timing import SLICE
-from rtee.loop.realtime import Collector
+from rtee.loop.realtime import Collector, favoured_session
+from rtee.loop.settings import RealtimeSettings
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux only")
 
@@ -88,6 +90,20 @@ def test_the_session_goes_before_others_for_as_long_as_the_loop_runs() -> None:
         assert found == ["-15", "0", "0", "0"]
     else:
         assert len(set(found)) == 1
+
+
+@pytest.mark.parametrize("text", ["", "/autogroup-7 nice 3\n", None])
+def test_a_session_that_is_in_no_group_stays_as_it_is(
+    text: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Linux leaves the file empty for what was started by the container's first process."""
+    file = tmp_path / "autogroup"
+    if text is not None:
+        file.write_text(text)
+    monkeypatch.setattr("rtee.loop.realtime._AUTOGROUP", file)
+    with favoured_session(RealtimeSettings(enabled=True)):
+        assert (file.read_text() if text is not None else None) == (text and "-15")
+    assert (file.read_text() if text is not None else None) == (text and "3")
 
 
 def test_only_the_loops_thread_becomes_real_time() -> None:

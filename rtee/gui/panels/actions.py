@@ -93,12 +93,13 @@ class ActionsPanel:
 
     def _filter(self) -> None:
         wanted = str(self._search.value).lower().split()
-        for card in self._cards.values():
-            card.visible = all(word in card.words for word in wanted)
-        for kind, folder in self._folders.items():
-            folder.visible = any(
-                card.visible for key, card in self._cards.items() if key[0] is kind
-            )
+        with self._bridge.server.atomic():
+            for card in self._cards.values():
+                card.visible = all(word in card.words for word in wanted)
+            for kind, folder in self._folders.items():
+                folder.visible = any(
+                    card.visible for key, card in self._cards.items() if key[0] is kind
+                )
 
 
 def _signature(action: Action) -> object:

@@ -66,8 +66,10 @@ class Window:
         label = self.page.locator("div.mantine-Paper-root > div.mantine-Paper-root")
         label = label.filter(has_text=re.compile(f"^{re.escape(name)}$")).first
         folder = label.locator("xpath=..")
-        if unfold and not folder.locator("label:visible, button:visible").count():
-            label.click()
+        if unfold:
+            label.wait_for()
+            if label.locator(".tabler-icon-chevron-down").count():
+                label.click()
             folder.locator("label:visible, button:visible").first.wait_for()
         return folder
 
