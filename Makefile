@@ -16,9 +16,10 @@ BIN := .venv/bin
 demo: .venv/.ready
 	$(BIN)/python examples/demo.py
 
-# Two processes: half of the tests wait for simulated wires and for a browser.
+# Two processes: half of the tests wait for simulated wires and for a browser. These are real, so
+# that a test may fail when the computer is busy: it is run once more, and named in the summary.
 test: lint types layers
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --reruns 1 --rerun-show-tracebacks -r fEsR
 
 lint: .venv/.ready
 	$(BIN)/ruff format --check .

@@ -64,7 +64,7 @@ class DriverContract:
 
         async def test() -> None:
             async with self.session() as session:
-                await session.driver.configure()
+                await session.connect()
                 assert session.driver.capabilities.identity
                 state = await session.sense()
                 assert state.position.shape == (len(self.case.actuators),)
@@ -464,7 +464,7 @@ class DriverContract:
         async def test() -> None:
             async with self.session() as session:
                 await session.driver.close()
-                await session.driver.configure()
+                await session.connect()
                 await session.driver.close()
                 await session.driver.close()
                 await session.start()

@@ -63,13 +63,25 @@ class Session:
 
     async def before(self, prepare: Callable[[Emulator], None]) -> None:
         """Change the emulated device before the driver sees it for the first time."""
-        await self.driver.configure()
+        await self.connect()
         await self.driver.close()
         self.wire.call(lambda: prepare(self.emulator))
 
+    async def connect(self) -> None:
+        """Connect, patiently: as a supervisor does, from the beginning after what was not heard."""
+
+        async def once() -> None:
+            try:
+                await self.driver.configure()
+            except (BusTimeout, FrameError):
+                await self.driver.close()
+                raise
+
+        await patiently(once)
+
     async def start(self) -> ActuatorState:
         """Connect and activate; return the first state."""
-        await self.driver.configure()
+        await self.connect()
         await patiently(self.driver.activate)
         return await self.sense()
 

@@ -137,7 +137,7 @@ async def test_another_tool_is_named() -> None:
 
 async def test_it_tells_what_it_is() -> None:
     async with Session(TCP) as session:
-        await session.driver.configure()
+        await session.connect()
         identity = session.driver.capabilities.identity
         assert identity["serial"] == "3FG15-EMULATED"
         assert identity["diameters"] == "20.0 to 150.0 mm"

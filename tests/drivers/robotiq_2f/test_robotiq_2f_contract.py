@@ -179,7 +179,7 @@ async def test_a_held_object_stays_held_when_asked_to_stay() -> None:
 async def test_an_inactive_gripper_is_activated_only_when_allowed() -> None:
     options = {**RTU.options, "home": "on_demand", "emulator": {"activated": False, "haste": 9.0}}
     async with Session(replace(RTU, options=options)) as session:
-        await session.driver.configure()
+        await session.connect()
         with pytest.raises(DeviceFault, match="not activated") as caught:
             await session.driver.activate()
         assert "rtee recover" in caught.value.hint
@@ -193,7 +193,7 @@ async def test_an_inactive_gripper_is_activated_only_when_allowed() -> None:
 async def test_an_activation_can_be_cancelled() -> None:
     emulator = {"activation_time": 60.0}
     async with Session(replace(RTU, options={**RTU.options, "emulator": emulator})) as session:
-        await session.driver.configure()
+        await session.connect()
         task = asyncio.create_task(session.driver.activate())
         await asyncio.sleep(0.1)
         task.cancel()

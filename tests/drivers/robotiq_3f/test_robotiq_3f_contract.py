@@ -81,7 +81,7 @@ async def test_nothing_moves_before_it_is_asked_for() -> None:
     emulator = {"activated": False, "haste": 9.0}
     options = {**CASE.options, "home": "on_demand", "mode": "wide", "emulator": emulator}
     async with Session(replace(CASE, actuators=(FINGERS,), options=options)) as session:
-        await session.driver.configure()
+        await session.connect()
         with pytest.raises(DeviceFault, match="not activated") as caught:
             await session.driver.activate()
         assert "rtee recover" in caught.value.hint
@@ -95,7 +95,7 @@ async def test_another_mode_is_not_taken_unasked() -> None:
     options = {**CASE.options, "home": "on_demand", "mode": "pinch"}
     async with Session(replace(CASE, actuators=(FINGERS,), options=options)) as session:
         await session.before(lambda emulator: emulator.hold())  # type: ignore[attr-defined]
-        await session.driver.configure()
+        await session.connect()
         with pytest.raises(DeviceFault, match="in mode 'basic', not 'pinch'"):
             await session.driver.activate()
 

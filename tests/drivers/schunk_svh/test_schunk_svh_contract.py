@@ -63,7 +63,7 @@ class TestSvh(DriverContract):
 
         async def test() -> None:
             async with self.session() as session:
-                await session.driver.configure()
+                await session.connect()
                 assert session.driver.capabilities.identity
                 assert np.isnan((await session.driver.sense()).position).all()
                 assert moves(session.emulator) == 0
