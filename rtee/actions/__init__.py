@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rtee.actions.library import ActionLibrary
+from typing import TYPE_CHECKING, Any
+
 from rtee.actions.types import (
     Action,
     ActionKind,
@@ -18,3 +19,15 @@ from rtee.actions.types import (
     Timed,
     kind_of,
 )
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when first used: the extraction needs the types alone.
+    if name == "ActionLibrary":
+        from rtee.actions.library import ActionLibrary
+
+        return ActionLibrary
+    raise AttributeError(f"module 'rtee.actions' has no attribute '{name}'")

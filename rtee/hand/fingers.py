@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 from rtee.errors import ModelError
 from rtee.hand.chains import Chain, fingers_of
-from rtee.hand.discovery import discover_fingers
 from rtee.hand.model import Finger
 from rtee.hand.names import check_name
 from rtee.hand.srdf import Srdf
@@ -32,6 +31,8 @@ def make_fingers(
     """
     chains, notes = fingers_of(srdf, urdf) if srdf else (), []
     if not chains:
+        from rtee.hand.discovery import discover_fingers
+
         chains = discover_fingers(urdf, frozenset(movers))
         notes.append(
             "no SRDF was given; the fingers were found from the tree; no joint is passive"

@@ -10,14 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from rtee.errors import ExpressionError, ModelError, UnknownJoint
-from rtee.hand.expression import Expression
 from rtee.hand.urdf import Urdf, UrdfJoint, UrdfMimic
 from rtee.types import FloatArray, readonly
+
+if TYPE_CHECKING:
+    from rtee.hand.expression import Expression
 
 _SAMPLES: Final = 65
 
@@ -274,6 +276,8 @@ def _master(urdf: Urdf, joint: UrdfJoint, mimic: UrdfMimic) -> UrdfJoint:
 def _stage(urdf: Urdf, joint: UrdfJoint, mimic: UrdfMimic) -> Linear | Expression:
     if mimic.expression is None:
         return Linear(mimic.multiplier, mimic.offset)
+    from rtee.hand.expression import Expression  # few hands have any
+
     try:
         return Expression(mimic.expression)
     except ExpressionError as error:
