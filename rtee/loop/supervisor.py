@@ -7,6 +7,7 @@ import logging
 import math
 from collections.abc import Awaitable, Callable, Mapping
 
+from rtee.buses.patience import patiently
 from rtee.errors import DriverError
 from rtee.loop.connection import BACKOFF
 from rtee.loop.exchange import Exchange
@@ -43,7 +44,7 @@ class Supervisor(Exchange):
         )
 
     async def stop(self, within: float) -> bool:
-        """Stop the device now; cannot raise.
+        """Stop the device now, again and again until it is heard; cannot raise.
 
         Args:
             within: Time it may take [s].
@@ -77,27 +78,28 @@ class Supervisor(Exchange):
 
     async def _stop(self) -> bool:
         self._reference = None
-        await self.driver.stop()
-        self._take(await self.driver.sense())
+        await patiently(self.driver.stop)
+        self._take(await patiently(self.driver.sense))
         return True
 
     async def _release(self) -> bool:
         self._reference = None
-        await self.driver.release()
-        await self.driver.deactivate()
+        await patiently(self.driver.release)
+        await patiently(self.driver.deactivate)
         self.lifecycle = Lifecycle.INACTIVE
         self.trouble = "it was released"
         self._activate_on_connect = False
-        self._take(await self.driver.sense())
+        self._take(await patiently(self.driver.sense))
         return True
 
     async def _send_last(self, reference: Reference | None) -> bool:
         self._reference = None
-        state = await self.driver.sense()
+        state = await patiently(self.driver.sense)
         self._take(state)
         if self.lifecycle is not Lifecycle.ACTIVE:
             return False
-        await self.driver.move(Reference.at(state.position) if reference is None else reference)
+        last = Reference.at(state.position) if reference is None else reference
+        await patiently(lambda: self.driver.move(last))
         return True
 
     async def recover(self) -> None:

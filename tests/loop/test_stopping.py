@@ -9,7 +9,7 @@ import pytest
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
-from rtee.errors import GoalRejected
+from rtee.errors import BusTimeout, GoalRejected
 from rtee.hand.model import Hand
 from rtee.loop.observer import Observer, TickRecord
 from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
@@ -108,6 +108,40 @@ async def test_a_stop_that_was_swallowed_is_not_confirmed(hand: Hand) -> None:
     driver = Gone(settings.spec, BusPool())
     async with running(hand, None, [(settings, driver)]) as rig:
         assert await stopped(rig) == [("dummy", False)]
+
+
+@pytest.mark.parametrize("behaviour", [Behaviour.STOP, Behaviour.HOLD, Behaviour.RELEASE])
+async def test_what_was_not_heard_is_said_again(hand: Hand, behaviour: Behaviour) -> None:
+    """A single frame that gets lost at the end must not leave a device without its last word."""
+
+    class Deaf(Listening):
+        deaf = False
+
+        def _heard(self) -> None:
+            self.deaf = not self.deaf
+            if self.deaf:
+                raise BusTimeout("dummy", "no answer")
+
+        async def stop(self) -> None:
+            self._heard()
+            await super().stop()
+
+        async def release(self) -> None:
+            self._heard()
+            await super().release()
+
+        async def move(self, reference: Reference) -> None:
+            self._heard()
+            await super().move(reference)
+
+    settings = device(hand)
+    driver = Deaf(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        await rig.run(0.05)
+        driver.told.clear()
+        driver.deaf = False  # to what comes next
+        assert await bring_to_rest(rig.loop, behaviour, "a test") == [("dummy", True)]
+        assert driver.told[0] == {"hold": "move"}.get(behaviour.value, behaviour.value)
 
 
 @pytest.mark.parametrize("how", ["raises", "hangs"])
