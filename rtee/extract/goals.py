@@ -213,19 +213,16 @@ def spanning_tree(
         edges: Pairs of nodes.
         lengths: Length of each edge.
     """
-    parent = list(range(size))
-
-    def root(node: int) -> int:
-        while parent[node] != node:
-            node = parent[node]
-        return node
-
-    tree = []
-    for i in sorted(range(len(edges)), key=lambda i: lengths[i]):
-        a, b = root(edges[i][0]), root(edges[i][1])
+    part = list(range(size))  # in which part of the tree each node is
+    tree: list[int] = []
+    for i in sorted(range(len(edges)), key=lengths.__getitem__):
+        first, second = edges[i]
+        a, b = part[first], part[second]
         if a != b:
-            parent[a] = b
             tree.append(i)
+            if len(tree) == size - 1:
+                break
+            part = [b if p == a else p for p in part]
     return tree
 
 

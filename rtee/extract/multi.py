@@ -26,6 +26,8 @@ _MOST_TREES: Final = 4
 
 _THREE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=2, more=2, settle=False)
 _MORE: Final = Patience(pool=2, tries=1, rounds=3, leaps=1, creeps=3, ways=2, settle=False)
+_MANY: Final = Patience(more=4, settle=False)
+"""Where more than `FEW` actuators move the tips."""
 
 Pinches = Mapping[frozenset[str], FloatArray]
 """Of the fingers that pinch tightly, two by two, the deepest posture ``(n,)``."""
@@ -71,7 +73,7 @@ class MultiSearch:
 
         candidates = [candidate(touching)]
         if not candidates[0].usable:
-            patience = _THREE if len(self.fingers) == 3 else _MORE
+            patience = _MANY if space.size > FEW else _THREE if len(self.fingers) == 3 else _MORE
             clear = clear_postures(self.inspector, goal, space, watch, found, patience)
             candidates += [candidate(u) for u in clear[:1]]
         lower, upper = real_limits(self._hand)

@@ -215,8 +215,9 @@ def _solved(block: list[list[float]]) -> tuple[list[float], list[float]]:
             row = block[i]
             factor = row[k] / pivot[k]
             if factor:
-                for j in range(k + 1, size + 2):
-                    row[j] -= factor * pivot[j]
+                row[k + 1 :] = [
+                    a - factor * b for a, b in zip(row[k + 1 :], pivot[k + 1 :], strict=True)
+                ]
     plain, even = [0.0] * size, [0.0] * size
     for k in range(size - 1, -1, -1):
         row = block[k]

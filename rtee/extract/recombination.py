@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.extract.descent import Minimum
+from rtee.extract.space import halton
 from rtee.types import FloatArray
 
 Block = NDArray[np.intp]
@@ -47,4 +48,27 @@ def recombined(
             if key not in seen:
                 seen.add(key)
                 new.append(y)
+    return new
+
+
+def elsewhere(minimum: Minimum, blocks: Sequence[Block], places: int) -> list[FloatArray]:
+    """Return poses in which one block of coordinates stands elsewhere than at a minimum.
+
+    A descent moves all fingers at once and stops at the first kink that none can leave alone; a
+    finger's own coordinates are so few that some points fill them.
+
+    Args:
+        minimum: The minimum.
+        blocks: Which coordinates go together; each finger's, and the others.
+        places: Points of the low-discrepancy sequence for each block.
+
+    Returns:
+        Coordinates ``(k,)``.
+    """
+    new = []
+    for block in blocks:
+        for place in halton(len(block), places):
+            y = minimum.y.copy()
+            y[block] = place
+            new.append(y)
     return new

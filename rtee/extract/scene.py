@@ -23,6 +23,8 @@ from rtee.types import FloatArray, JointKind
 _BATCH: Final = 3
 """From this many derivatives on it is faster to add them up before the last products."""
 
+_MOST_STACKS: Final = 1024
+
 
 @dataclass(frozen=True, slots=True)
 class LinkPair:
@@ -121,6 +123,7 @@ class Scene:
         self._slope = self.couplings.slope(hand.rest)
         self._convex: dict[int, Forms] = {}
         self._exact: dict[int, Forms] = {}
+        self._stacks: dict[tuple[tuple[int, bool], ...], FloatArray] = {}
         self._joints = np.zeros((6, self._model.nv))
         self._stamp = self._jacobian_stamp = 0
         self.place(hand.rest)
@@ -232,20 +235,34 @@ class Scene:
             The derivative by the coordinates of the space ``(k,)`` [m].
         """
         if len(terms) < _BATCH:
-            each = (weight * self.derivative(pair, space) for pair, weight in terms)
-            return sum(each, np.zeros(space.size))
-        rows = []
+            result: FloatArray = np.zeros(space.size)
+            for pair, weight in terms:
+                result += weight * self.derivative(pair, space)
+            return result
+        rows, stamp, known = [], self._stamp, self._convex
         for pair, weight in terms:
-            forms = self._convex.get(pair.number) or self._convex_of(pair)
-            result = forms.results[forms.least(self._stamp)[1]]
+            forms = known.get(pair.number) or self._convex_of(pair)
+            found = forms.results[forms.least(stamp)[1]]
             sign = -weight if pair.turned else weight
-            x, y, z = (result.normal * sign).tolist()
-            a, b, c = result.getNearestPoint1().tolist()
+            x, y, z = found.normal.tolist()
+            x, y, z = x * sign, y * sign, z * sign
+            a, b, c = found.getNearestPoint1().tolist()
             rows.append((x, y, z, b * z - c * y, c * x - a * z, a * y - b * x))
         torques = np.array(rows).dot(self._jacobian())
-        torques *= [pair.moved_by for pair, _ in terms]
+        torques *= self._moved_by(tuple([(pair.number, pair.turned) for pair, _ in terms]), terms)
         slope: FloatArray = torques.sum(axis=0).dot(self._moved(space))
         return slope
+
+    def _moved_by(
+        self, key: tuple[tuple[int, bool], ...], terms: Sequence[tuple[LinkPair, float]]
+    ) -> FloatArray:
+        """Return `LinkPair.moved_by` of some pairs ``(p, m)``; kept for each set of them."""
+        known = self._stacks.get(key)
+        if known is None:
+            if len(self._stacks) >= _MOST_STACKS:
+                self._stacks.clear()
+            known = self._stacks[key] = np.array([pair.moved_by for pair, _ in terms])
+        return known
 
     def exact_slope(self, pair: LinkPair, space: Space) -> tuple[float, FloatArray]:
         """Return the distance of two links' geometry as given and its derivative, as `slope`.

@@ -11,7 +11,7 @@ import numpy as np
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.goals import Placed
 from rtee.extract.polish import polish
-from rtee.extract.recombination import Block, recombined
+from rtee.extract.recombination import Block, elsewhere, recombined
 from rtee.extract.space import Space, halton
 from rtee.types import FloatArray
 
@@ -27,6 +27,8 @@ class Effort:
         rounds: How often starts are put together from minima that were found.
         parents: From how many minima, the deepest.
         children: How many of these starts, the best, a descent is tried from.
+        places: At how many places a finger is tried at the deepest minimum, the others as they are.
+        moved: From how many of these poses, the best, a descent is tried.
         kept: How many of their ends, distinct ones, are polished.
         polish: Most evaluations of the polishing of one.
         again: How often the deepest end is polished again where that did not suffice.
@@ -38,14 +40,16 @@ class Effort:
     rounds: int = 0
     parents: int = 6
     children: int = 4
+    places: int = 0
+    moved: int = 2
     kept: int = 3
     polish: int = 22
     again: int = 3
 
 
 PAIR: Final = Effort()
-SEVERAL: Final = Effort(screened=32, starts=3, rounds=3, kept=2, again=1)
-MANY: Final = Effort(screened=32, starts=3, quick=60, rounds=4, kept=2, again=1)
+SEVERAL: Final = Effort(screened=32, starts=3, rounds=2, places=16, kept=2, again=1)
+MANY: Final = Effort(screened=32, starts=3, quick=90, rounds=2, places=16, kept=2, polish=40)
 """Of several tips that more than `FEW` actuators move."""
 
 FEW: Final = 9
@@ -82,6 +86,10 @@ def minima(
     for _ in range(effort.rounds):
         new = recombined(distinct(first)[: effort.parents], blocks, seen)
         best = _best(function, new, effort.children)
+        first += [descend(function, y, evaluations=effort.quick) for y in best]
+    if effort.places:
+        new = elsewhere(distinct(first)[0], blocks, effort.places)
+        best = _best(function, new, effort.moved)
         first += [descend(function, y, evaluations=effort.quick) for y in best]
     deep = distinct(first)[: effort.kept]
     done = [polish(function, m.y, evaluations=effort.polish) for m in deep]

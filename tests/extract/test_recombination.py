@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtee.extract.descent import Minimum
-from rtee.extract.recombination import recombined
+from rtee.extract.recombination import elsewhere, recombined
 from rtee.extract.search import Effort, minima
 from rtee.extract.space import Space
 from rtee.types import FloatArray
@@ -71,3 +71,23 @@ def test_a_sum_is_as_deep_as_the_deepest_of_its_terms_that_were_found(
 
 def test_minima_of_one_block_need_no_other() -> None:
     assert recombined([minimum(0.5, 0.5, 0.5, 0.5)], BLOCKS, set()) == []
+
+
+def test_a_block_is_tried_elsewhere_while_the_rest_stays() -> None:
+    new = elsewhere(minimum(0.1, 0.2, 0.3, 0.4), BLOCKS, 5)
+    assert len(new) == 10
+    assert all(y[2:].tolist() == [0.3, 0.4] for y in new[:5])
+    assert all(y[:2].tolist() == [0.1, 0.2] for y in new[5:])
+    assert len({y.tobytes() for y in new}) == 10
+
+
+@pytest.mark.parametrize(("places", "depth"), [(0, -3.0), (16, -4.0)])
+def test_a_valley_that_no_start_met_is_found_from_the_deepest_minimum(
+    places: int, depth: float
+) -> None:
+    valleys = Valleys()
+    start = valleys.flat.copy()
+    start[BLOCKS[0]] = valleys.deep[BLOCKS[0]]
+    effort = Effort(screened=1, starts=0, places=places)
+    found = minima(cast("Any", valleys), [start + 0.02], effort, BLOCKS)
+    assert found[0].value == pytest.approx(depth, abs=1e-3)

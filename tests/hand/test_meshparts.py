@@ -71,6 +71,20 @@ def test_every_part_is_where_it_belongs(materials: int, tmp_path: Path) -> None:
     assert distance(mesh, 0.5) > 0.3  # nothing joins the parts
 
 
+@pytest.mark.parametrize("axis", ["X_UP", "Y_UP", "Z_UP"])
+@pytest.mark.parametrize("metre", ["1", "0.001"])
+def test_coordinates_of_a_collada_file_count_as_they_are(
+    axis: str, metre: str, tmp_path: Path
+) -> None:
+    """Neither the file's axis that points up nor its unit changes them: the URDF places a mesh."""
+    path = two_tetrahedra(tmp_path / "two.dae", materials=1)
+    text = path.read_text().replace("Z_UP", axis).replace('meter="1"', f'meter="{metre}"')
+    path.write_text(text)
+    corners = np.array(load(path).vertices())
+    assert corners.min(axis=0).tolist() == [0.0, 0.0, 0.0]
+    assert corners.max(axis=0) == pytest.approx([1.1, 0.1, 0.1])
+
+
 def test_triangles_are_numbered_through() -> None:
     faces = np.array([*TETRAHEDRON, *TETRAHEDRON, *TETRAHEDRON])
     apart = parted(faces, 12)
