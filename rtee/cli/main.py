@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import importlib
 import os
 import sys
@@ -137,6 +138,8 @@ def main() -> None:
         _leave_unread(2)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
+    finally:
+        gc.freeze()  # the process ends; looking through all that it holds would take its time
 
 
 def _leave_unread(status: int) -> NoReturn:

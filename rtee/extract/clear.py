@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.extract.collisions import Blocked, Watch
 from rtee.extract.constraints import CLOSE, CLOSER, NEAR, WEIGHT, Constraints
-from rtee.extract.descent import Minimum, Objective, descend
+from rtee.extract.descent import Minimum, Objective, Slope, descend
 from rtee.extract.goals import Goal
 from rtee.extract.motion import Motion
 from rtee.extract.polish import polish
@@ -286,15 +286,16 @@ class ClearSearch:
     def _walled(self, at: FloatArray, walls: Sequence[tuple[float, FloatArray]]) -> Objective:
         goal = self._constraints.penalised(ways_only=True)
 
-        def function(y: FloatArray) -> tuple[float, FloatArray]:
-            value, slope = goal(y)
+        def function(y: FloatArray) -> tuple[float, Slope]:
+            value, rise_of_goal = goal(y)
+            slope = rise_of_goal()
             step = y - at
             for gap, rise in walls:
                 left = gap + float(rise @ step) - CLOSE
                 if left < 0.0:
                     value -= WEIGHT * left
                     slope = slope - WEIGHT * rise
-            return value, slope
+            return value, lambda: slope
 
         return function
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.collisions import Blocked, Watch, bisect
-from rtee.extract.descent import Objective
+from rtee.extract.descent import Objective, Slope
 from rtee.extract.goals import Goal
 from rtee.extract.motion import Motion, Way
 from rtee.extract.scene import LinkPair, Scene
@@ -178,28 +178,33 @@ class Constraints:
         here = [c for c in self._known if c.times == _POSE and not ways_only]
         before = [c for c in self._known if c.times != _POSE]
 
-        def function(y: FloatArray) -> tuple[float, FloatArray]:
+        def function(y: FloatArray) -> tuple[float, Slope]:
             u = space.posture(y)
             scene.place(u)
-            value, slope = goal.slope(space)
+            value, rise = goal.slope(space)
             terms = []
             for c in here:
                 gap = scene.distance(c.pair)
                 if gap < -c.allowance:
                     value -= c.weight * (gap + c.allowance)
                     terms.append((c.pair, -c.weight))
-            if terms:
-                slope = slope + scene.gradient(terms, space)
+
+            def sloping() -> FloatArray:
+                return rise() + scene.gradient(terms, space) if terms else rise()
+
+            if not before:
+                return value, sloping
+            slope = sloping()  # now: the links are placed elsewhere next
             for c in before:
-                least, rise = np.inf, slope
+                least, steepest = np.inf, slope
                 for t in c.times:
                     scene.place(rest + t * (u - rest))
                     gap = scene.distance(c.pair)
                     if gap < min(least, -c.allowance):
-                        least, rise = gap, t * scene.derivative(c.pair, space)
+                        least, steepest = gap, t * scene.derivative(c.pair, space)
                 if least < -c.allowance:
                     value -= c.weight * (least + c.allowance)
-                    slope = slope - c.weight * rise
-            return value, slope
+                    slope = slope - c.weight * steepest
+            return value, lambda: slope
 
         return function

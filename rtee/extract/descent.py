@@ -10,8 +10,14 @@ import numpy as np
 
 from rtee.types import FloatArray
 
-Objective = Callable[[FloatArray], tuple[float, FloatArray]]
-"""From coordinates in the unit box to the value and its derivative."""
+Slope = Callable[[], FloatArray]
+"""Returns the derivative ``(k,)`` where a function was evaluated last.
+
+It is asked for before the next evaluation, or not at all: half of the steps that a line search
+tries are too long, and nobody needs the derivative there."""
+
+Objective = Callable[[FloatArray], tuple[float, Slope]]
+"""From coordinates in the unit box to the value and what returns its derivative."""
 
 Bounds = tuple[FloatArray | float, FloatArray | float]
 """Lower and upper corner of the box that coordinates stay in."""
@@ -61,20 +67,22 @@ def descend(
         tolerance: A step that gains less ends the descent.
         enough: A value at which the descent ends.
     """
-    low, high = bounds
+    low, high = np.zeros(len(start)) + bounds[0], np.zeros(len(start)) + bounds[1]
+    bounds = low, high  # two numbers are slower to compare with
     y = within(start, bounds)
-    value, slope = function(y)
+    value, rise = function(y)
+    slope = rise()
     count, fresh, restarted = 1, True, False
     inverse = np.eye(len(y))
     while count < evaluations and value > enough:
         held = ((y <= low) & (slope > 0.0)) | ((y >= high) & (slope < 0.0))
         free = np.where(held, 0.0, slope)
-        if np.abs(free).max(initial=0.0) < 1e-10:
+        if max(map(abs, free.tolist()), default=0.0) < 1e-10:
             break
         direction = np.where(held, 0.0, -inverse.dot(free))
         if direction.dot(free) >= 0.0:
             direction, inverse, fresh = -free, np.eye(len(y)), True
-        longest = float(np.abs(direction).max())
+        longest = max(map(abs, direction.tolist()))
         if fresh:
             direction *= _FIRST_STEP / longest
         elif longest > _LONGEST_STEP:
@@ -122,10 +130,11 @@ def _search_line(
     for count in range(1, 11):
         there = y + t * direction
         inside = within(there, bounds)
-        new, new_slope = function(inside)
+        new, rise = function(inside)
         if new > value + _DECREASE * float(slope.dot(inside - y)):
             above = t
         else:
+            new_slope = rise()
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)
             projected = there.tolist() != inside.tolist()

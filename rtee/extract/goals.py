@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final, Protocol
 
+from rtee.extract.descent import Slope
 from rtee.extract.scene import LinkPair, Scene
 from rtee.extract.space import Space
 from rtee.types import FloatArray
@@ -24,7 +25,7 @@ class Goal(Protocol):
     def value(self) -> float:
         """Return the value [m]; the lower the better."""
 
-    def slope(self, space: Space) -> tuple[float, FloatArray]:
+    def slope(self, space: Space) -> tuple[float, Slope]:
         """Return the value [m] and its derivative by the coordinates of the space ``(k,)``."""
 
     def reached(self) -> bool:
@@ -46,7 +47,7 @@ class Placed:
         self._goal = goal
         self.space = space
 
-    def __call__(self, y: FloatArray) -> tuple[float, FloatArray]:
+    def __call__(self, y: FloatArray) -> tuple[float, Slope]:
         """Return the value [m] and its derivative ``(k,)`` at coordinates ``(k,)``."""
         self._scene.place(self.space.posture(y))
         return self._goal.slope(self.space)
@@ -68,9 +69,10 @@ class Pinch:
         """Return the signed distance [m]."""
         return self._scene.distance(self._tips)
 
-    def slope(self, space: Space) -> tuple[float, FloatArray]:
+    def slope(self, space: Space) -> tuple[float, Slope]:
         """Return the signed distance [m] and its derivative ``(k,)``."""
-        return self._scene.slope(self._tips, space)
+        scene, tips = self._scene, self._tips
+        return scene.distance(tips), lambda: scene.derivative(tips, space)
 
     def reached(self) -> bool:
         """Return whether the convex parts overlap."""
@@ -88,9 +90,10 @@ class Gap(Pinch):
         """Return the distance [m]."""
         return self._scene.exact_distance(self._tips)
 
-    def slope(self, space: Space) -> tuple[float, FloatArray]:
+    def slope(self, space: Space) -> tuple[float, Slope]:
         """Return the distance [m] and its derivative ``(k,)``."""
-        return self._scene.exact_slope(self._tips, space)
+        value, slope = self._scene.exact_slope(self._tips, space)
+        return value, lambda: slope
 
 
 class Parting(Pinch):
@@ -100,10 +103,10 @@ class Parting(Pinch):
         """Return minus the signed distance [m]."""
         return -super().value()
 
-    def slope(self, space: Space) -> tuple[float, FloatArray]:
+    def slope(self, space: Space) -> tuple[float, Slope]:
         """Return minus the signed distance [m] and its derivative ``(k,)``."""
-        value, slope = super().slope(space)
-        return -value, -slope
+        value, rise = super().slope(space)
+        return -value, lambda: -rise()
 
     def reached(self) -> bool:
         """Return whether the convex parts are apart."""
@@ -150,6 +153,7 @@ class MultiPinch:
         self._size = size
         self._links = links
         self._ends = [link.ends for link in links]
+        self._linked = [link.tips for link in links]
         self._strangers = strangers
         self._met: list[LinkPair] = []
 
@@ -163,7 +167,7 @@ class MultiPinch:
 
     def value(self) -> float:
         """Return the value [m]."""
-        gaps = [self._scene.distance(link.tips) for link in self._links]
+        gaps = self._scene.distances(self._linked)
         tree = spanning_tree(self._size, self._ends, gaps)
         value = sum(min(gap, 0.0) for gap in gaps)
         value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in tree)
@@ -171,10 +175,10 @@ class MultiPinch:
             value += _PULL * max(0.0, -self._scene.distance(pair))
         return value
 
-    def slope(self, space: Space) -> tuple[float, FloatArray]:
+    def slope(self, space: Space) -> tuple[float, Slope]:
         """Return the value [m] and its derivative ``(k,)``."""
         scene = self._scene
-        gaps = [scene.distance(link.tips) for link in self._links]
+        gaps = scene.distances(self._linked)
         tree = set(spanning_tree(self._size, self._ends, gaps))
         value, terms = 0.0, []
         for i, (link, gap) in enumerate(zip(self._links, gaps, strict=True)):
@@ -188,7 +192,7 @@ class MultiPinch:
             if gap < 0.0:
                 value -= _PULL * gap
                 terms.append((pair, -_PULL))
-        return value, scene.gradient(terms, space)
+        return value, lambda: scene.gradient(terms, space)
 
     def reached(self) -> bool:
         """Return whether the tips are linked by overlaps of their convex parts."""

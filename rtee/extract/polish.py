@@ -62,7 +62,8 @@ def polish(
     """
     low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
     y = within(start, (low, high))
-    value, slope = function(y)
+    value, rise = function(y)
+    slope = rise()
     pieces = _Pieces(y, value, slope)
     scale = float(np.abs(slope).max())
     if scale == 0.0:
@@ -76,7 +77,8 @@ def polish(
         if predicted < _ENOUGH * abs(value) + 1e-9:
             return Minimum(y, value, count)
         there = within(y + step, (low, high))
-        new, new_slope = function(there)
+        new, rise = function(there)
+        new_slope = rise()
         if len(weights) >= _KEPT:
             least = int(np.argmin(weights))
             pieces.drop(least)

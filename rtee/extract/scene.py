@@ -201,6 +201,11 @@ class Scene:
         """Return the signed distance of two links [m]."""
         return (self._convex.get(pair.number) or self._convex_of(pair)).least(self._stamp)[0]
 
+    def distances(self, pairs: Sequence[LinkPair]) -> list[float]:
+        """Return the signed distances of several pairs of links [m]."""
+        known, stamp = self._convex, self._stamp
+        return [(known.get(pair.number) or self._convex_of(pair)).least(stamp)[0] for pair in pairs]
+
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return the derivative of the distance of two links.
 

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from rtee.extract.descent import Minimum
+from rtee.extract.descent import Minimum, Slope
 from rtee.extract.recombination import elsewhere, recombined
 from rtee.extract.search import Effort, minima
 from rtee.extract.space import Space
@@ -39,7 +39,7 @@ class Valleys:
     space = Space(np.zeros(4), np.arange(4), np.zeros(4), np.ones(4))
     deep, flat = np.array([0.2, 0.3, 0.9, 0.8]), np.array([0.8, 0.9, 0.2, 0.1])
 
-    def __call__(self, y: FloatArray) -> tuple[float, FloatArray]:
+    def __call__(self, y: FloatArray) -> tuple[float, Slope]:
         value, slope = 0.0, np.zeros(4)
         for block in BLOCKS:
             pits = [(self.deep, 2.0), (self.flat, 1.0)]
@@ -48,7 +48,7 @@ class Valleys:
                 here = -depth * np.exp(-20.0 * step @ step)
                 value += float(here)
                 slope[block] -= 40.0 * here * step
-        return value, slope
+        return value, lambda: slope
 
     def value(self, y: FloatArray) -> float:
         return self(y)[0]

@@ -3,16 +3,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtee.extract.descent import Objective, descend
+from rtee.extract.descent import Objective, Slope, descend
 from rtee.extract.polish import polish
 from rtee.extract.space import halton
 from rtee.types import FloatArray
 
 
 def bowl(centre: FloatArray, scales: FloatArray) -> Objective:
-    def function(y: FloatArray) -> tuple[float, FloatArray]:
+    def function(y: FloatArray) -> tuple[float, Slope]:
         step = y - centre
-        return float(scales @ step**2), 2.0 * scales * step
+        return float(scales @ step**2), lambda: 2.0 * scales * step
 
     return function
 
@@ -20,10 +20,10 @@ def bowl(centre: FloatArray, scales: FloatArray) -> Objective:
 def pieces(slopes: FloatArray, offsets: FloatArray) -> Objective:
     """Return the maximum of linear functions."""
 
-    def function(y: FloatArray) -> tuple[float, FloatArray]:
+    def function(y: FloatArray) -> tuple[float, Slope]:
         values = slopes @ y + offsets
         i = int(np.argmax(values))
-        return float(values[i]), slopes[i].copy()
+        return float(values[i]), lambda: slopes[i].copy()
 
     return function
 
@@ -53,7 +53,7 @@ def test_descent_counts_and_limits_its_evaluations() -> None:
     calls = 0
     inner = pieces(np.random.default_rng(0).normal(size=(30, 5)), np.zeros(30))
 
-    def function(y: FloatArray) -> tuple[float, FloatArray]:
+    def function(y: FloatArray) -> tuple[float, Slope]:
         nonlocal calls
         calls += 1
         return inner(y)
