@@ -88,8 +88,8 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
         for i, j, sight in seen
         if sight.kind is PrimitiveKind.PINCH_TIGHT
     }
-    tasks: list[_Finish | _Group] = [(i, j, rank, sight) for i, j, sight in seen]
-    tasks += [(group, tight, rank) for group in groups]
+    tasks: list[_Finish | _Group] = [(group, tight, rank) for group in groups]
+    tasks += [(i, j, rank, sight) for i, j, sight in seen]  # short ones last: all end together
     before = len(looks)
     finished = spread(
         partial(_finish, inspector),
