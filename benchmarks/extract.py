@@ -37,8 +37,9 @@ import rtee
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Goal, Link, MultiPinch, Pinch, Placed
+from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.scene import Scene
 from rtee.extract.search import distinct
 from rtee.extract.space import Space, halton, make_space, real_limits, widened_limits
 from rtee.hand.load import load_hand, load_model

@@ -13,8 +13,9 @@ from rtee.extract.constraints import CLOSE, CLOSER, NEAR, WEIGHT, Constraints
 from rtee.extract.descent import Minimum, Objective, Slope, descend
 from rtee.extract.goals import Goal
 from rtee.extract.motion import Motion
+from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.scene import Scene
 from rtee.extract.search import distinct
 from rtee.extract.space import Space, rounded
 from rtee.types import FloatArray

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.motion import Known, Motion, Way
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.pairs import LinkPair
+from rtee.extract.scene import Scene
 from rtee.extract.spheres import Spheres
 from rtee.types import FloatArray
 

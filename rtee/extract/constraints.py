@@ -11,7 +11,8 @@ from rtee.extract.collisions import Blocked, Watch, bisect
 from rtee.extract.descent import Objective, Slope
 from rtee.extract.goals import Goal
 from rtee.extract.motion import Motion, Way
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.pairs import LinkPair
+from rtee.extract.scene import Scene
 from rtee.extract.space import Space, rounded
 from rtee.types import FloatArray
 

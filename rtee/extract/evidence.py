@@ -13,7 +13,8 @@ from rtee.extract.collisions import Collisions, Watch, first_contact
 from rtee.extract.goals import Link, linked
 from rtee.extract.motion import Motion
 from rtee.extract.opposition import opposition
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.pairs import LinkPair
+from rtee.extract.scene import Scene
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 

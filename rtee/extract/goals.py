@@ -8,7 +8,8 @@ from itertools import combinations
 from typing import Final, Protocol
 
 from rtee.extract.descent import Slope
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.pairs import LinkPair
+from rtee.extract.scene import Scene
 from rtee.extract.space import Space
 from rtee.types import FloatArray
 

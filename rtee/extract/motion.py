@@ -11,7 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.pairs import LinkPair
+from rtee.extract.scene import Scene
 from rtee.types import FloatArray, JointKind
 
 _STATIONS: Final = 33

@@ -13,10 +13,10 @@ from rtee.actions.types import PrimitiveKind
 from rtee.extract.clear import Patience
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Link, MultiPinch, Placed, linked, trees
+from rtee.extract.pairs import LinkPair
 from rtee.extract.postures import clear_postures, stored
 from rtee.extract.ranking import Candidate, Found, Rank, ranked
 from rtee.extract.recombination import Block
-from rtee.extract.scene import LinkPair
 from rtee.extract.search import FEW, MANY, SEVERAL, minima
 from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand

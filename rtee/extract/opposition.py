@@ -10,7 +10,8 @@ import coal
 import numpy as np
 
 from rtee.actions.types import Opposition
-from rtee.extract.scene import LinkPair, Scene, Witness
+from rtee.extract.pairs import LinkPair, Witness
+from rtee.extract.scene import Scene
 from rtee.types import FloatArray
 
 FRICTION: Final = 0.5

@@ -12,9 +12,10 @@ from rtee.extract.collisions import Watch
 from rtee.extract.descent import descend
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Gap, Parting, Pinch, Placed
+from rtee.extract.pairs import LinkPair
 from rtee.extract.postures import clear_postures, stored
 from rtee.extract.ranking import Candidate, Found, Rank, ranked
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.scene import Scene
 from rtee.extract.search import minima
 from rtee.extract.space import Space, make_space, real_limits, rounded, widened_limits
 from rtee.hand.model import Finger, Hand

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.pairs import LinkPair
+from rtee.extract.scene import Scene
 from rtee.types import FloatArray
 
 

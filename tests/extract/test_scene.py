@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from extract.models import Model, box, mesh, sphere
-from rtee.extract.scene import LinkPair, Scene
+from rtee.extract.pairs import LinkPair
+from rtee.extract.scene import Scene
 from rtee.extract.space import make_space, real_limits
 from rtee.extract.surface import winding_number
 from rtee.hand.load import load_hand

@@ -1,0 +1,59 @@
+"""Two links that move against each other, and where they are closest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rtee.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class LinkPair:
+    """Two links and the pairs of their shapes.
+
+    Attributes:
+        links: The links' names.
+        bodies: The joints that carry them, 0 for the base.
+        shapes: Indices of the shapes of the first and of the second link in the scene.
+        number: Number of the pair in the scene, the same in both orders.
+        moved_by: 1 for joints that move the second link, -1 the first; 0 for none or both ``(m,)``.
+        actuators: The actuators that move the links against each other.
+        turned: Whether the links are in the other order than the scene has them.
+    """
+
+    links: tuple[str, str]
+    bodies: tuple[int, int]
+    shapes: tuple[tuple[int, ...], tuple[int, ...]]
+    number: int
+    moved_by: FloatArray
+    actuators: frozenset[int]
+    turned: bool = False
+
+    def reversed(self) -> LinkPair:
+        """Return the same pair in the other order."""
+        return LinkPair(
+            self.links[::-1],
+            self.bodies[::-1],
+            self.shapes[::-1],
+            self.number,
+            -self.moved_by,
+            self.actuators,
+            not self.turned,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Witness:
+    """Where two links are closest, or deepest in each other, in the hand's base frame.
+
+    Attributes:
+        distance: Signed distance of their convex parts, negative: depth of penetration [m].
+        first: Point on the first link [m].
+        second: Point on the second link [m].
+        normal: Unit vector from the first link to the second one.
+    """
+
+    distance: float
+    first: FloatArray
+    second: FloatArray
+    normal: FloatArray
