@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import gc
 import importlib
 import os
 import sys
@@ -138,8 +137,6 @@ def main() -> None:
         _leave_unread(2)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
-    finally:
-        gc.freeze()  # the process ends; looking through all that it holds would take its time
 
 
 def _leave_unread(status: int) -> NoReturn:
