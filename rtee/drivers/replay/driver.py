@@ -103,6 +103,7 @@ class ReplayDriver(Driver):
             stamp=self.now(),
             fresh=fresh,
             grasped=None if max(words) < 0 else tuple(_WORDS[word] for word in words),
+            extras=block.extras[row],
         )
 
     async def move(self, reference: Reference) -> None:

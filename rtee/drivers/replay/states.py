@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -14,10 +14,12 @@ from mcap.reader import make_reader
 
 from rtee.errors import LogError, MessageError
 from rtee.messages.schema import message_type
-from rtee.messages.topics import ACTUATOR_STATES, TYPES, log_topic
+from rtee.messages.topics import ACTUATOR_STATES, CHANNELS, TYPES, log_topic
 from rtee.types import FloatArray
 
-_CHANNELS = ("position", "velocity", "effort", "current", "temperature")
+_MEASURED = ("position", "velocity", "effort", "current", "temperature")
+
+Extras = Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +30,13 @@ class Block:
         stamp: When they were measured ``(k,)`` [s].
         values: Position, velocity, effort, current and temperature ``(k, 5, n)``.
         grasped: The device's own word ``(k, n)``: 1 holding, 0 not, -1 none.
+        extras: Further channels at each of them, such as pressure.
     """
 
     stamp: FloatArray
     values: FloatArray
     grasped: np.ndarray[Any, np.dtype[np.int8]]
+    extras: tuple[Extras, ...]
 
 
 class RecordedStates:
@@ -50,6 +54,7 @@ class RecordedStates:
     def __init__(self, path: Path, hand: str, actuators: tuple[str, ...]) -> None:
         self.path = path
         self._decode = message_type(TYPES[ACTUATOR_STATES]).decode
+        self._decode_extras = message_type(TYPES[CHANNELS]).decode
         try:
             self._file = path.open("rb")
         except OSError as error:
@@ -57,6 +62,7 @@ class RecordedStates:
         try:
             self._reader = make_reader(self._file)
             self._topic = self._choose(hand)
+            self._extras_topic = f"{self._topic.removesuffix(ACTUATOR_STATES)}{CHANNELS}"
             self._columns = self._find(actuators)
         except (McapError, MessageError, ValueError) as error:
             self._file.close()
@@ -85,33 +91,53 @@ class RecordedStates:
         first = next(self._messages(), None)
         if first is None:
             raise LogError(f"holds no states in {self._topic}", path=self.path)
-        names = list(first["name"])
+        names = list(first[0]["name"])
         missing = [name for name in actuators if name not in names]
         if missing:
             raise LogError(f"has no states of the actuator '{missing[0]}'", path=self.path)
         return [names.index(name) for name in actuators]
 
-    def _messages(self) -> Iterator[dict[str, Any]]:
-        for _, _, message in self._reader.iter_messages(topics=[self._topic]):
-            yield self._decode(message.data)
+    def _messages(self) -> Iterator[tuple[dict[str, Any], Extras]]:
+        """Yield every state, with the further channels as they were last."""
+        extras: Extras = {}
+        topics = [self._topic, self._extras_topic]
+        for _, channel, message in self._reader.iter_messages(topics=topics):
+            if channel.topic == self._topic:
+                yield self._decode(message.data), extras
+            else:
+                extras = _extras(self._decode_extras(message.data))
 
     def blocks(self, size: int = 500) -> Iterator[Block]:
         """Read the states from the beginning, in blocks of at most this many."""
         messages = self._messages()
-        while rows := list(islice(messages, size)):
+        while found := list(islice(messages, size)):
+            rows = [row for row, _ in found]
             yield Block(
                 stamp=np.array([row["time"] for row in rows]),
                 values=np.array(
                     [
-                        [np.asarray(row[channel])[self._columns] for channel in _CHANNELS]
+                        [np.asarray(row[channel])[self._columns] for channel in _MEASURED]
                         for row in rows
                     ]
                 ),
                 grasped=np.array(
                     [np.asarray(row["grasped"])[self._columns] for row in rows], dtype=np.int8
                 ),
+                extras=tuple(extras for _, extras in found),
             )
 
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
+
+
+def _extras(fields: dict[str, Any]) -> Extras:
+    """Return further channels by name, without the device's in front where they stay distinct."""
+    ends = np.cumsum(fields["length"].astype(np.int64))
+    if len(ends) != len(fields["name"]):
+        return {}
+    names = list(fields["name"])
+    short = [name.rpartition("/")[2] for name in names]
+    if len(set(short)) == len(short):
+        names = short
+    return dict(zip(names, np.split(fields["value"], ends[:-1]), strict=True))

@@ -14,6 +14,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.replay.driver import ReplayDriver
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import ConfigError, LogError, NotConnected
+from rtee.messages.convert import header
 from rtee.messages.layout import actuator_state_fields
 from rtee.messages.schema import message_type
 from rtee.messages.topics import log_topic
@@ -21,6 +22,7 @@ from rtee.types import ActuatorSpec, ActuatorState, DeviceSpec, JointKind, Refer
 
 pytestmark = pytest.mark.anyio
 KIND = message_type("rtee_msgs/msg/ActuatorState")
+FURTHER = message_type("rtee_msgs/msg/Channels")
 RECORDED = ("thumb", "index")
 STATES = 1234
 PERIOD = 0.002
@@ -30,7 +32,13 @@ def actuator(name: str) -> ActuatorSpec:
     return ActuatorSpec(name, JointKind.REVOLUTE, -9, 9, 1.0, 1.0, 1.0, 1.0, 0.0)
 
 
-def write(path: Path, hand: str = "claw", count: int = STATES, finish: bool = True) -> Path:
+def write(
+    path: Path,
+    hand: str = "claw",
+    count: int = STATES,
+    finish: bool = True,
+    further: Sequence[str] = (),
+) -> Path:
     """Write states whose values tell their number, with the `mcap` package's own writer."""
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=20_000)
@@ -38,7 +46,18 @@ def write(path: Path, hand: str = "claw", count: int = STATES, finish: bool = Tr
         schema = writer.register_schema(KIND.name, "ros2msg", KIND.schema.encode())
         topic = log_topic(hand, "actuator_states")
         channel = writer.register_channel(topic, "cdr", schema)
+        schema = writer.register_schema(FURTHER.name, "ros2msg", FURTHER.schema.encode())
+        more = writer.register_channel(log_topic(hand, "channels"), "cdr", schema)
         for k in range(count):
+            if further and k % 10 == 5:
+                fields = {
+                    "header": header(1_000_000 + k),
+                    "tick": k,
+                    "name": list(further),
+                    "length": [2] * len(further),
+                    "value": np.arange(2.0 * len(further)) + k,
+                }
+                writer.add_message(more, 1_000_000 + k, FURTHER.encode(fields), 1_000_000 + k)
             fields = actuator_state_fields(RECORDED) | {
                 "tick": k,
                 "time": 70.0 + k * PERIOD,
@@ -101,6 +120,27 @@ async def test_states_come_by_name_at_their_time(recording: Path) -> None:
             assert state.fresh
             assert state.stamp == player.seconds
             assert not (await player.sense()).fresh
+
+
+@pytest.mark.parametrize(
+    ("recorded", "shown"),
+    [
+        (["hand/pressure", "hand/supply"], ["pressure", "supply"]),
+        (["left/pressure", "right/pressure"], ["left/pressure", "right/pressure"]),
+    ],
+)
+async def test_further_channels_come_as_they_were_last(
+    tmp_path: Path, recorded: list[str], shown: list[str]
+) -> None:
+    path = write(tmp_path / "a.mcap", count=600, further=recorded)
+    async with Player(path) as player:
+        assert not (await player.sense()).extras
+        for k, last in ((5, 5), (14, 5), (503, 495)):
+            player.seconds = 5.0 + k * PERIOD + 1e-9
+            extras = (await player.sense()).extras
+            assert list(extras) == shown
+            assert extras[shown[0]].tolist() == [last, last + 1]
+            assert extras[shown[1]].tolist() == [last + 2, last + 3]
 
 
 async def test_every_state_is_played_in_order(recording: Path) -> None:
