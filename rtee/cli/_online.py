@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
@@ -35,6 +36,11 @@ def with_hand(
 def to_json(values: Any) -> str:
     """Return plain data as JSON; what is not a finite number becomes ``null``."""
     return json.dumps(_plain(values))
+
+
+def result_json(result: Result) -> str:
+    """Return how a goal ended, as one JSON object."""
+    return to_json(asdict(result) | {"succeeded": result.succeeded})
 
 
 def _plain(values: Any) -> Any:

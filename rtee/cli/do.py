@@ -64,11 +64,9 @@ def do(
 
     Example: rtee do pinch_tight index thumb --intensity 0.6
     """
-    from dataclasses import asdict
-
     from rtee.actions.naming import label
     from rtee.actions.words import read_set_points
-    from rtee.cli._online import sentence, to_json, with_hand
+    from rtee.cli._online import result_json, sentence, with_hand
     from rtee.cli._progress import follow
 
     limits = read_set_points(effort or [])
@@ -89,8 +87,5 @@ def do(
         return await follow(running, label(action, chosen))
 
     result = with_hand(hand, connect, "do", execute)
-    if as_json:
-        print(to_json(asdict(result) | {"succeeded": result.succeeded}))
-    else:
-        print(sentence(result, chosen))
+    print(result_json(result) if as_json else sentence(result, chosen))
     raise typer.Exit(0 if result.succeeded else 1)

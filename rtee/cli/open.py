@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from rtee.cli._common import ConnectOption, RunningOption
+from rtee.cli._common import ConnectOption, JsonOption, RunningOption
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
@@ -16,14 +16,16 @@ app = typer.Typer()
 
 
 @app.command(name="open")
-def open_(hand: RunningOption = None, connect: ConnectOption = None) -> None:
+def open_(
+    hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
+) -> None:
     """Bring the hand to its rest posture, or do its action "open" if it has one."""
-    from rtee.cli._online import sentence, with_hand
+    from rtee.cli._online import result_json, sentence, with_hand
     from rtee.cli._progress import follow
 
     async def execute(remote: RemoteHand) -> Result:
         return await follow(await remote.start("open"), "open")
 
     result = with_hand(hand, connect, "open", execute)
-    print(sentence(result))
+    print(result_json(result) if as_json else sentence(result))
     raise typer.Exit(0 if result.succeeded else 1)

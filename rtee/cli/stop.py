@@ -6,17 +6,20 @@ import sys
 
 import typer
 
-from rtee.cli._common import ConnectOption, RunningOption
+from rtee.cli._common import ConnectOption, JsonOption, RunningOption
 from rtee.errors import RteeError
 
 app = typer.Typer()
 
 
 @app.command()
-def stop(hand: RunningOption = None, connect: ConnectOption = None) -> None:
+def stop(
+    hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
+) -> None:
     """Stop a hand now, whoever holds it; without --hand all that run on this computer."""
     import anyio
 
+    from rtee.cli._online import to_json
     from rtee.remote.client import RemoteHand
     from rtee.remote.client import connect as connected
     from rtee.remote.find import hands_running
@@ -32,6 +35,8 @@ def stop(hand: RunningOption = None, connect: ConnectOption = None) -> None:
             async with connected(name, endpoint=connect, client="rtee-stop") as remote:
                 remote_hand: RemoteHand = remote
                 devices = confirmed[remote_hand.name] = await remote_hand.stop()
+            if as_json:
+                return
             for device, done in devices.items():  # at once: another hand may not answer
                 words = "has stopped" if done else "did NOT confirm the stop"
                 print(f"{remote_hand.name}: {device} {words}", flush=True)
@@ -44,6 +49,8 @@ def stop(hand: RunningOption = None, connect: ConnectOption = None) -> None:
                 group.start_soon(one, name)
 
     anyio.run(everyone)
+    if as_json:
+        print(to_json(confirmed))
     for error in errors[1:]:
         print(f"rtee: {error}", file=sys.stderr)
     if errors:

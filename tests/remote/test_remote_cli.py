@@ -73,6 +73,13 @@ def test_open_stop_and_recover(served: Served) -> None:
     assert "small: sim is active" in run(recover, "sim")
 
 
+def test_open_stop_and_recover_as_json(served: Served) -> None:
+    opened = json.loads(run(open, "--json"))
+    assert (opened["action"], opened["reached"], opened["succeeded"]) == ("open", True, True)
+    assert json.loads(run(stop, "--json")) == {"small": {"sim": True}}
+    assert json.loads(run(recover, "--json")) == {"small": {"sim": "active"}}
+
+
 def test_state(served: Served, hand: Hand) -> None:
     shown = run(state, "--once")
     assert all(name in shown for name in hand.actuator_names)
