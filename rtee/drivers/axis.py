@@ -177,6 +177,8 @@ class Axis:
         if error == 0.0:
             pull = self._contact()
             direction = 1.0 if self.obstacle is None else self.obstacle.closing
+            if pull == 0.0 and self.velocity != 0.0:  # it has arrived just now
+                direction = math.copysign(1.0, self.velocity)
         else:
             direction = math.copysign(1.0, error)
             pull = 0.0 if math.isinf(self.gain) else self.gain * abs(error)

@@ -1,0 +1,39 @@
+"""The motor axis that the emulators move."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtee.drivers.axis import Axis, VirtualObject
+
+
+def axis(position: float, target: float, obstacle: VirtualObject | None = None) -> Axis:
+    made = Axis(position, lower=0.0, upper=255.0, max_effort=100.0, friction=10.0, resolution=0.3)
+    made.enabled = True
+    made.obstacle = obstacle
+    made.target = target
+    return made
+
+
+@pytest.mark.parametrize("obstacle", [None, VirtualObject(180.0, 20.0)])
+@pytest.mark.parametrize(("start", "target"), [(150.0, 20.0), (20.0, 150.0)])
+def test_friction_is_never_against_the_motion_that_is_wanted(
+    start: float, target: float, obstacle: VirtualObject | None
+) -> None:
+    """At the step of arrival, too, where target and position are the same already."""
+    moved = axis(start, target, obstacle)
+    while True:
+        moved.advance(0.001)
+        if moved.velocity == 0.0:
+            break
+        assert moved.effort * moved.velocity > 0.0
+    assert moved.position == target
+    assert moved.effort == 0.0
+
+
+def test_what_is_squeezed_is_held_with_the_limit_of_the_effort() -> None:
+    closed = axis(100.0, 255.0, VirtualObject(180.0, 20.0))
+    closed.advance(1.0)
+    assert closed.position == pytest.approx(185.0)
+    assert closed.blocked
+    assert closed.effort == 100.0
