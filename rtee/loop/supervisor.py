@@ -44,7 +44,7 @@ class Supervisor(Exchange):
         )
 
     async def stop(self, within: float) -> bool:
-        """Stop the device now, again and again until it is heard; cannot raise.
+        """Stop the device now, again where an answer was not heard; cannot raise.
 
         Args:
             within: Time it may take [s].

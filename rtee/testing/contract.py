@@ -32,6 +32,10 @@ WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
 NEEDS_CHECKSUMS = frozenset({"corrupt", "noise"})
 
 
+_DEAF = 0.06
+"""No answer is heard for this long [s]; longer than most drivers wait for one."""
+
+
 class DriverContract:
     """Derive from this, set `case`, and pytest runs the suite on your driver.
 
@@ -214,6 +218,35 @@ class DriverContract:
                 await asyncio.sleep(0.2)
                 later = await session.sense()
                 assert session.near(later, [float(q) for q in there.position])
+
+        run(test)
+
+    def test_stop_stops_though_answers_get_lost(self) -> None:
+        """An answer that is lost must not keep the rest of a stop from being sent."""
+        self.wired()
+
+        async def test() -> None:
+            near, far = self.case.between()
+            async with self.session() as session:
+                await session.start()
+                await session.reach(near)
+                for _ in range(5):
+                    await session.cycle(Reference.at(list(far)))
+                session.wire.faults = Faults(drop=1.0, requests=False)
+                heal = asyncio.get_running_loop().call_later(
+                    _DEAF, setattr, session.wire, "faults", Faults()
+                )
+                await session.driver.stop()
+                heal.cancel()
+                session.wire.faults = Faults()
+                there = await session.sense()
+                await asyncio.sleep(self.case.stopping + 0.2)
+                moved = (await session.sense()).position - there.position
+                onward = [
+                    math.copysign(float(way), way * (f - n))
+                    for way, n, f in zip(moved, near, far, strict=True)
+                ]
+                assert max(onward) <= self.case.tolerance, "it went on"
 
         run(test)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from rtee.buses.patience import patiently
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import (
     FINGERS,
@@ -282,7 +283,7 @@ class AllegroDriver(Driver):
     async def release(self) -> None:
         """Send no torque and switch the motors off."""
         with contextlib.suppress(RteeError, OSError):
-            await self.deactivate()
+            await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Switch the hand off and on, which clears what can be cleared; it stays limp."""

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 from rtee.buses.emulator import CanFrame
+from rtee.buses.patience import patiently
 from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import NmtCommand
 from rtee.drivers.cia402.codec import Control, Mode, Object, State, StatusBit
@@ -259,13 +260,13 @@ class Cia402Driver(Cia402Cycle):
     async def stop(self) -> None:
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
-            await self._synchronise()
+            await patiently(self._synchronise)
             self._attached.begin()
             for drive in self.drives:
                 drive.target = self._measured(drive)
             # In profile mode a set-point that is under way has to be acknowledged first.
             for _ in range(_HANDSHAKES):
-                await self._exchange()
+                await patiently(self._exchange)
                 if all(drive.took(self.mode) for drive in self.drives):
                     break
 
@@ -275,7 +276,7 @@ class Cia402Driver(Cia402Cycle):
         with contextlib.suppress(RteeError, OSError):
             for drive in self.drives:
                 drive.controlword = Control.DISABLE_VOLTAGE
-            await self._exchange()
+            await patiently(self._exchange)
 
     async def recover(self) -> None:
         """Reset faults; the drives stay disabled until `activate`."""

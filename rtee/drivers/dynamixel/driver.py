@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
+from rtee.buses.patience import patiently
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.calibration import (
     Calibrated,
@@ -232,12 +233,12 @@ class DynamixelDriver(DynamixelCycle):
             link.write_group(table.GOAL_POSITION, goals)
 
         with contextlib.suppress(RteeError, OSError):
-            await link.run(hold)
+            await patiently(lambda: link.run(hold))
 
     async def release(self) -> None:
         """Take the torque away; the fingers go limp."""
         with contextlib.suppress(RteeError, OSError):
-            await self.deactivate()
+            await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Reboot the servos with a hardware error; they are powered again by `activate`."""

@@ -296,14 +296,14 @@ class HeriEthercatDriver(Driver):
     async def stop(self) -> None:
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
-            await self._exchange()
+            await patiently(self._exchange)
             self._seed()
-            await self._exchange()
+            await patiently(self._exchange)
 
     async def release(self) -> None:
         """Take the motors' power away; tendons without power let go."""
         with contextlib.suppress(RteeError, OSError):
-            await self.deactivate()
+            await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Acknowledge faults; the motors are powered again by `activate`."""

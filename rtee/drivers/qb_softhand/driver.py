@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from rtee.buses.patience import patiently
 from rtee.drivers.attached import Attached
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
@@ -235,13 +236,13 @@ class QbSoftHandDriver(Driver):
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
-            self._closure = await self._measured()
+            self._closure = await patiently(self._measured)
             await self._send(self._closure)
 
     async def release(self) -> None:
         """Deactivate the motors; the hand relaxes as far as friction lets it."""
         with contextlib.suppress(RteeError, OSError):
-            await self.deactivate()
+            await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Activate the motors again, where they stand."""

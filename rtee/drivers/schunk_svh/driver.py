@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from rtee.buses.patience import patiently
 from rtee.drivers.attached import Attached
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
@@ -277,13 +278,13 @@ class SchunkSvhDriver(Driver):
     async def stop(self) -> None:
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
-            await self._seed()
-            await self._hand.set_targets(self._targets)
+            await patiently(self._seed)
+            await patiently(lambda: self._hand.set_targets(self._targets))
 
     async def release(self) -> None:
         """Switch every channel off; the fingers go limp."""
         with contextlib.suppress(RteeError, OSError):
-            await self.deactivate()
+            await patiently(self.deactivate)
 
     async def recover(self) -> None:
         """Clear latched faults; enable the channels where they stand, if that is known.

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
+from rtee.buses.patience import patiently
 from rtee.buses.zmq import ZmqBus
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
@@ -252,7 +253,7 @@ class XBot2Driver(Driver):
     async def stop(self) -> None:
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
-            state = await self.sense()
+            state = await patiently(self.sense)
             n = len(self._names)
             self._send_positions(list(range(n)), [float(q) for q in state.position])
 
