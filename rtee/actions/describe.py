@@ -8,6 +8,7 @@ from typing import Any
 
 from rtee.actions.build import warnings_of
 from rtee.actions.types import (
+    FARTHEST_CLEARANCE,
     Action,
     ActionReference,
     Composed,
@@ -18,6 +19,12 @@ from rtee.actions.types import (
 )
 from rtee.actions.writing import evidence_document
 from rtee.hand.model import Hand
+
+
+def clearance_text(clearance: float) -> str:
+    """Return a clearance [m] in words."""
+    text = f"{clearance * 1e3:.1f} mm"
+    return f"{text} or more" if clearance >= FARTHEST_CLEARANCE else text
 
 
 def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None) -> dict[str, Any]:

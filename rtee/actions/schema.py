@@ -142,6 +142,7 @@ _EVIDENCE = (
     "normal",
     "clear",
     "path_clear",
+    "clearance",
     "colliding",
     "pairs",
     "opposition",
@@ -151,7 +152,7 @@ _EVIDENCE = (
 def _read_evidence(node: Node) -> Evidence:
     fields = node.fields((), _EVIDENCE)
     found: dict[str, Any] = {}
-    for key in ("depth", "distance", "frame_distance", "contact_at"):
+    for key in ("depth", "distance", "frame_distance", "contact_at", "clearance"):
         if key in fields:
             found[key] = fields[key].number(lowest=0.0)
     for key in ("point", "normal"):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
+from typing import Final
 
 
 class ActionKind(StrEnum):
@@ -66,6 +67,10 @@ class Opposition:
     friction: float = 0.5
 
 
+FARTHEST_CLEARANCE: Final = 0.005
+"""Clearances are measured up to here; beyond, no hand is near anything of itself [m]."""
+
+
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """What the extraction found at a posture; lengths in metres, frames: the hand's base.
@@ -78,6 +83,8 @@ class Evidence:
         normal: Unit contact normal, from the first element to the second.
         clear: Nothing else collides in the posture.
         path_clear: Nothing else collides on the straight way from rest.
+        clearance: Least distance from everything else in the posture and, where that is clear, on
+            the way [m], at most 5 mm; ``None`` where the posture is not clear.
         colliding: Pairs of other links that do collide.
         contact_at: Intensity at which the tips first touch on the way from rest.
         opposition: How well the contact forces oppose each other.
@@ -91,6 +98,7 @@ class Evidence:
     normal: tuple[float, float, float] | None = None
     clear: bool = True
     path_clear: bool = True
+    clearance: float | None = None
     colliding: tuple[tuple[str, str], ...] = ()
     contact_at: float | None = None
     opposition: Opposition | None = None

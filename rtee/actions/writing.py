@@ -57,6 +57,8 @@ def evidence_document(evidence: Evidence) -> dict[str, Any]:
             entry[key] = [float(x) for x in getattr(evidence, key)]
     entry["clear"] = bool(evidence.clear)
     entry["path_clear"] = bool(evidence.path_clear)
+    if evidence.clearance is not None:
+        entry["clearance"] = float(evidence.clearance)
     if evidence.colliding:
         entry["colliding"] = [list(pair) for pair in evidence.colliding]
     if evidence.pairs:

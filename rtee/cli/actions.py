@@ -90,6 +90,7 @@ def remarks(evidence: Evidence, prefix: str = "") -> str:
         evidence: The evidence.
         prefix: What to leave out where names of links begin with it.
     """
+    from rtee.actions.describe import clearance_text
     from rtee.cli._table import on_terminal
 
     said = []
@@ -106,6 +107,9 @@ def remarks(evidence: Evidence, prefix: str = "") -> str:
         if on_terminal() and len(pairs) > _SHOWN + 1:
             pairs[_SHOWN:] = [f"{len(pairs) - _SHOWN} more"]
         said.append("not clear: " + ", ".join(pairs))
-    elif not evidence.path_clear:
-        said.append("the way there is not clear")
+    else:
+        if evidence.clearance is not None:
+            said.append(f"clearance {clearance_text(evidence.clearance)}")
+        if not evidence.path_clear:
+            said.append("the way there is not clear")
     return "\n".join(said)

@@ -12,12 +12,14 @@ from rtee.extract.collisions import Blocked, Watch
 from rtee.extract.constraints import CLOSE, CLOSER, NEAR, WEIGHT, Constraints
 from rtee.extract.descent import Minimum, Objective, Slope, descend
 from rtee.extract.goals import Goal
+from rtee.extract.grain import COARSE, MEDIUM
 from rtee.extract.motion import Motion
 from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
 from rtee.extract.scene import Scene
 from rtee.extract.search import distinct
 from rtee.extract.space import Space, rounded
+from rtee.hand.linalg import dot
 from rtee.types import FloatArray
 
 _LITTLE: Final = 0.03
@@ -178,7 +180,7 @@ class ClearSearch:
             if not self._patience.settle:
                 return [Minimum(y, self._value(y), 1) for y in pool]
             pool = pool[:_POOL]
-        return [self._descend(y, _QUICK) for y in pool]
+        return [self._descend(COARSE.point(y), _QUICK) for y in pool]
 
     def _push_out(self, start: FloatArray) -> FloatArray | None:
         """Return a clear pose reached from a good one.
@@ -212,7 +214,7 @@ class ClearSearch:
     def _before(self, y: FloatArray, blocked: Blocked) -> FloatArray:
         """Return the pose on the way just before a collision."""
         share = max(0.0, blocked.at - _SHORT)
-        return self._space.rest + share * (y - self._space.rest)
+        return MEDIUM.point(self._space.rest + share * (y - self._space.rest))
 
     def _leap(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose, some way from a clear one.
@@ -249,7 +251,7 @@ class ClearSearch:
         for _ in range(self._patience.creeps):
             bounds = (np.maximum(low, y - radius), np.minimum(high, y + radius))
             function = self._walled(y, walls)
-            trial = polish(function, y, evaluations=_POLISH, bounds=bounds).y
+            trial = polish(function, y, evaluations=_POLISH, bounds=bounds, grain=MEDIUM).y
             value = self._value(trial)
             if value >= best - CLOSE:
                 radius *= _TIGHTER
@@ -272,17 +274,20 @@ class ClearSearch:
     ) -> list[tuple[float, FloatArray]]:
         """Return lower bounds on the gaps of near links at a clear pose, with their derivatives.
 
-        Where the convex parts are close or overlap, the bounds are the exact gaps.
+        A gap is what is left of a distance beyond the links' room. Where the convex parts are close
+        or overlap, the bounds are the exact gaps.
         """
         self._scene.place(self._posture(y))
         walls = []
         for pair in concerned.values():
-            gap = self._scene.distance(pair)
+            room = self._watch.room(pair)
+            gap = self._scene.distance(pair) - room
             if gap < CLOSER:
-                walls.append(self._scene.exact_slope(pair, self._space))
+                gap, rise = self._scene.exact_slope(pair, self._space)
+                walls.append((gap - room, rise))
             elif gap < NEAR:
-                walls.append(self._scene.slope(pair, self._space))
-        return walls
+                walls.append((gap, self._scene.derivative(pair, self._space)))
+        return [(MEDIUM.value(gap), MEDIUM.derivative(rise) + 0.0) for gap, rise in walls]
 
     def _walled(self, at: FloatArray, walls: Sequence[tuple[float, FloatArray]]) -> Objective:
         goal = self._constraints.penalised(ways_only=True)
@@ -292,7 +297,7 @@ class ClearSearch:
             slope = rise_of_goal()
             step = y - at
             for gap, rise in walls:
-                left = gap + float(rise @ step) - CLOSE
+                left = gap + dot(rise, step) - CLOSE
                 if left < 0.0:
                     value -= WEIGHT * left
                     slope = slope - WEIGHT * rise
@@ -320,4 +325,4 @@ class ClearSearch:
 
     def _descend(self, y: FloatArray, evaluations: int) -> Minimum:
         function, bounds = self._constraints.penalised(), self._constraints.bounds
-        return descend(function, y, evaluations=evaluations, bounds=bounds)
+        return descend(function, y, evaluations=evaluations, bounds=bounds, grain=MEDIUM)

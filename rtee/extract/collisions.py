@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
+from rtee.actions.types import FARTHEST_CLEARANCE
+from rtee.extract.forms import TOUCH
+from rtee.extract.grain import COARSE
 from rtee.extract.motion import Known, Motion, Way
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
@@ -29,8 +33,20 @@ _COARSE_PARTS: Final = 16
 _PARTS: Final = 32
 """Into how many parts a way is halved for other links."""
 
+_PLACE: Final = 2.0**-16
+"""Unit of the intensities checked on a way, so that last digits do not move them."""
+
 _FEW: Final = 12
 """So few pairs of links are measured without looking at their spheres first."""
+
+_SHARE: Final = 0.5
+"""Links that are near each other at rest may come to this part of their distance there."""
+
+CRAMPED: Final = 0.25
+"""Part of their room that links keep where the hand has no room for more."""
+
+_PLACES: Final = 17
+"""At how many intensities the clearance on a way is measured."""
 
 _SURE: Final = 1e-5
 """Links that are known to be farther apart do not touch, however distances are rounded [m]."""
@@ -58,6 +74,8 @@ class Collisions:
     Attributes:
         checked: The pairs of links that remain.
         at_rest: The pairs that touch at rest.
+        narrow: The pairs whose distance at rest leaves no room for the hand's clearance, with that
+            distance [m].
     """
 
     def __init__(self, scene: Scene, motion: Motion) -> None:
@@ -78,9 +96,30 @@ class Collisions:
         self.at_rest = tuple(sorted(touching))
         remaining = [pair for pair in candidates if pair.links not in touching]
         # Links nested in each other cost most to check and collide rarely.
-        overlapping = {pair.links for pair in near if scene.distance(pair) <= 0.0}
+        overlapping = {pair.links for pair in near if scene.at_least(pair) <= 0.0}
         self._nested = overlapping - touching
         self.checked = tuple(sorted(remaining, key=lambda pair: pair.links in self._nested))
+        self.narrow = self._narrow()
+
+    def _narrow(self) -> dict[tuple[str, str], float]:
+        scene, wanted = self._scene, self._scene.hand.clearance / _SHARE
+        scene.place(scene.hand.rest)
+        gaps = Spheres(scene, self.checked).gaps()
+        near = [self.checked[c] for c in np.flatnonzero(gaps < wanted)]
+        return {
+            pair.links: COARSE.value(scene.exact_distance(pair))
+            for pair in near
+            if scene.nearer(pair, wanted)
+        }
+
+    def room(self, pair: LinkPair) -> float:
+        """Return the distance that two links keep from each other in a clear pose [m].
+
+        The hand's clearance, or half of what they have at rest where that is less.
+        """
+        least = self._scene.hand.clearance
+        gap = self.narrow.get(pair.links, self.narrow.get(pair.links[::-1]))
+        return max(TOUCH, least if gap is None else min(least, _SHARE * gap))
 
     def watch(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> Watch:
         """Return a watch over the links that some actuators move against each other.
@@ -96,27 +135,71 @@ class Collisions:
             if pair.actuators & moving and frozenset(pair.links) not in wanted
         ]
         nested = sum(pair.links in self._nested for pair in pairs)
-        return Watch(self._scene, self._motion, pairs, nested)
+        rooms = [self.room(pair) for pair in pairs]
+        return Watch(self._scene, self._motion, pairs, rooms, nested)
 
 
 class Watch:
-    """Checks the links that may not collide in one search.
+    """Checks the links that may not come near each other in one search.
+
+    Links collide here where they are nearer to each other than their room.
 
     Attributes:
         pairs: The pairs of links.
     """
 
     def __init__(
-        self, scene: Scene, motion: Motion, pairs: Sequence[LinkPair], nested: int
+        self,
+        scene: Scene,
+        motion: Motion,
+        pairs: Sequence[LinkPair],
+        rooms: Sequence[float],
+        nested: int,
     ) -> None:
-        """Watch some pairs of links, of which the last few are nested in each other."""
+        """Watch some pairs of links.
+
+        Args:
+            scene: The hand's links.
+            motion: Bounds on their motion.
+            pairs: The pairs.
+            rooms: The distances that they are to keep [m].
+            nested: How many of them, the last, are nested in each other.
+        """
         self._scene = scene
         self._motion = motion
         self.pairs = tuple(pairs)
+        self._rooms = np.array(rooms)
+        self._room = {pair.number: room for pair, room in zip(pairs, rooms, strict=True)}
         self._nested = nested
         self._spheres = Spheres(scene, self.pairs)
         self._known = Known(motion, self.pairs)
         self._ways: dict[bytes, Blocked | None] = {}
+
+    def room(self, pair: LinkPair) -> float:
+        """Return the distance that two watched links are to keep [m]."""
+        return self._room[pair.number]
+
+    @cached_property
+    def cramped(self) -> Watch:
+        """A watch over the same links that are to keep a quarter of the distances only."""
+        rooms = np.maximum(TOUCH, self._rooms * CRAMPED).tolist()
+        return Watch(self._scene, self._motion, self.pairs, rooms, self._nested)
+
+    def clearance(self, u: FloatArray, *, way: bool) -> float:
+        """Return the least distance of the watched links at a posture [m], 5 mm at most.
+
+        Args:
+            u: The posture ``(n,)``.
+            way: Look at the straight way from rest, too, at 17 places.
+        """
+        scene, least = self._scene, FARTHEST_CLEARANCE
+        straight = self._motion.way(u)
+        for t in np.linspace(1.0, 0.0, _PLACES) if way else (1.0,):
+            scene.place(straight.at(float(t)))
+            for c in np.flatnonzero(self._spheres.gaps() < least):
+                if scene.at_least(self.pairs[c]) < least:
+                    least = min(least, scene.exact_distance(self.pairs[c]))
+        return least
 
     def at(self, u: FloatArray) -> list[LinkPair]:
         """Return which links collide at a posture ``(n,)``."""
@@ -133,11 +216,12 @@ class Watch:
     def _touching(self, u: FloatArray, begin: int, end: int) -> list[LinkPair]:
         scene = self._scene
         scene.place(u)
-        near = begin + np.flatnonzero(self._known.least(scene.joints)[begin:end] <= _SURE)
+        rooms = self._rooms + _SURE
+        near = begin + np.flatnonzero((self._known.least(scene.joints) <= rooms)[begin:end])
         if len(near) > _FEW:
-            near = near[self._spheres.gaps()[near] <= 0.0]
-        self._known.learn(near, [scene.distance(self.pairs[c]) for c in near], scene.joints)
-        return [self.pairs[c] for c in near if scene.touching(self.pairs[c])]
+            near = near[self._spheres.gaps()[near] <= rooms[near]]
+        self._known.learn(near, [scene.at_least(self.pairs[c]) for c in near], scene.joints)
+        return [self.pairs[c] for c in near if scene.nearer(self.pairs[c], float(self._rooms[c]))]
 
     def along(self, u: FloatArray) -> Blocked | None:
         """Return where the straight way from rest to a posture is first blocked, if it is.
@@ -152,7 +236,7 @@ class Watch:
         return self._ways[key]
 
     def first(self, way: Way, pairs: Sequence[LinkPair]) -> Blocked | None:
-        """Return where some links first collide on a way, ``None`` if they do not."""
+        """Return where some watched links first collide on a way, ``None`` if they do not."""
         found: Blocked | None = None
         for pair, ends in sorted(self._near(way, pairs), key=lambda run: run[1][0]):
             if found is not None:
@@ -180,12 +264,13 @@ class Watch:
                 if new:
                     self._scene.place(way.at(t))
                 for c in new:
-                    gaps[c][t] = self._scene.distance(pairs[c])
+                    gaps[c][t] = self._scene.at_least(pairs[c])
             halves: dict[tuple[float, float], list[int]] = {}
             for (start, end), columns in parts.items():
                 middle = (start + end) / 2.0
                 for c in columns:
-                    here, there = gaps[c][start], gaps[c][end]
+                    room = self._room[pairs[c].number]
+                    here, there = gaps[c][start] - room, gaps[c][end] - room
                     if here + there > speeds[c] * (end - start):
                         continue
                     overlap = here <= 0.0 and there <= 0.0
@@ -207,6 +292,7 @@ class Watch:
             self._scene.place(way.at(t))
             bounds.append(spheres.gaps())
         reach = np.array(speeds) / 2.0
+        reach += [2.0 * self._room[pair.number] for pair in pairs]
         near = (bounds[0] + bounds[1] <= reach) | (bounds[1] + bounds[2] <= reach)
         return [int(c) for c in np.flatnonzero(near)]
 
@@ -214,12 +300,13 @@ class Watch:
         """Return where a pair first touches on a run of the way."""
         travelled = self._motion.travelled(pair, way, ends)
         steps = min(max(1, int(np.ceil(travelled[-1] / STEP))), _MOST)
-        before = ends[0]
+        before, room = ends[0], self._room[pair.number]
         for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:
             t = float(np.interp(goal, travelled, ends)) if travelled[-1] > 0.0 else ends[-1]
+            t = min(ends[-1], round(t / _PLACE) * _PLACE)
             self._scene.place(way.at(t))
-            if self._scene.touching(pair):
-                return bisect(self._scene, pair, way, before, t)
+            if self._scene.nearer(pair, room):
+                return bisect(self._scene, pair, way, before, t, room)
             before = t
         return None
 
@@ -251,9 +338,9 @@ def first_contact(scene: Scene, pair: LinkPair, way: Way, speed: float) -> float
     t = before = 0.0
     while True:
         scene.place(way.at(t))
-        gap = scene.distance(pair)
+        gap = scene.at_least(pair)
         if gap <= 0.0 and scene.touching(pair):
-            return bisect(scene, pair, way, before, t)
+            return bisect(scene, pair, way, before, t, TOUCH)
         if t >= 1.0:
             return None
         before = t
@@ -261,9 +348,15 @@ def first_contact(scene: Scene, pair: LinkPair, way: Way, speed: float) -> float
 
 
 def bisect(
-    scene: Scene, pair: LinkPair, way: Way, apart: float, touching: float, precision: float = 1e-5
+    scene: Scene,
+    pair: LinkPair,
+    way: Way,
+    apart: float,
+    touching: float,
+    margin: float,
+    precision: float = _PLACE,
 ) -> float:
-    """Return an intensity at which two links begin to touch.
+    """Return an intensity at which two links begin to touch, or to be nearer than a margin.
 
     Args:
         scene: The scene.
@@ -271,12 +364,13 @@ def bisect(
         way: The way.
         apart: An intensity at which they do not touch; it may equal ``touching``.
         touching: A greater one at which they do.
+        margin: The margin [m].
         precision: How far off the answer may be.
     """
     while touching - apart > precision:
         middle = (apart + touching) / 2.0
         scene.place(way.at(middle))
-        if scene.touching(pair):
+        if scene.nearer(pair, margin):
             touching = middle
         else:
             apart = middle

@@ -10,6 +10,7 @@ import numpy as np
 from rtee.extract.collisions import Blocked, Watch, bisect
 from rtee.extract.descent import Objective, Slope
 from rtee.extract.goals import Goal
+from rtee.extract.grain import COARSE, MEDIUM
 from rtee.extract.motion import Motion, Way
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
@@ -42,7 +43,8 @@ class Constraint:
     Attributes:
         pair: The links.
         times: Where on the way, as intensities; 1 is the pose itself.
-        allowance: How deep their convex parts may overlap there before they collide [m].
+        allowance: How deep their convex parts may overlap there before the links are too near [m];
+            negative where the parts are to stay apart.
         weight: Factor of the penalty.
     """
 
@@ -99,10 +101,10 @@ class Constraints:
         """Allow at least the overlaps at which links would touch near a clear pose."""
         self._scene.place(rounded(self._scene.hand, self._space.posture(y)))
         for c in self._known:
-            overlap = -self._scene.distance(c.pair)
-            if c.times == _POSE and overlap > -CLOSER:
-                gap = self._scene.exact_distance(c.pair)
-                c.allowance = max(c.allowance, overlap + gap - CLOSE)
+            overlap, room = -self._scene.distance(c.pair), self._watch.room(c.pair)
+            if c.times == _POSE and overlap > -CLOSER - room:
+                gap = self._scene.exact_distance(c.pair) - room
+                c.allowance = max(c.allowance, COARSE.value(overlap + gap - CLOSE))
                 c.weight = WEIGHT
 
     def learn(self, pair: LinkPair, y: FloatArray) -> None:
@@ -114,7 +116,7 @@ class Constraints:
             self._tighten(known, self._overlap(pair, self._way(y), 1.0))
             return
         way = self._way(y)
-        at = bisect(self._scene, pair, way, 0.0, 1.0, _COARSE)
+        at = bisect(self._scene, pair, way, 0.0, 1.0, self._watch.room(pair), _COARSE)
         overlap = self._overlap(pair, way, max(0.0, at - _COARSE))
         self._known.append(Constraint(pair, _POSE, overlap))
 
@@ -142,7 +144,7 @@ class Constraints:
     def _tighten(self, constraint: Constraint, overlap: float) -> None:
         """Allow less than an overlap at which the links do collide."""
         least = min(constraint.allowance, overlap)
-        constraint.allowance = least - max(CLOSE, _SHRINK * least)
+        constraint.allowance = COARSE.value(least - max(CLOSE, _SHRINK * abs(least)))
         constraint.weight = min(_STRONGEST, constraint.weight * _STRENGTHEN)
 
     def _bound(self, pair: LinkPair, y: FloatArray) -> bool:
@@ -159,7 +161,7 @@ class Constraints:
         share = max(0.0, blocked.at - _SAFE)
         goal[actuator] = goal[actuator] * share + self._scene.hand.rest[actuator] * (1.0 - share)
         i = self._index.index(actuator)
-        limit, rest = self._space.coordinates(goal)[i], self._space.rest[i]
+        limit, rest = MEDIUM.point(self._space.coordinates(goal))[i], self._space.rest[i]
         if limit >= rest and y[i] > rest:
             self._high[i] = min(self._high[i], limit)
         else:
@@ -171,7 +173,8 @@ class Constraints:
 
     def _overlap(self, pair: LinkPair, way: Way, at: float) -> float:
         self._scene.place(way.at(at))
-        return max(0.0, -self._scene.distance(pair) - _MARGIN)
+        overlap = -self._scene.distance(pair) - _MARGIN
+        return COARSE.value(max(-self._watch.room(pair), overlap))
 
     def penalised(self, *, ways_only: bool = False) -> Objective:
         """Return the goal with a penalty for overlaps beyond the allowances."""

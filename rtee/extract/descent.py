@@ -8,6 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from rtee.extract.grain import COARSE, Grain
+from rtee.hand.linalg import dot, times
 from rtee.types import FloatArray
 
 Slope = Callable[[], FloatArray]
@@ -26,6 +28,9 @@ _DECREASE: Final = 1e-4
 _CURVATURE: Final = 0.5
 _FIRST_STEP: Final = 0.1
 _LONGEST_STEP: Final = 0.5
+
+_MOST_TRIALS: Final = 10
+"""Points that a line search tries; ten halvings of the longest step come to the coarse pitch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +54,7 @@ def descend(
     *,
     evaluations: int,
     bounds: Bounds = (0.0, 1.0),
-    tolerance: float = 1e-8,
+    grain: Grain = COARSE,
     enough: float = -np.inf,
 ) -> Minimum:
     """Return a local minimum by projected BFGS.
@@ -64,14 +69,14 @@ def descend(
         start: Coordinates ``(k,)``.
         evaluations: Most evaluations.
         bounds: Corners of the box.
-        tolerance: A step that gains less ends the descent.
+        grain: What coordinates, values and slopes are rounded to; a step that gains no more than
+            the unit of values ends the descent.
         enough: A value at which the descent ends.
     """
     low, high = np.zeros(len(start)) + bounds[0], np.zeros(len(start)) + bounds[1]
-    bounds = low, high  # two numbers are slower to compare with
-    y = within(start, bounds)
-    value, rise = function(y)
-    slope = rise()
+    bounds = low, high = grain.inside((low, high))
+    y = within(grain.point(start), bounds)
+    value, slope = _measured(function, y, grain)
     count, fresh, restarted = 1, True, False
     inverse = np.eye(len(y))
     while count < evaluations and value > enough:
@@ -79,17 +84,17 @@ def descend(
         free = np.where(held, 0.0, slope)
         if max(map(abs, free.tolist()), default=0.0) < 1e-10:
             break
-        direction = np.where(held, 0.0, -inverse.dot(free))
-        if direction.dot(free) >= 0.0:
+        direction = np.where(held, 0.0, -times(inverse, free))
+        if dot(direction, free) >= 0.0:
             direction, inverse, fresh = -free, np.eye(len(y)), True
         longest = max(map(abs, direction.tolist()))
         if fresh:
             direction *= _FIRST_STEP / longest
         elif longest > _LONGEST_STEP:
             direction *= _LONGEST_STEP / longest
-        found, used = _search_line(function, (y, value, free), direction, bounds)
+        found, used = _search_line(function, (y, value, free), direction, bounds, grain)
         count += used
-        if found is None or value - found[1] < tolerance:
+        if found is None or value - found[1] <= grain.depth:
             if found is not None:
                 y, value, slope = found
             if restarted or fresh:
@@ -98,16 +103,21 @@ def descend(
             continue
         step, change = found[0] - y, found[2] - slope
         y, value, slope = found
-        along = float(step.dot(change))
+        along = dot(step, change)
         if along > 1e-14:
             if fresh:
-                inverse = np.eye(len(y)) * (along / float(change.dot(change)))
-            bent = inverse.dot(change) / along
-            half = (0.5 * (float(change.dot(bent)) + 1.0) / along) * step - bent
+                inverse = np.eye(len(y)) * (along / dot(change, change))
+            bent = times(inverse, change) / along
+            half = (0.5 * (dot(change, bent) + 1.0) / along) * step - bent
             update = step[:, None] * half
             inverse = inverse + (update + update.T)
             fresh = False
     return Minimum(y, value, count)
+
+
+def _measured(function: Objective, y: FloatArray, grain: Grain) -> tuple[float, FloatArray]:
+    value, rise = function(y)
+    return grain.value(value), grain.derivative(rise())
 
 
 def within(y: FloatArray, bounds: Bounds) -> FloatArray:
@@ -120,26 +130,29 @@ _Point = tuple[FloatArray, float, FloatArray]
 
 
 def _search_line(
-    function: Objective, origin: _Point, direction: FloatArray, bounds: Bounds
+    function: Objective, origin: _Point, direction: FloatArray, bounds: Bounds, grain: Grain
 ) -> tuple[_Point | None, int]:
     """Return a point of sufficient decrease on the projected ray, if possible of flatter slope."""
     y, value, slope = origin
     below, above, t = 0.0, np.inf, 1.0
     best: _Point | None = None
-    steepness = float(slope.dot(direction))
-    for count in range(1, 11):
-        there = y + t * direction
+    steepness = dot(slope, direction)
+    for count in range(_MOST_TRIALS):
+        there = grain.point(y + t * direction)
         inside = within(there, bounds)
+        if (inside == y).all():
+            return best, count
         new, rise = function(inside)
-        if new > value + _DECREASE * float(slope.dot(inside - y)):
+        new = grain.value(new)
+        if new > value + _DECREASE * dot(slope, inside - y):
             above = t
         else:
-            new_slope = rise()
+            new_slope = grain.derivative(rise())
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)
             projected = there.tolist() != inside.tolist()
-            if projected or float(new_slope.dot(direction)) >= _CURVATURE * steepness:
-                return best, count
+            if projected or dot(new_slope, direction) >= _CURVATURE * steepness:
+                return best, count + 1
             below = t
         t = (below + above) / 2.0 if above < np.inf else 2.0 * t
-    return best, 10
+    return best, _MOST_TRIALS

@@ -9,17 +9,59 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import Evidence, Posture
-from rtee.extract.collisions import Collisions, Watch, first_contact
+from rtee.extract.collisions import CRAMPED, Collisions, Watch, first_contact
 from rtee.extract.goals import Link, linked
 from rtee.extract.motion import Motion
 from rtee.extract.opposition import opposition
 from rtee.extract.pairs import LinkPair
+from rtee.extract.ranking import Candidate
 from rtee.extract.scene import Scene
+from rtee.hand.linalg import norm
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
 _DIGITS: Final = 9
 """Lengths in the evidence are rounded to a nanometre, unit vectors and angles likewise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What else is near a posture and its way.
+
+    Attributes:
+        pose: Part of their room that all other links keep in the posture: 1, a quarter, or 0.
+        way: The same of the posture and the straight way to it.
+        colliding: Pairs of links that touch in the posture.
+        clearance: The least distance of other links [m], on the way, too, where that is clear;
+            ``None`` where the posture is not clear.
+    """
+
+    pose: float
+    way: float
+    colliding: tuple[tuple[str, str], ...]
+    clearance: float | None
+
+
+def surroundings(scene: Scene, u: FloatArray, watch: Watch) -> Surroundings:
+    """Return what else is near a posture.
+
+    Args:
+        scene: The hand's links.
+        u: The posture as stored ``(n,)``.
+        watch: The links that must not come near each other.
+    """
+    pose = way = 0.0
+    near: list[LinkPair] = []
+    for share, watched in ((1.0, watch), (CRAMPED, watch.cramped)):
+        near = watched.at(u)
+        pose = pose or (0.0 if near else share)
+        if not near and watched.along(u) is None:
+            way = share
+            break
+    scene.place(u)
+    colliding = tuple(pair.links for pair in near if scene.touching(pair))
+    clearance = _round(watch.clearance(u, way=way > 0.0)) if pose else None
+    return Surroundings(pose, way, colliding, clearance)
 
 
 @dataclass(frozen=True)
@@ -47,8 +89,8 @@ class Inspector:
         motion = Motion(scene)
         return cls(scene, motion, Collisions(scene, motion))
 
-    def pinch(self, u: FloatArray, tips: LinkPair, watch: Watch) -> Evidence:
-        """Return the evidence of a pinch.
+    def pinch(self, u: FloatArray, tips: LinkPair, watch: Watch) -> Candidate:
+        """Return a pinch with its evidence.
 
         Args:
             u: The posture as stored ``(n,)``.
@@ -57,8 +99,7 @@ class Inspector:
         """
         scene = self.scene
         way = self.motion.way(u)
-        colliding = watch.at(u)
-        free = not colliding and watch.along(u) is None
+        around = surroundings(scene, u, watch)
         scene.place(u)
         touching = scene.touching(tips)
         witness = scene.witness(tips) if touching else scene.exact_witness(tips)
@@ -70,23 +111,25 @@ class Inspector:
             scene.place(way.at(1.0 if contact_at is None else contact_at))
             meeting = scene.witness(tips)
         opposed = opposition(scene, tips, meeting, u - scene.hand.rest)
-        return Evidence(
+        found = Evidence(
             depth=_round(max(0.0, -witness.distance)) if touching else 0.0,
             distance=0.0 if touching else _round(max(0.0, witness.distance)),
-            frame_distance=_round(float(np.linalg.norm(points[1] - points[0]))),
+            frame_distance=_round(norm(points[1] - points[0])),
             point=_triple((witness.first + witness.second) / 2.0),
             normal=_triple(witness.normal),
-            clear=not colliding,
-            path_clear=free,
-            colliding=tuple(pair.links for pair in colliding),
+            clear=around.pose > 0.0,
+            path_clear=around.way > 0.0,
+            clearance=around.clearance,
+            colliding=around.colliding,
             contact_at=None if contact_at is None else _round(contact_at),
             opposition=opposed,
         )
+        return Candidate(u, found, around.way)
 
     def multi_pinch(
         self, u: FloatArray, names: Sequence[str], links: Sequence[Link], watch: Watch
-    ) -> Evidence:
-        """Return the evidence of a multi-pinch.
+    ) -> Candidate:
+        """Return a multi-pinch with its evidence.
 
         Args:
             u: The posture as stored ``(n,)``.
@@ -96,8 +139,7 @@ class Inspector:
         """
         scene = self.scene
         way = self.motion.way(u)
-        colliding = watch.at(u)
-        free = not colliding and watch.along(u) is None
+        around = surroundings(scene, u, watch)
         scene.place(u)
         touching = [link for link in links if scene.touching(link.tips)]
         found = [(link, scene.witness(link.tips)) for link in touching]
@@ -108,18 +150,20 @@ class Inspector:
             for link in touching
         ]
         contact_at = _linked_at(len(names), firsts)
-        return Evidence(
+        evidence = Evidence(
             depth=_round(sum(depths)),
             point=_triple(np.mean(middles, axis=0)) if middles else None,
-            clear=not colliding,
-            path_clear=free,
-            colliding=tuple(pair.links for pair in colliding),
+            clear=around.pose > 0.0,
+            path_clear=around.way > 0.0,
+            clearance=around.clearance,
+            colliding=around.colliding,
             contact_at=None if contact_at is None else _round(contact_at),
             pairs=tuple(
                 (names[link.ends[0]], names[link.ends[1]], _round(depth))
                 for (link, _), depth in zip(found, depths, strict=True)
             ),
         )
+        return Candidate(u, evidence, around.way)
 
 
 def _linked_at(size: int, firsts: Sequence[tuple[tuple[int, int], float | None]]) -> float | None:

@@ -84,7 +84,7 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     found = spread(partial(_look, inspector), looks, jobs, progress)
     seen = [(i, j, sight) for (i, j, _), sight in zip(looks, found, strict=True) if sight]
     tight = {
-        frozenset((fingers[i].name, fingers[j].name)): sight.postures[0]
+        frozenset((fingers[i].name, fingers[j].name)): sight.explored
         for i, j, sight in seen
         if sight.kind is PrimitiveKind.PINCH_TIGHT
     }

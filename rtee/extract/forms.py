@@ -14,7 +14,6 @@ from rtee.hand.geometry import Shape
 TOUCH: Final = 1e-8
 """Surfaces closer than this touch [m]."""
 
-_PRIMITIVES: Final = (coal.Box, coal.Sphere, coal.Cylinder)
 _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
 _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
 
@@ -22,7 +21,7 @@ _place, _measure = pin.updateGeometryPlacements, pin.computeDistances
 
 
 class Forms:
-    """The shapes of two links in one of their two forms, convex or exact.
+    """The shapes of two links in one of their forms: convex, a draft of that, or exact.
 
     All couples of them, one of the first link and one of the second, are answered by one call.
     Coal can keep where its last search of a couple ended as a guess for the next one, which moves
@@ -32,6 +31,7 @@ class Forms:
 
     Attributes:
         couples: Indices of the couples' shapes in the scene.
+        slack: How much nearer than their forms the convex parts of the links can be [m].
         results: Coal's last distance result of every couple.
     """
 
@@ -41,8 +41,9 @@ class Forms:
         shapes: Sequence[Shape],
         first: Sequence[int],
         second: Sequence[int],
+        forms: Sequence[coal.CollisionGeometry],
         *,
-        convex: bool,
+        slack: float = 0.0,
     ) -> None:
         """Prepare the couples of two links.
 
@@ -51,17 +52,19 @@ class Forms:
             shapes: All shapes.
             first: Indices of those of the first link.
             second: Indices of those of the second link.
-            convex: Take the convex parts instead of the geometry as given.
+            forms: What stands for each of all shapes: its convex part, its draft, or its geometry
+                as given.
+            slack: How much nearer than their forms the convex parts of the links can be [m].
         """
+        self.slack = slack
         self.couples = tuple((i, j) for i in first for j in second)
         self._robot, self._joints = robot
         self._model = pin.GeometryModel()
         number = {}
         self._guided = False
         for i in (*first, *second):
-            shape = shapes[i]
-            form = shape.convex if convex else shape.exact
-            self._guided |= not (convex or isinstance(form, _PRIMITIVES))
+            shape, form = shapes[i], forms[i]
+            self._guided |= isinstance(form, coal.BVHModelBase)
             placed = pin.GeometryObject(str(i), shape.body, shape.placement, form)
             number[i] = self._model.addGeometryObject(placed)
         for i, j in self.couples:
@@ -69,7 +72,6 @@ class Forms:
         self._data = self._model.createData()
         distance = coal.DistanceRequest()
         collision = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
-        collision.security_margin = TOUCH
         if self._guided:
             distance.gjk_initial_guess = collision.gjk_initial_guess = coal.CachedGuess
         for k in range(len(self.couples)):
@@ -99,17 +101,25 @@ class Forms:
             self._measured = self._placed = stamp
         return self._least
 
-    def collide(self, couple: int, stamp: int) -> bool:
-        """Return whether the surfaces of a couple meet; primitives are solid.
+    def collide(self, couple: int, stamp: int, margin: float) -> bool:
+        """Return whether the surfaces of a couple are closer than a margin; primitives are solid.
 
-        They meet where they are closer than 10 nm: where a triangle lies symmetrically in a
-        primitive, Coal finds a distance of the order of rounding errors instead of a collision.
+        Surfaces that meet are asked for with a margin of 10 nm: where a triangle lies symmetrically
+        in a primitive, Coal finds a distance of the order of rounding errors instead of a
+        collision.
+
+        Args:
+            couple: Number of the couple.
+            stamp: Number of the joints' placement.
+            margin: The margin [m].
         """
         if stamp != self._placed:
             _place(self._robot, self._joints, self._model, self._data)
             self._placed = stamp
+        request = self._collisions[couple]
+        request.security_margin = margin
         if self._guided:
-            _forget(self._collisions[couple])
+            _forget(request)
         return bool(pin.computeCollision(self._model, self._data, couple))
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
+from rtee.hand.linalg import dot, norm, norms, product, times, turned
 from rtee.types import FloatArray, JointKind
 
 _STATIONS: Final = 33
@@ -22,6 +23,8 @@ _NEAR: Final = 0.005
 
 _UPPER: Final = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=bool)
 """Whether the corners of a box are at its upper ends ``(8, 3)``."""
+
+_sum = np.add.reduce
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class Motion:
         """Return the straight way from rest to a posture."""
         hand = self._scene.hand
         if hand.transmission.linear:
-            travel = np.abs(hand.transmission.matrix @ (goal - hand.rest))
+            travel = np.abs(times(hand.transmission.matrix, goal - hand.rest))
         else:
             stations = np.linspace(0.0, 1.0, _STATIONS)[:, None]
             q = hand.transmission.joints(hand.rest + stations * (goal - hand.rest))
@@ -82,7 +85,7 @@ class Motion:
 
     def speed(self, pair: LinkPair, way: Way) -> float:
         """Return a bound on the speed of two links against each other per unit of the way [m]."""
-        return float(self.levers(pair) @ way.travel)
+        return dot(self.levers(pair), way.travel)
 
     def travelled(self, pair: LinkPair, way: Way, stations: Sequence[float]) -> FloatArray:
         """Return how far two links have moved against each other where they are near.
@@ -125,14 +128,13 @@ class Motion:
         """
         one, other = self._scene.shapes[moving], self._scene.shapes[fixed]
         outward = other.placement.rotation
-        rotations = outward.T @ path[0] @ one.placement.rotation
-        positions = (
-            path[0] @ one.placement.translation + path[1] - other.placement.translation
-        ) @ outward
+        rotations = product(product(outward.T, path[0]), one.placement.rotation)
+        positions = _sum(path[0] * one.placement.translation, axis=2) + path[1]
+        positions = product(positions - other.placement.translation, outward)
         # The other shape's box, seen from the shape, in a box of its own.
         low, high = other.box
-        centres = np.einsum("sji,sj->si", rotations, (low + high) / 2.0 - positions)
-        halves = np.einsum("sji,j->si", np.abs(rotations), (high - low) / 2.0 + _NEAR)
+        centres = _sum(rotations * ((low + high) / 2.0 - positions)[:, :, None], axis=1)
+        halves = _sum(np.abs(rotations) * ((high - low) / 2.0 + _NEAR)[:, None], axis=1)
         lower, upper = one.box
         lower, upper = np.maximum(lower, centres - halves), np.minimum(upper, centres + halves)
         near = (lower < upper).all(axis=1)
@@ -142,8 +144,8 @@ class Motion:
         turns, steps = np.diff(rotations, axis=0), np.diff(positions, axis=0)[:, None]
         most = np.zeros(len(steps))
         for ends in (slice(None, -1), slice(1, None)):
-            moved = corners[ends] @ turns.transpose(0, 2, 1) + steps
-            squares = np.einsum("sci,sci->sc", moved, moved).max(axis=1)
+            moved = product(corners[ends], turns.transpose(0, 2, 1)) + steps
+            squares = _sum(moved * moved, axis=2).max(axis=1)
             most = np.maximum(most, np.where(near[ends], squares, 0.0))
         result: FloatArray = np.sqrt(most)
         return result
@@ -167,9 +169,7 @@ class Motion:
     def _length(self) -> list[float]:
         """Distance of every joint's frame from its parent's, travel included [m]."""
         scene = self._scene
-        lengths = [
-            float(np.linalg.norm(m.translation)) for m in scene.kinematics.model.jointPlacements
-        ]
+        lengths = [norm(m.translation) for m in scene.kinematics.model.jointPlacements]
         for i, joint in enumerate(scene.hand.joints):
             if joint.kind is JointKind.PRISMATIC:
                 lengths[i + 1] += max(abs(joint.lower), abs(joint.upper))
@@ -181,8 +181,8 @@ class Motion:
         radii = []
         for shape in self._scene.shapes:
             placement = shape.placement
-            points = shape.points @ placement.rotation.T + placement.translation
-            radii.append(float(np.linalg.norm(points, axis=1).max()))
+            points = turned(shape.points, placement.rotation) + placement.translation
+            radii.append(float(norms(points).max()))
         return radii
 
 
@@ -207,7 +207,7 @@ class Known:
             joints: Joint positions ``(m,)`` [rad | m].
         """
         moved = np.abs(joints - self._joints)
-        least: FloatArray = self._gaps - np.einsum("pm,pm->p", self._levers, moved)
+        least: FloatArray = self._gaps - _sum(self._levers * moved, axis=1)
         return least
 
     def learn(self, pairs: NDArray[np.intp], gaps: Sequence[float], joints: FloatArray) -> None:

@@ -17,7 +17,7 @@ from rtee.extract.pairs import LinkPair
 from rtee.extract.postures import clear_postures, stored
 from rtee.extract.ranking import Candidate, Found, Rank, ranked
 from rtee.extract.recombination import Block
-from rtee.extract.search import FEW, MANY, SEVERAL, minima
+from rtee.extract.search import FEW, MANY, SEVERAL, Minima, minima
 from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
@@ -59,7 +59,8 @@ class MultiSearch:
         strangers = self._strangers(moving)
         goal = MultiPinch(self.inspector.scene, len(self.fingers), links, strangers)
         found = self._minima(goal, space, links)
-        touching = next(stored(self.inspector, goal, space, found), None)
+        polished = [m.y for m in found.polished]
+        touching = next(stored(self.inspector, goal, space, polished), None)
         if touching is None:
             return None
         involved = {self._hand.actuator_index(n) for f in self.fingers for n in f.actuators}
@@ -69,13 +70,18 @@ class MultiSearch:
         names = tuple(finger.name for finger in self.fingers)
 
         def candidate(u: FloatArray) -> Candidate:
-            return Candidate(u, self.inspector.multi_pinch(u, names, links, watch))
+            return self.inspector.multi_pinch(u, names, links, watch)
 
         candidates = [candidate(touching)]
         if not candidates[0].usable:
+            explored = [m.y for m in found.explored]
             patience = _MANY if space.size > FEW else _THREE if len(self.fingers) == 3 else _MORE
-            clear = clear_postures(self.inspector, goal, space, watch, found, patience)
+            clear = clear_postures(self.inspector, goal, space, watch, explored, patience)
             candidates += [candidate(u) for u in clear[:1]]
+            if not any(found.room for found in candidates):
+                cramped = watch.cramped
+                clear = clear_postures(self.inspector, goal, space, cramped, explored, patience)
+                candidates += [candidate(u) for u in clear[:1]]
         lower, upper = real_limits(self._hand)
         extent = upper - lower
         return Found(PrimitiveKind.MULTI_PINCH_TIGHT, names, ranked(candidates, self.rank, extent))
@@ -84,15 +90,15 @@ class MultiSearch:
     def _hand(self) -> Hand:
         return self.inspector.scene.hand
 
-    def _minima(self, goal: MultiPinch, space: Space, links: Sequence[Link]) -> list[FloatArray]:
-        """Return coordinates of local minima, the deepest first; again where strangers are met."""
+    def _minima(self, goal: MultiPinch, space: Space, links: Sequence[Link]) -> Minima:
+        """Return local minima; again where strangers are met."""
         scene, warm, blocks = self.inspector.scene, self._warm(space, links), self._blocks(space)
         effort = SEVERAL if space.size <= FEW else MANY
         while True:
-            found = [m.y for m in minima(Placed(scene, goal, space), warm, effort, blocks)]
+            found = minima(Placed(scene, goal, space), warm, effort, blocks)
             met = False
-            for y in found:
-                scene.place(space.posture(y))
+            for minimum in (*found.explored, *found.polished):
+                scene.place(space.posture(minimum.y))
                 met |= goal.meet()
             if not met:
                 return found

@@ -12,6 +12,7 @@ import numpy as np
 from rtee.actions.types import Opposition
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.scene import Scene
+from rtee.hand.linalg import dot, norm, times
 from rtee.types import FloatArray
 
 FRICTION: Final = 0.5
@@ -53,18 +54,18 @@ def opposition(
         The opposition, or ``None`` if the tips do not move against each other there.
     """
     closing = [
-        scene.point_jacobian(link, point) @ direction
+        times(scene.point_jacobian(link, point), direction)
         for link, point in zip(tips.links, (witness.first, witness.second), strict=True)
     ]
-    speeds = [float(np.linalg.norm(v)) for v in closing]
-    if max(speeds) < 1e-9 or float(np.linalg.norm(closing[0] - closing[1])) < 1e-9:
+    speeds = [norm(v) for v in closing]
+    if max(speeds) < 1e-9 or norm(closing[0] - closing[1]) < 1e-9:
         return None
-    if not np.isfinite(speeds).all() or float(np.linalg.norm(witness.normal)) < 0.5:
+    if not np.isfinite(speeds).all() or norm(witness.normal) < 0.5:
         return None
     for i in (0, 1):
         if speeds[i] < _STILL * speeds[1 - i]:
             closing[i] = -closing[1 - i]
-    lines = [v / np.linalg.norm(v) for v in closing]
+    lines = [v / norm(v) for v in closing]
     outward = (witness.normal, -witness.normal)
     angles = [_angle(line, normal) for line, normal in zip(lines, outward, strict=True)]
     centre = (witness.first + witness.second) / 2.0
@@ -86,7 +87,7 @@ def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: floa
         friction: Coefficient of friction.
     """
     line = contacts[1] - contacts[0]
-    if float(np.linalg.norm(line)) < 1e-12:
+    if norm(line) < 1e-12:
         return False
     half = math.atan(friction)
     inward = [centre - contact for contact in contacts]
@@ -147,5 +148,5 @@ def _gap(
 
 
 def _angle(a: FloatArray, b: FloatArray) -> float:
-    cosine = float(a @ b) / (float(np.linalg.norm(a)) * float(np.linalg.norm(b)))
+    cosine = dot(a, b) / (norm(a) * norm(b))
     return math.acos(min(1.0, max(-1.0, cosine)))

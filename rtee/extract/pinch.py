@@ -12,6 +12,7 @@ from rtee.extract.collisions import Watch
 from rtee.extract.descent import descend
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Gap, Parting, Pinch, Placed
+from rtee.extract.grain import FINE
 from rtee.extract.pairs import LinkPair
 from rtee.extract.postures import clear_postures, stored
 from rtee.extract.ranking import Candidate, Found, Rank, ranked
@@ -33,14 +34,17 @@ class Sight:
 
     Attributes:
         kind: Tight or loose.
-        minima: Coordinates of the deepest poses, of their convex parts, the deepest first.
+        minima: Coordinates of the deepest poses, of their convex parts, the deepest first; as they
+            were before polishing.
         postures: Postures as stored in which the tips touch, the deepest first; of a loose pinch
             the one in which they are closest.
+        explored: The posture ``(n,)`` of the deepest pose before polishing, for further searches.
     """
 
     kind: PrimitiveKind
     minima: tuple[FloatArray, ...]
     postures: tuple[FloatArray, ...]
+    explored: FloatArray
 
 
 @dataclass(frozen=True)
@@ -64,15 +68,17 @@ class PinchSearch:
         space = self._space(real_limits(self._hand))
         if self._touch(space, space.rest) and not self._can_part(space):
             return None
-        found = minima(Placed(self._scene, Pinch(self._scene, self.tips), space))
-        deep = [m.y for m in found if m.value <= 0.0]
         goal = Pinch(self._scene, self.tips)
-        touching = tuple(stored(self.inspector, goal, space, self._contacts(space, deep)))
+        found = minima(Placed(self._scene, goal, space))
+        contacts = self._contacts(space, [m.y for m in found.polished if m.value <= 0.0])
+        touching = tuple(stored(self.inspector, goal, space, contacts))
         if touching:
-            return Sight(PrimitiveKind.PINCH_TIGHT, tuple(deep), touching)
+            explored = tuple(m.y for m in found.explored if m.value <= 0.0)
+            starts = explored or (space.coordinates(touching[0]),)
+            return Sight(PrimitiveKind.PINCH_TIGHT, starts, touching, space.posture(starts[0]))
         if self._could_meet():
-            closest = self._closest(space, [m.y for m in found])
-            return Sight(PrimitiveKind.PINCH_LOOSE, (), (closest,))
+            closest = self._closest(space, [m.y for m in found.polished])
+            return Sight(PrimitiveKind.PINCH_LOOSE, (), (closest,), closest)
         return None
 
     def finish(self, sight: Sight) -> Found:
@@ -86,6 +92,10 @@ class PinchSearch:
             goal = Pinch(self._scene, self.tips)
             clear = clear_postures(self.inspector, goal, space, watch, sight.minima, Patience())
             candidates += [self._candidate(u, watch) for u in clear[: most - 1]]
+            if not any(candidate.room for candidate in candidates):
+                cramped, starts = watch.cramped, sight.minima
+                clear = clear_postures(self.inspector, goal, space, cramped, starts, Patience())
+                candidates += [self._candidate(u, watch) for u in clear[: most - 1]]
         others = sight.postures[1 : most + 1 - len(candidates)]
         candidates += [self._candidate(u, watch) for u in others]
         names = tuple(finger.name for finger in self.fingers)
@@ -121,18 +131,18 @@ class PinchSearch:
     def _seek(self, space: Space, start: FloatArray) -> FloatArray:
         """Return where a descent of the exact distance ends."""
         gap = Placed(self._scene, Gap(self._scene, self.tips), space)
-        return descend(gap, start, evaluations=_SEEKING, enough=0.0).y
+        return descend(gap, start, evaluations=_SEEKING, grain=FINE, enough=0.0).y
 
     def _can_part(self, space: Space) -> bool:
         """Return whether the tips are apart anywhere; contact everywhere shows no pinch."""
         parting = Placed(self._scene, Parting(self._scene, self.tips), space)
-        return any(not self._touch(space, m.y) for m in minima(parting)[:_TRIED])
+        return any(not self._touch(space, m.y) for m in minima(parting).polished[:_TRIED])
 
     def _could_meet(self) -> bool:
         """Return whether the tips would touch if the limits were wider."""
         wide = self._space(widened_limits(self._hand))
         found = minima(Placed(self._scene, Pinch(self._scene, self.tips), wide))
-        return bool(self._contacts(wide, [m.y for m in found if m.value <= 0.0]))
+        return bool(self._contacts(wide, [m.y for m in found.polished if m.value <= 0.0]))
 
     def _closest(self, space: Space, found: Sequence[FloatArray]) -> FloatArray:
         """Return the posture as stored at which the tips' geometry is closest."""
@@ -145,7 +155,7 @@ class PinchSearch:
         return self.inspector.collisions.watch(moving, [frozenset(self.tips.links)])
 
     def _candidate(self, u: FloatArray, watch: Watch) -> Candidate:
-        return Candidate(u, self.inspector.pinch(u, self.tips, watch))
+        return self.inspector.pinch(u, self.tips, watch)
 
 
 def pinch_search(

@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.descent import Bounds, Minimum, Objective, within
+from rtee.extract.grain import FINE, Grain
+from rtee.hand.linalg import dot, product, row_times, times
 from rtee.types import FloatArray
 
 _FIRST_STEP: Final = 0.3
@@ -16,6 +18,8 @@ _ENOUGH: Final = 1e-6
 _ROUNDING: Final = 1e-10
 _SWEEPS: Final = 3
 _TINY: Final = 1e-300
+
+_sum = np.add.reduce
 
 
 class _Pieces:
@@ -28,7 +32,7 @@ class _Pieces:
 
     def errors(self, y: FloatArray, value: float) -> FloatArray:
         """Return by how much the pieces lie below the function at a point, at least 0."""
-        there = self.values + np.einsum("ij,ij->i", self.slopes, y - self.points)
+        there = self.values + _sum(self.slopes * (y - self.points), axis=1)
         errors: FloatArray = np.maximum(0.0, value - there)
         return errors
 
@@ -46,7 +50,12 @@ class _Pieces:
 
 
 def polish(
-    function: Objective, start: FloatArray, *, evaluations: int, bounds: Bounds = (0.0, 1.0)
+    function: Objective,
+    start: FloatArray,
+    *,
+    evaluations: int,
+    bounds: Bounds = (0.0, 1.0),
+    grain: Grain = FINE,
 ) -> Minimum:
     """Return a local minimum of the maximum of smooth functions.
 
@@ -59,11 +68,13 @@ def polish(
         start: Coordinates in the box ``(k,)``.
         evaluations: Most evaluations.
         bounds: Corners of the box.
+        grain: What coordinates, values and slopes are rounded to.
     """
-    low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
-    y = within(start, (low, high))
+    box = tuple(np.broadcast_to(bound, start.shape) for bound in bounds)
+    low, high = grain.inside((box[0], box[1]))
+    y = within(grain.point(start), (low, high))
     value, rise = function(y)
-    slope = rise()
+    value, slope = grain.value(value), grain.derivative(rise())
     pieces = _Pieces(y, value, slope)
     scale = float(np.abs(slope).max())
     if scale == 0.0:
@@ -73,12 +84,12 @@ def polish(
     for count in range(2, evaluations + 1):
         errors, slopes = pieces.errors(y, value), pieces.slopes
         step, weights, held = _model_step(slopes, errors, (weights, held), y, reach, (low, high))
-        predicted = -float((slopes @ step - errors).max())
-        if predicted < _ENOUGH * abs(value) + 1e-9:
+        predicted = -float((times(slopes, step) - errors).max())
+        there = within(grain.point(y + step), (low, high))
+        if predicted < _ENOUGH * abs(value) + grain.depth or (there == y).all():
             return Minimum(y, value, count)
-        there = within(y + step, (low, high))
         new, rise = function(there)
-        new_slope = rise()
+        new, new_slope = grain.value(new), grain.derivative(rise())
         if len(weights) >= _KEPT:
             least = int(np.argmin(weights))
             pieces.drop(least)
@@ -88,7 +99,7 @@ def polish(
         if new <= value - _SERIOUS * predicted:
             reach *= 2.0 if new <= value - 0.5 * predicted else 1.0
             y, value = there, new
-        elif value - new - float(new_slope @ (y - there)) > 2.0 * predicted:
+        elif value - new - dot(new_slope, y - there) > 2.0 * predicted:
             reach *= 0.5
     return Minimum(y, value, evaluations)
 
@@ -113,9 +124,9 @@ def _model_step(
     for _ in range(_SWEEPS * len(y)):
         some = bool(held.any())
         free = np.where(held, 0.0, slopes) if some else slopes
-        linear = errors - slopes.dot(fixed) if some else errors
-        weights = _simplex_minimum(reach * free.dot(free.T), linear, weights)
-        step = fixed - reach * weights.dot(free)
+        linear = errors - times(slopes, fixed) if some else errors
+        weights = _simplex_minimum(reach * product(free, free.T), linear, weights)
+        step = fixed - reach * row_times(weights, free)
         there = y + step
         leaving = ~held & ((there < low) | (there > high))
         if leaving.any():
@@ -123,7 +134,7 @@ def _model_step(
         elif not some:
             break
         else:
-            pull = weights @ slopes + fixed / reach
+            pull = row_times(weights, slopes) + fixed / reach
             freed = held & np.where(side < 0.0, pull < 0.0, pull > 0.0)
             if not freed.any():
                 break

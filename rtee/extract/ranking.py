@@ -30,10 +30,13 @@ class Candidate:
     Attributes:
         u: Actuator positions as stored ``(n,)`` [rad | m].
         evidence: The evidence.
+        room: Part of their room that other links keep in the posture and on the way to it: 1, a
+            quarter, or 0 where it is not clear.
     """
 
     u: FloatArray
     evidence: Evidence
+    room: float
 
     @property
     def gap(self) -> float:
@@ -42,8 +45,8 @@ class Candidate:
 
     @property
     def usable(self) -> bool:
-        """Whether nothing else collides, neither there nor on the way."""
-        return self.evidence.clear and self.evidence.path_clear
+        """Whether all other links keep their full room, there and on the way."""
+        return self.room == 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +74,8 @@ def ranked(
 ) -> tuple[Candidate, ...]:
     """Return distinct candidates, the best first.
 
-    Those with a clear pose and a clear way come first, then those with a clear pose; among them the
+    Those with a clear pose and a clear way come first, the ones whose other links keep their full
+    room before the rest, then those with a clear pose; among them the
     deepest, or with rank ``opposition`` those in force closure and then the one whose worse angle
     is least. Depths that differ by less than 10 µm are equal; then the better opposed comes first.
 
@@ -95,7 +99,7 @@ def _alike(one: Candidate, other: Candidate, extent: FloatArray) -> bool:
 
 def _key(candidate: Candidate, rank: Rank) -> tuple[float, ...]:
     evidence = candidate.evidence
-    head = (not candidate.usable, not evidence.clear)
+    head = (-candidate.room, not evidence.clear)
     opposed = evidence.opposition
     opposition = (
         (True, math.inf) if opposed is None else (not opposed.force_closure, max(opposed.angles))

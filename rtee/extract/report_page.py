@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Final
 
+from rtee.actions.describe import clearance_text
 from rtee.actions.types import Evidence, Posture
 from rtee.extract import report_tables as tables
 from rtee.extract.report_style import STYLE
@@ -246,6 +247,8 @@ def _evidence(evidence: Evidence) -> str:
         tags.append(f"normals {angles} off the closing")
         closure = "holds" if opposition.force_closure else "does not hold"
         tags.append(f"{closure} a ball at friction {opposition.friction:g}")
+    if evidence.clearance is not None:
+        tags.append(f"clearance {clearance_text(evidence.clearance)}")
     shown = "".join(f'<span class="tag">{escape(tag)}</span>' for tag in tags)
     return shown + _warning(evidence)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from itertools import combinations
 from typing import Final
 
@@ -11,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.extract.couplings import Couplings
+from rtee.extract.drafts import Draft, draft, least_width, outer
 from rtee.extract.forms import TOUCH, Forms
 from rtee.extract.hinge import Jaw, clip_jaws
 from rtee.extract.pairs import LinkPair, Witness
@@ -18,6 +21,7 @@ from rtee.extract.space import Space
 from rtee.extract.surface import encloses
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.kinematics import Kinematics
+from rtee.hand.linalg import norm, product, row_times, times
 from rtee.hand.model import Hand
 from rtee.types import FloatArray, JointKind
 
@@ -31,6 +35,10 @@ class Scene:
     """A hand's links at a posture.
 
     `place` moves everything to a posture; what is asked afterwards is answered there.
+
+    Distances and derivatives are those of drafts, which lie up to 0.1 mm within the convex parts of
+    finely meshed links; `fine` measures the full ones. Contact, witnesses and everything that is
+    stored is always measured on the full ones.
 
     The signed distance of two links is the least over the pairs of their convex parts: the
     distance of the parts, or minus the depth, the shortest translation that separates them. Its
@@ -70,8 +78,12 @@ class Scene:
         self._model = self.kinematics.model
         self._data = self.kinematics.data
         self._slope = self.couplings.slope(hand.rest)
+        self._rough: dict[int, Forms] = {}
         self._convex: dict[int, Forms] = {}
         self._exact: dict[int, Forms] = {}
+        self._searched = self._rough
+        self._widths: dict[int, float] = {}
+        self._outers: dict[tuple[int, ...], tuple[int, ...]] = {}
         self._stacks: dict[tuple[tuple[int, bool], ...], FloatArray] = {}
         self._joints = np.zeros((6, self._model.nv))
         self._stamp = self._jacobian_stamp = 0
@@ -114,7 +126,10 @@ class Scene:
             return None
         placement = self._data.oMi[moving]
         spec = self.hand.urdf.joints[self.hand.joints[moving - 1].name]
-        origin, axis = np.array(placement.translation), placement.rotation @ spec.axis
+        origin, axis = (
+            np.array(placement.translation),
+            times(placement.rotation, np.array(spec.axis)),
+        )
         first, second = (
             [Jaw(self.shapes[i], self.shape_pose(i).copy(), origin, axis) for i in tip]
             for tip in pair.shapes
@@ -148,12 +163,17 @@ class Scene:
 
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
-        return (self._convex.get(pair.number) or self._convex_of(pair)).least(self._stamp)[0]
+        return (self._searched.get(pair.number) or self._searched_of(pair)).least(self._stamp)[0]
+
+    def at_least(self, pair: LinkPair) -> float:
+        """Return a lower bound on the signed distance of two links' full convex parts [m]."""
+        forms = self._searched.get(pair.number) or self._searched_of(pair)
+        return forms.least(self._stamp)[0] - forms.slack
 
     def distances(self, pairs: Sequence[LinkPair]) -> list[float]:
         """Return the signed distances of several pairs of links [m]."""
-        known, stamp = self._convex, self._stamp
-        return [(known.get(pair.number) or self._convex_of(pair)).least(stamp)[0] for pair in pairs]
+        known, of, stamp = self._searched, self._searched_of, self._stamp
+        return [(known.get(pair.number) or of(pair)).least(stamp)[0] for pair in pairs]
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return the derivative of the distance of two links.
@@ -165,7 +185,7 @@ class Scene:
         Returns:
             The derivative by the coordinates of the space ``(k,)`` [m].
         """
-        forms = self._convex.get(pair.number) or self._convex_of(pair)
+        forms = self._searched.get(pair.number) or self._searched_of(pair)
         result = forms.results[forms.least(self._stamp)[1]]
         normal = -result.normal if pair.turned else result.normal
         return self._derivative(normal, result.getNearestPoint1(), pair, space)
@@ -193,18 +213,18 @@ class Scene:
             for pair, weight in terms:
                 result += weight * self.derivative(pair, space)
             return result
-        rows, stamp, known = [], self._stamp, self._convex
+        rows, stamp, known = [], self._stamp, self._searched
         for pair, weight in terms:
-            forms = known.get(pair.number) or self._convex_of(pair)
+            forms = known.get(pair.number) or self._searched_of(pair)
             found = forms.results[forms.least(stamp)[1]]
             sign = -weight if pair.turned else weight
             x, y, z = found.normal.tolist()
             x, y, z = x * sign, y * sign, z * sign
             a, b, c = found.getNearestPoint1().tolist()
             rows.append((x, y, z, b * z - c * y, c * x - a * z, a * y - b * x))
-        torques = np.array(rows).dot(self._jacobian())
+        torques = product(np.array(rows), self._jacobian())
         torques *= self._moved_by(tuple([(pair.number, pair.turned) for pair, _ in terms]), terms)
-        slope: FloatArray = torques.sum(axis=0).dot(self._moved(space))
+        slope: FloatArray = row_times(torques.sum(axis=0), self._moved(space))
         return slope
 
     def _moved_by(
@@ -234,7 +254,7 @@ class Scene:
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
-        result: FloatArray = row.dot(self._jacobian()).dot(self._levers(pair, space))
+        result: FloatArray = row_times(row_times(row, self._jacobian()), self._levers(pair, space))
         return result
 
     def _jacobian(self) -> FloatArray:
@@ -276,35 +296,54 @@ class Scene:
             surfaces: Whether their surfaces may meet; if it is known that they do not, they are not
                 looked at.
         """
+        return self.nearer(pair, TOUCH, surfaces=surfaces)
+
+    def nearer(self, pair: LinkPair, margin: float, *, surfaces: bool = True) -> bool:
+        """Return whether two links touch or are nearer to each other than a margin.
+
+        Args:
+            pair: The links.
+            margin: The margin [m].
+            surfaces: Whether their surfaces may be that near.
+        """
+        if self.at_least(pair) > margin:
+            return False
         convex = self._convex_of(pair)
-        if convex.least(self._stamp)[0] > TOUCH:
+        if convex.least(self._stamp)[0] > margin:
             return False
         results = convex.results
         return any(
-            self._touching(pair, k, couple, surfaces=surfaces)
+            self._nearer(pair, k, couple, margin, surfaces=surfaces)
             for k, couple in enumerate(convex.couples)
-            if results[k].min_distance <= TOUCH
+            if results[k].min_distance <= margin
         )
 
-    def _touching(
-        self, pair: LinkPair, k: int, couple: tuple[int, int], *, surfaces: bool = True
+    def _nearer(
+        self,
+        pair: LinkPair,
+        k: int,
+        couple: tuple[int, int],
+        margin: float,
+        *,
+        surfaces: bool = True,
     ) -> bool:
-        """Return whether a couple of shapes touches whose convex parts do.
+        """Return whether a couple of shapes is nearer than a margin whose convex parts are.
 
         Args:
             pair: The links.
             k: Number of the couple.
             couple: The indices of its shapes.
-            surfaces: Whether their surfaces may meet.
+            margin: The margin [m].
+            surfaces: Whether their surfaces may be that near.
         """
         i, j = couple
         a, b = self.shapes[i], self.shapes[j]
         if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
             return True
-        if surfaces and self._exact_of(pair).collide(k, self._stamp):
+        if surfaces and self._exact_of(pair).collide(k, self._stamp, margin):
             return True
         overlap = -self._convex_of(pair).results[k].min_distance
-        if overlap < min(a.least_width, b.least_width):
+        if overlap < min(self._width(i), self._width(j)):
             return False
         to_a = self.shape_pose(i).actInv(self.shape_pose(j))
         return encloses(a, b, to_a) or encloses(b, a, to_a.inverse())
@@ -318,14 +357,14 @@ class Scene:
         """Return where two links that do not touch are closest, in their geometry as given."""
         found = _witness(pair, self._exact_of(pair), self._stamp)
         gap = found.second - found.first
-        length = float(np.linalg.norm(gap))
+        length = norm(gap)
         return found if length == 0.0 else replace(found, normal=gap / length)
 
     def point_jacobian(self, link: str, point: FloatArray) -> FloatArray:
         """Return the Jacobian ``(3, n)`` of a point of a link by the actuators, base frame [m]."""
         jacobian = self._jacobian() * self.kinematics.support(self.kinematics.body(link))
-        jacobian = jacobian[:3] - pin.skew(point) @ jacobian[3:]
-        result: FloatArray = jacobian @ self._slope
+        jacobian = jacobian[:3] - product(pin.skew(point), jacobian[3:])
+        result: FloatArray = product(jacobian, self._slope)
         return result
 
     def bodies(self) -> tuple[FloatArray, FloatArray]:
@@ -349,6 +388,52 @@ class Scene:
         first, second = pair.bodies
         return self._data.oMi[first].actInv(self._data.oMi[second])
 
+    @contextmanager
+    def fine(self) -> Iterator[None]:
+        """Measure distances and derivatives on the full convex parts within this context."""
+        before, self._searched = self._searched, self._convex
+        try:
+            yield
+        finally:
+            self._searched = before
+
+    @cached_property
+    def _drafts(self) -> list[Draft]:
+        known: dict[int, Draft] = {}
+        for shape in self.shapes:
+            if id(shape.exact) not in known:
+                known[id(shape.exact)] = draft(shape)
+        return [known[id(shape.exact)] for shape in self.shapes]
+
+    def _outer(self, link: tuple[int, ...]) -> tuple[int, ...]:
+        """Return those shapes of a link that do not lie within another one."""
+        if link not in self._outers:
+            self._outers[link] = outer(self.shapes, self._drafts, link)
+        return self._outers[link]
+
+    def _width(self, shape: int) -> float:
+        """Return a lower bound on the width of a shape's convex part [m]."""
+        if shape not in self._widths:
+            self._widths[shape] = least_width(self.shapes[shape], self._drafts[shape].form)
+        return self._widths[shape]
+
+    def _searched_of(self, pair: LinkPair) -> Forms:
+        if self._searched is self._convex:
+            return self._convex_of(pair)
+        forms = self._rough[pair.number] = self._drafted(pair)
+        return forms
+
+    def _drafted(self, pair: LinkPair) -> Forms:
+        """Return the forms of two links that searches measure; the convex ones if none differ."""
+        first, second = pair.shapes[::-1] if pair.turned else pair.shapes
+        ours, theirs = self._outer(first), self._outer(second)
+        slack = max(self._drafts[i].slack for i in ours)
+        slack += max(self._drafts[i].slack for i in theirs)
+        if slack == 0.0 and (ours, theirs) == (first, second):
+            return self._convex_of(pair)
+        forms = [draft.form for draft in self._drafts]
+        return Forms((self._model, self._data), self.shapes, ours, theirs, forms, slack=slack)
+
     def _convex_of(self, pair: LinkPair) -> Forms:
         forms = self._convex.get(pair.number)
         if forms is None:
@@ -363,7 +448,8 @@ class Scene:
 
     def _forms(self, pair: LinkPair, *, convex: bool) -> Forms:
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
-        return Forms((self._model, self._data), self.shapes, first, second, convex=convex)
+        forms = [shape.convex if convex else shape.exact for shape in self.shapes]
+        return Forms((self._model, self._data), self.shapes, first, second, forms)
 
 
 def _witness(pair: LinkPair, forms: Forms, stamp: int) -> Witness:

@@ -10,6 +10,7 @@ import numpy as np
 
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.goals import Placed
+from rtee.extract.grain import COARSE, FINE, MEDIUM
 from rtee.extract.polish import polish
 from rtee.extract.recombination import Block, elsewhere, recombined
 from rtee.extract.space import Space, halton
@@ -56,8 +57,25 @@ FEW: Final = 9
 
 _SAME: Final = 0.02
 _LITTLE: Final = 0.002
+_LAST: Final = 8
+"""Evaluations of the last polish, on the full convex parts and with the finest grain."""
+
 _LINE: Final = 257
 _LINE_PRECISION: Final = 1e-8
+
+
+@dataclass(frozen=True, slots=True)
+class Minima:
+    """Distinct local minima.
+
+    Attributes:
+        polished: The deepest first, the best of them polished.
+        explored: As the descents left them, the deepest first. Other searches start from these:
+            polished coordinates depend on digits that the descents do not look at.
+    """
+
+    polished: Sequence[Minimum]
+    explored: Sequence[Minimum]
 
 
 def minima(
@@ -65,8 +83,8 @@ def minima(
     warm: Sequence[FloatArray] = (),
     effort: Effort = PAIR,
     blocks: Sequence[Block] = (),
-) -> list[Minimum]:
-    """Return distinct local minima, the deepest first.
+) -> Minima:
+    """Return distinct local minima.
 
     Args:
         function: The function to minimise over its space.
@@ -77,9 +95,11 @@ def minima(
     space = function.space
     if space.size == 0:
         y = np.zeros(0)
-        return [Minimum(y, function.value(y), 1)]
+        here = [Minimum(y, function.value(y), 1)]
+        return Minima(here, here)
     if space.size == 1:
-        return on_a_line(function)
+        line = on_a_line(function)
+        return Minima(line, line)
     starts = [*warm, *_screened(function, effort)]
     first = [descend(function, y, evaluations=effort.quick) for y in starts]
     seen: set[bytes] = set()
@@ -92,16 +112,23 @@ def minima(
         best = _best(function, new, effort.moved)
         first += [descend(function, y, evaluations=effort.quick) for y in best]
     deep = distinct(first)[: effort.kept]
-    done = [polish(function, m.y, evaluations=effort.polish) for m in deep]
+    done = [_polished(function, m, effort.polish) for m in deep]
     deepest = min(done, key=lambda m: m.value)
     for _ in range(effort.again):
         if deepest.evaluations < effort.polish:
             break
-        before, deepest = deepest, polish(function, deepest.y, evaluations=effort.polish)
+        before, deepest = deepest, _polished(function, deepest, effort.polish)
         done.append(deepest)
         if before.value - deepest.value < _LITTLE * abs(deepest.value):
             break
-    return distinct([*done, *first])
+    deepest = min(done, key=lambda m: m.value)
+    with function.fine():
+        done.append(polish(function, deepest.y, evaluations=_LAST, grain=FINE))
+    return Minima(distinct([*done, *first]), distinct(first))
+
+
+def _polished(function: Placed, minimum: Minimum, evaluations: int) -> Minimum:
+    return polish(function, minimum.y, evaluations=evaluations, grain=MEDIUM)
 
 
 def _screened(function: Placed, effort: Effort) -> list[FloatArray]:
@@ -112,7 +139,7 @@ def _screened(function: Placed, effort: Effort) -> list[FloatArray]:
 
 def _best(function: Placed, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
     """Return those points at which the function is least, the best first."""
-    values = [function.value(y) for y in points]
+    values = [COARSE.value(function.value(y)) for y in points]
     return [points[i] for i in np.argsort(values, kind="stable")[:count]]
 
 

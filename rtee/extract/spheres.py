@@ -8,7 +8,10 @@ import numpy as np
 
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
+from rtee.hand.linalg import norms, turned
 from rtee.types import FloatArray
+
+_sum = np.add.reduce
 
 
 class Spheres:
@@ -32,10 +35,10 @@ class Spheres:
     def gaps(self) -> FloatArray:
         """Return the least distance of every pair at the posture of the scene ``(p,)`` [m]."""
         rotations, translations = self._scene.bodies()
-        there = np.einsum("lij,lj->li", rotations[self._bodies], self._centres)
+        there = _sum(rotations[self._bodies] * self._centres[:, None, :], axis=2)
         there += translations[self._bodies]
         between = there[self._second] - there[self._first]
-        result: FloatArray = np.sqrt(np.einsum("pi,pi->p", between, between)) - self._radii
+        result: FloatArray = norms(between) - self._radii
         return result
 
 
@@ -44,7 +47,7 @@ def _sphere(scene: Scene, shapes: tuple[int, ...]) -> tuple[FloatArray, float]:
     corners = []
     for i in shapes:
         shape = scene.shapes[i]
-        corners.append(shape.points @ shape.placement.rotation.T + shape.placement.translation)
+        corners.append(turned(shape.points, shape.placement.rotation) + shape.placement.translation)
     points = np.concatenate(corners)
     centre: FloatArray = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    return centre, float(np.linalg.norm(points - centre, axis=1).max())
+    return centre, float(norms(points - centre).max())

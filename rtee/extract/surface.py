@@ -7,7 +7,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rtee.hand.geometry import Shape
+from rtee.hand.linalg import norms
 from rtee.types import FloatArray
+
+_sum = np.add.reduce
 
 
 def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
@@ -43,12 +46,12 @@ def winding_number(point: FloatArray, vertices: FloatArray, faces: NDArray[np.in
         faces: Indices ``(f, 3)``.
     """
     a, b, c = np.moveaxis((vertices - point)[faces], 1, 0)
-    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-    numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
+    la, lb, lc = (norms(v) for v in (a, b, c))
+    numerator = _sum(a * np.cross(b, c), axis=1)
     denominator = (
         la * lb * lc
-        + np.einsum("ij,ij->i", a, b) * lc
-        + np.einsum("ij,ij->i", b, c) * la
-        + np.einsum("ij,ij->i", c, a) * lb
+        + _sum(a * b, axis=1) * lc
+        + _sum(b * c, axis=1) * la
+        + _sum(c * a, axis=1) * lb
     )
     return abs(float(np.arctan2(numerator, denominator).sum())) / (2.0 * np.pi)

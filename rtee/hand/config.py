@@ -6,12 +6,13 @@ import types
 import typing
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.catalog import FILE_NAME
+from rtee.hand.model import CLEARANCE
 from rtee.hand.names import check_name
 from rtee.hand.sections import (
     ActuatorLimits,
@@ -47,6 +48,9 @@ class HandConfig(Section):
     ``open`` or ``home``, or 0 clamped into the limits."""
     limits: LimitsSection = LimitsSection()
     """Limits that tighten or complete the URDF's."""
+    clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE
+    """Distance that clear poses and the ways to them keep from all links that they are not to touch
+    [m]; links that are nearer than twice that at rest keep half of what they have there."""
     profile: Profile = Profile()
     """How references move between set-points."""
     loop: Loop = Loop()

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from rtee.errors import ModelError
 from rtee.hand.kinematics import Kinematics, pose
+from rtee.hand.linalg import norm, turned
 from rtee.hand.meshes import check_mesh
 from rtee.hand.meshparts import mended
 from rtee.hand.model import Hand
@@ -106,21 +107,7 @@ class Shape:
     def ball(self) -> tuple[FloatArray, float]:
         """Centre of the bounding box and the distance of its corners from there [m]."""
         low, high = self.box
-        return (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
-
-    @cached_property
-    def least_width(self) -> float:
-        """A lower bound on the width of the convex part in any direction [m].
-
-        The width of a polyhedron is least across a face and a vertex or across two edges; a third
-        of the least width across its faces is less than either.
-        """
-        if not self.is_mesh:
-            low, high = self.box
-            return float((high - low).min()) / 2.0
-        normals = np.array(self.convex.normals())
-        heights = normals @ self.points.T
-        return float((heights.max(axis=1) - heights.min(axis=1)).min()) / 3.0
+        return (low + high) / 2.0, norm(high - low) / 2.0
 
     @cached_property
     def points(self) -> FloatArray:
@@ -193,7 +180,7 @@ class HandGeometry:
         for i in self.of_link(link):
             shape = self.shapes[i]
             points, triangles = shape.triangles
-            vertices.append(points @ shape.in_link.rotation.T + shape.in_link.translation)
+            vertices.append(turned(points, shape.in_link.rotation) + shape.in_link.translation)
             faces.append(triangles + count)
             count += len(points)
         return np.concatenate(vertices), np.concatenate(faces)
@@ -288,7 +275,8 @@ def _hull(mesh: coal.BVHModelBase) -> coal.ConvexBase:
     vertices = mesh.vertices()
     if _is_flat(vertices):
         return hull_of(vertices)
-    mesh.buildConvexHull(True, "Qt")
+    if mesh.convex is None:  # shapes of the same mesh share it
+        mesh.buildConvexHull(True, "Qt")
     return mesh.convex
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.errors import ModelError, UnknownLink
+from rtee.hand.linalg import product
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple, UrdfJoint
 from rtee.types import FloatArray
@@ -118,8 +119,8 @@ class Kinematics:
         pin.computeJointJacobians(self.model, self.data, self.hand.transmission.joints(u))
         origin = (self.data.oMi[body] * placement).translation
         jacobian = self.data.J.reshape(6, -1) * self.support(body)
-        jacobian[:3] -= pin.skew(origin) @ jacobian[3:]
-        result: FloatArray = jacobian @ self.hand.transmission.jacobian(u)
+        jacobian[:3] -= product(pin.skew(origin), jacobian[3:])
+        result: FloatArray = product(jacobian, self.hand.transmission.jacobian(u))
         return result
 
     def _body(self, link: str) -> tuple[int, pin.SE3]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from rtee.errors import ModelError, UserError
-from rtee.hand.model import Joint, JointRole
+from rtee.hand.model import CLEARANCE, Joint, JointRole
 from rtee.hand.srdf import Srdf
 from rtee.hand.transmission import Transmission, sample
 from rtee.hand.urdf import Urdf, UrdfJoint
@@ -63,6 +63,7 @@ class Overrides:
         rest: Rest positions by actuator [rad | m].
         limits: Limits by actuator.
         default_limits: Limits of actuators that have none of their own there.
+        clearance: Distance that clear poses keep from other links [m].
         error: Makes the error for a value of the configuration, from its place and a message.
     """
 
@@ -72,6 +73,7 @@ class Overrides:
     rest: Mapping[str, float] = field(default_factory=dict)
     limits: Mapping[str, Limits] = field(default_factory=dict)
     default_limits: Limits = field(default_factory=Limits)
+    clearance: float = CLEARANCE
     error: Callable[[tuple[str, ...], str], UserError] | None = None
 
 

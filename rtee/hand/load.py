@@ -87,6 +87,7 @@ def load_configured(
         rest=config.rest,
         limits={n: Limits(**dict(v)) for n, v in config.limits.actuators.items()},
         default_limits=Limits(**dict(config.limits.defaults)),
+        clearance=config.clearance,
         error=document.error,
     )
     hand = build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
@@ -203,6 +204,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         notes=tuple(notes + found),
         package_dirs=overrides.package_dirs,
         description=overrides.title,
+        clearance=overrides.clearance,
     )
 
 

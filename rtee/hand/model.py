@@ -7,11 +7,15 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
 from rtee.hand.transmission import Transmission
 from rtee.hand.urdf import Urdf
 from rtee.types import ActuatorSpec, FloatArray, JointKind, readonly
+
+CLEARANCE: Final = 0.001
+"""Real hands differ from their models by about a millimetre [m]."""
 
 
 class JointRole(StrEnum):
@@ -86,6 +90,8 @@ class Hand:
         disabled_collisions: Pairs of links never to be checked, with the SRDF's reason.
         notes: What was noticed in the model and assumed about it, one sentence each.
         package_dirs: Where ``package://`` is looked up.
+        description: Its name for people.
+        clearance: Distance that clear poses and their ways keep from all other links [m].
     """
 
     name: str
@@ -100,6 +106,7 @@ class Hand:
     notes: tuple[str, ...] = ()
     package_dirs: tuple[Path, ...] = ()
     description: str = field(default="", kw_only=True)
+    clearance: float = field(default=CLEARANCE, kw_only=True)
 
     @cached_property
     def lower(self) -> FloatArray:

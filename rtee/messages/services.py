@@ -74,6 +74,7 @@ float64[] point              # contact point [m], or empty
 float64[] normal             # unit normal, or empty
 bool clear                   # nothing else collides
 bool path_clear              # nor on the straight way from rest
+float64 clearance            # least distance from all else, 5 mm at most [m]; NaN: not clear
 string[] colliding           # links that do collide, two per pair
 string[] pair                # fingers of a multi-pinch that touch, two per pair
 float64[] pair_depth         # depth of each pair [m]

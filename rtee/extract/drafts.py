@@ -1,0 +1,115 @@
+"""Simpler convex parts for the searches: hulls with fewer vertices, and only the outer ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import coal
+import numpy as np
+
+from rtee.hand.geometry import Shape, hull_of
+from rtee.hand.linalg import turned
+from rtee.types import FloatArray
+
+SLACK: Final = 1e-4
+"""A draft may lie this far within its hull [m]; hands differ more from their models."""
+
+_SIMPLE: Final = 200
+"""Hulls with fewer vertices are not worth simplifying: Coal climbs along their edges."""
+
+_DIRECTIONS: Final = np.array(
+    [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float
+)
+"""Directions whose outermost vertices begin a draft: to a cube's faces, edges and corners."""
+
+_ROUNDS: Final = 12
+"""Most rounds in which vertices are added; each halves what is missing, about."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What stands in for the convex part of a shape while a search explores.
+
+    Attributes:
+        form: A convex shape within the convex part.
+        slack: How far the convex part reaches beyond it at most [m].
+    """
+
+    form: coal.ShapeBase
+    slack: float
+
+
+def draft(shape: Shape) -> Draft:
+    """Return a hull of fewer vertices within the hull of a mesh; other shapes as they are.
+
+    It begins with the outermost vertices in evenly spread directions. Where a vertex lies beyond a
+    face by more than the slack, the one farthest beyond is added, until there is none.
+    """
+    part = shape.convex
+    if not shape.is_mesh or part.num_points <= _SIMPLE:
+        return Draft(part, 0.0)
+    points = np.array(part.points())
+    chosen = np.unique(_along(points, _DIRECTIONS).argmax(axis=0))
+    for _ in range(_ROUNDS):
+        hull = hull_of(points[chosen])
+        normals, corners = np.array(hull.normals()), np.array(hull.points())
+        levels = _along(corners, normals).max(axis=0)
+        beyond = _along(points, normals) - levels
+        worst = float(beyond.max())
+        if worst <= SLACK:
+            return Draft(hull, max(0.0, worst))
+        far = beyond.max(axis=0) > SLACK
+        chosen = np.unique(np.concatenate([chosen, beyond.argmax(axis=0)[far]]))
+    return Draft(part, 0.0)
+
+
+def outer(shapes: Sequence[Shape], drafts: Sequence[Draft], link: Sequence[int]) -> tuple[int, ...]:
+    """Return those shapes of a link that the draft of no other one holds within itself.
+
+    What lies within another convex part is never nearer to anything than that part.
+
+    Args:
+        shapes: All shapes.
+        drafts: Their drafts.
+        link: The indices of the link's shapes.
+    """
+    kept = list(link)
+    for j in link:
+        form, holder = drafts[j].form, shapes[j].placement
+        if not isinstance(form, coal.ConvexBase):
+            continue
+        normals = np.array(form.normals())
+        levels = _along(np.array(form.points()), normals).max(axis=0)
+        for i in [i for i in kept if i != j]:
+            shape = shapes[i]
+            corners = turned(shape.points, shape.placement.rotation) + shape.placement.translation
+            local = turned(corners - holder.translation, holder.rotation.T)
+            if (_along(local, normals) <= levels).all():
+                kept.remove(i)
+    return tuple(kept)
+
+
+def least_width(shape: Shape, form: coal.ShapeBase) -> float:
+    """Return a lower bound on the width of a shape's convex part in any direction [m].
+
+    The width of a polyhedron is least across a face and a vertex or across two edges; a third of
+    the least width across its faces is less than either.
+
+    Args:
+        shape: The shape.
+        form: Its draft, which is no wider.
+    """
+    if not shape.is_mesh:
+        low, high = shape.box
+        return float((high - low).min()) / 2.0
+    heights = _along(np.array(form.points()), np.array(form.normals()))
+    return float((heights.max(axis=0) - heights.min(axis=0)).min()) / 3.0
+
+
+def _along(points: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return how far points ``(p, 3)`` lie along directions ``(d, 3)``: ``(p, d)`` [m]."""
+    x, y, z = directions.T
+    result: FloatArray = points[:, :1] * x + points[:, 1:2] * y + points[:, 2:3] * z
+    return result

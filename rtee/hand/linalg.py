@@ -1,0 +1,59 @@
+"""Small products and norms that come out the same on every processor.
+
+BLAS picks a kernel for the processor it runs on, and kernels add up in different orders; numpy's
+``dot``, ``@`` and ``linalg`` hand on what comes out. Here every product is an element-wise
+multiplication followed by `numpy.add.reduce`, whose order is fixed by the shape of its operand, and
+which does not fuse multiplications with additions. For the few dozen numbers that a hand needs they
+take about as long.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rtee.types import FloatArray
+
+_sum = np.add.reduce
+
+
+def dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the inner product of two vectors ``(k,)``."""
+    return float(_sum(a * b))
+
+
+def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return the product of a matrix ``(m, k)`` and a vector ``(k,)``."""
+    result: FloatArray = _sum(matrix * vector, axis=1)
+    return result
+
+
+def row_times(vector: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return the product of a vector ``(m,)`` and a matrix ``(m, k)``."""
+    result: FloatArray = _sum(vector[:, None] * matrix, axis=0)
+    return result
+
+
+def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the product of two matrices ``(..., m, k)`` and ``(..., k, n)``."""
+    result: FloatArray = _sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)
+    return result
+
+
+def turned(points: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return points ``(k, 3)`` turned by a rotation ``(3, 3)``."""
+    x, y, z = rotation.T
+    result: FloatArray = points[:, :1] * x + points[:, 1:2] * y + points[:, 2:3] * z
+    return result
+
+
+def norm(vector: FloatArray) -> float:
+    """Return the length of a vector ``(k,)``."""
+    return math.sqrt(_sum(vector * vector))
+
+
+def norms(vectors: FloatArray) -> FloatArray:
+    """Return the lengths of vectors ``(..., k)``."""
+    result: FloatArray = np.sqrt(_sum(vectors * vectors, axis=-1))
+    return result
