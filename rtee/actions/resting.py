@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Final
 
 from rtee.actions.types import Primitive, PrimitiveKind
@@ -49,8 +48,8 @@ def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
     }
     pairs = ", ".join(" and ".join(f"'{element}'" for element in p.elements) for p in closed)
     return (
-        f"the rest posture is a pinch: the tips of {pairs} touch or nearly do there, so that opening "
-        f"closes; type into hand.yaml: {rest_line(given)} and extract again: "
+        f"the rest posture is a pinch: the tips of {pairs} touch or nearly do there, so that "
+        f"opening closes; type into hand.yaml: {rest_line(given)} and extract again: "
         f"rtee extract {hand.name} --save"
     )
 
@@ -66,7 +65,7 @@ def _is_at_rest(hand: Hand, pinch: Primitive) -> bool:
 
 
 def _travel(hand: Hand, pinch: Primitive) -> Mapping[str, float]:
-    """Return how far the actuators travel from rest, as shares of their ranges; 0 without limits."""
+    """Return how far the actuators travel from rest, as shares of their ranges."""
     specs = [hand.actuator(name) for name in pinch.posture.involved]
     return {
         spec.name: abs(pinch.posture.position[spec.name] - spec.rest) / (spec.upper - spec.lower)

@@ -32,8 +32,8 @@ def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
     """Return the actuators that swing a finger sideways, nearest the palm first.
 
     Such an actuator turns the fingertip about an axis across those of at least two other actuators
-    of the finger, which are about parallel and bend three joints or more, and rests in the middle of
-    its range. It is one of those that move this finger only. Axes are compared at rest.
+    of the finger, which are about parallel and bend three joints or more, and rests in the middle
+    of its range. It is one of those that move this finger only. Axes are compared at rest.
     """
     if finger.tip is None or len(finger.own) <= _ACTUATORS:
         return ()

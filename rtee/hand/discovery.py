@@ -13,7 +13,7 @@ from rtee.hand.urdf import Urdf
 WORDS: Final = ("thumb", "index", "middle", "ring", "little", "pinky")
 
 PREFIXES: Final = {"th": "thumb", "ff": "index", "mf": "middle", "rf": "ring", "lf": "little"}
-"""What names of links and joints begin with where fingers are called first, middle, ring, little."""
+"""What names of links and joints begin with where they do not spell a finger out."""
 
 _PREFIX: Final = re.compile(
     rf"(?<![a-z0-9])({'|'.join(PREFIXES)})(?=[^a-z]|$|tip|distal|middle|proximal|knuckle|metacarpal"

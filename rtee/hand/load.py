@@ -160,7 +160,9 @@ def _check_devices(hand: Hand, config: HandConfig, document: YamlDocument) -> No
         for i, actuator in enumerate(chosen):
             place = ("devices", name, "actuators", *(() if device.actuators == "all" else (i,)))
             if actuator in config.ignore:
-                raise document.error(place, f"actuator '{actuator}' is ignored; no device drives it")
+                raise document.error(
+                    place, f"actuator '{actuator}' is ignored; no device drives it"
+                )
             if actuator not in hand.actuator_names:
                 hint = suggestion(actuator, hand.actuator_names)
                 raise document.error(place, f"unknown actuator '{actuator}'; {hint}")
@@ -182,7 +184,9 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         ConfigError: A name or a configured value is not allowed.
     """
     notes = check_srdf(srdf, urdf) if srdf else []
-    passive = {n for n in (*(srdf.passive if srdf else ()), *overrides.passive) if urdf.joints[n].moving}
+    passive = {
+        n for n in (*(srdf.passive if srdf else ()), *overrides.passive) if urdf.joints[n].moving
+    }
     roles = {joint.name: _role(joint, passive) for joint in urdf.joints.values() if joint.moving}
     _check_ignored(roles, overrides, urdf)
     roles |= dict.fromkeys(overrides.ignore, JointRole.IGNORED)

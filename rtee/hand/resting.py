@@ -24,8 +24,8 @@ _STEP: Final = 0.05
 """Share of the way to a limit by which is tried whether an actuator moves the tips apart."""
 
 _APART: Final = 0.5
-"""Least part of the motion of one tip past the other that must widen the gap, for them to be opposed.
-Tips side by side slide along each other instead."""
+"""Least part of the motion of one tip past the other that widens the gap where they are opposed. Tips
+side by side slide along each other instead."""
 
 _PASSES: Final = 2
 """How often every actuator's limits are compared: the second time with the others' chosen."""
@@ -38,9 +38,8 @@ class ClosedRest:
     Attributes:
         fingers: The fingers whose tips touch or nearly do, two by two.
         gap: The widest of the gaps between them at rest [m]; 0 where they touch.
-        opened: Rest positions for hand.yaml: at the limits where the tips are farthest apart for the
-            actuators that open them, and as they are for those whose rest is given already
-            [rad | m].
+        opened: Rest positions for hand.yaml [rad | m]: at the limits where the tips are farthest
+            apart for the actuators that open them, as they are where a rest is given already.
         opening: The narrowest of their gaps there [m].
     """
 
@@ -133,9 +132,11 @@ class _Search:
         return [max(0.0, self._distance(pair, poses, convex=False)) for pair in pairs]
 
     def opened(self, pairs: Sequence[Pair]) -> FloatArray:
-        """Return the posture with the actuators that part the tips at their best limits ``(n,)``."""
+        """Return rest with the actuators that part the tips at their best limits ``(n,)``."""
         u = np.array(self._hand.rest)
-        helpful = {a for pair in pairs for a, bound in self._ways(pair) if self._parts(pair, a, bound)}
+        helpful = {
+            a for pair in pairs for a, bound in self._ways(pair) if self._parts(pair, a, bound)
+        }
         for _ in range(_PASSES):
             for a in sorted(helpful):
                 spec = self._hand.actuators[a]
@@ -174,7 +175,7 @@ class _Search:
         return pose[:3, :3] @ middle + pose[:3, 3], radius
 
     def _ways(self, pair: Pair) -> list[tuple[int, float]]:
-        """Return what can move the tips against each other: actuators, each with a limit to go to."""
+        """Return what moves the tips against each other: actuators, each with a limit to go to."""
         hand = self._hand
         moving = {a for i in pair for a in hand.fingers[i].actuators}
         return [
@@ -198,7 +199,7 @@ class _Search:
         return moved > 0.0 and widened >= _APART * moved
 
     def _moved(self, pair: Pair, actuator: int, bound: float) -> tuple[float, float]:
-        """Return how far the tips move past each other by a step to a limit, and how much apart [m].
+        """Return how far a step to a limit moves the tips past each other, and how much apart [m].
 
         The distance between convex parts is signed, so that it grows where tips overlap, too.
         """

@@ -7,7 +7,7 @@ it, the link's angular velocity, both in the hand's base frame.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
