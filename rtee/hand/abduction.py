@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -24,16 +25,16 @@ _ACTUATORS: Final = 2
 bending from swinging."""
 
 _JOINTS: Final = 3
-"""Joints that they bend, at the least, as in fingers with three phalanges. Where a finger of two
+"""Joints across its axis, at the least, as in fingers with three phalanges. Where a finger of two
 turns as a whole, all of it counts as bending, as the paper has it."""
 
 
 def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
     """Return the actuators that swing a finger sideways, nearest the palm first.
 
-    Such an actuator turns the fingertip about an axis across those of at least two other actuators
-    of the finger, which are about parallel and bend three joints or more, and rests in the middle
-    of its range. It is one of those that move this finger only. Axes are compared at rest.
+    Such an actuator rests in the middle of its range and turns the fingertip about an axis across
+    those by which the finger bends, which at least two other actuators share; three joints or more
+    lie across it. It is one of those that move this finger only. Axes are compared at rest.
     """
     if finger.tip is None or len(finger.own) <= _ACTUATORS:
         return ()
@@ -45,14 +46,18 @@ def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
         if hand.actuator(name).kind is not JointKind.PRISMATIC and length > 0.0:
             axes[name] = axis / length
     bending = _bending(hand, axes)
-    if len(bending) < _ACTUATORS or _joints(hand, finger.tip, bending) < _JOINTS:
+    if len(bending) < _ACTUATORS:
         return ()
-    return tuple(
-        name
-        for name, axis in axes.items()
-        if _rests_in_the_middle(hand.actuator(name))
-        and all(abs(float(axis @ axes[other])) <= _ACROSS for other in bending)
-    )
+    found = []
+    for name, axis in axes.items():
+        across = [n for n, other in axes.items() if abs(float(axis @ other)) <= _ACROSS]
+        if (
+            _rests_in_the_middle(hand.actuator(name))
+            and set(bending) <= set(across)
+            and _joints(hand, finger.tip, across) >= _JOINTS
+        ):
+            found.append(name)
+    return tuple(found)
 
 
 def _bending(hand: Hand, axes: dict[str, FloatArray]) -> tuple[str, ...]:
@@ -64,7 +69,7 @@ def _bending(hand: Hand, axes: dict[str, FloatArray]) -> tuple[str, ...]:
     return max(groups, key=lambda group: sum(_span(hand.actuator(n)) for n in group), default=())
 
 
-def _joints(hand: Hand, tip: str, actuators: tuple[str, ...]) -> int:
+def _joints(hand: Hand, tip: str, actuators: Sequence[str]) -> int:
     """Return how many joints on the way to a fingertip some actuators move."""
     rows = {joint.name: row for row, joint in enumerate(hand.joints)}
     moving = {hand.actuator_index(name) for name in actuators}

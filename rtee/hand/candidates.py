@@ -98,7 +98,7 @@ def _springs(hand: Hand, root: Element) -> dict[str, str]:
 def _idle(hand: Hand) -> dict[str, str]:
     """Return the joints without effort or velocity where others have one."""
     joints = [hand.urdf.joints[name] for name in hand.actuator_names]
-    found = {}
+    found: dict[str, str] = {}
     for quantity in ("effort", "velocity"):
         idle = [joint.name for joint in joints if getattr(joint, quantity) == 0.0]
         if len(idle) < len(joints):
@@ -121,7 +121,7 @@ def _undriven(hand: Hand, root: Element) -> dict[str, str]:
 
 def _pulled(hand: Hand) -> dict[str, str]:
     """Return the joints of fingers whose other joints follow a motor beside the finger."""
-    found = {}
+    found: dict[str, str] = {}
     for finger in hand.fingers:
         way = {joint.name for joint in hand.urdf.path_to(finger.links[-1])}
         motors = [name for name in finger.own if name not in way]
@@ -162,6 +162,24 @@ def in_words(candidates: Sequence[Candidate]) -> list[str]:
         f"{', '.join(joints)} may have no motor: {'it' if len(joints) == 1 else 'each'} {why}"
         for why, joints in reasons.items()
     ]
+
+
+def double_limits(hand: Hand) -> list[str]:
+    """Return which actuators have several limits in the URDF, of which the first counts.
+
+    Raises:
+        ModelError: The URDF cannot be read again.
+    """
+    found = []
+    for element in read_xml(hand.urdf.path, "URDF")[0].all("joint"):
+        name, count = element.attributes.get("name", "").strip(), len(list(element.all("limit")))
+        if name in hand.actuator_names and count > 1:
+            joint = hand.urdf.joints[name]
+            found.append(
+                f"actuator '{name}' has {count} <limit> elements, of which the first counts: "
+                f"velocity {joint.velocity:g}, effort {joint.effort:g}"
+            )
+    return found
 
 
 def carriers(hand: Hand) -> tuple[str, ...]:

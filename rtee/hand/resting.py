@@ -24,8 +24,8 @@ _STEP: Final = 0.05
 """Share of the way to a limit by which is tried whether an actuator moves the tips apart."""
 
 _APART: Final = 0.5
-"""Least part of the motion of one tip past the other that widens the gap where they are opposed. Tips
-side by side slide along each other instead."""
+"""Least part of the motion of one tip past the other that widens the gap where they are opposed;
+tips side by side slide along each other instead."""
 
 _PASSES: Final = 2
 """How often every actuator's limits are compared: the second time with the others' chosen."""

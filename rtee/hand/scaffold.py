@@ -15,7 +15,7 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from rtee.errors import ConfigError, ModelError
-from rtee.hand.candidates import carriers, in_words, passive_candidates
+from rtee.hand.candidates import carriers, double_limits, in_words, passive_candidates
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.discovery import name_fingers
 from rtee.hand.files import make_folder, new_folder, read_bytes, reason, write_atomically
@@ -157,7 +157,9 @@ def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _S
             f"{closed.opening * 1e3:.1f} mm apart: {closed.line}"
         )
     rest = {} if closed is None else closed.opened
-    return _Settled(hand, pairs, ignored, rest, [*hand.notes, *left_out, *notes])
+    return _Settled(
+        hand, pairs, ignored, rest, [*hand.notes, *double_limits(hand), *left_out, *notes]
+    )
 
 
 def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
