@@ -23,9 +23,13 @@ NEAR: Final = 0.002
 _STEP: Final = 0.05
 """Share of the way to a limit by which is tried whether an actuator moves the tips apart."""
 
-_APART: Final = 0.5
+APART: Final = 0.5
 """Least part of the motion of one tip past the other that widens the gap where they are opposed;
 tips side by side slide along each other instead."""
+
+OWN: Final = 0.25
+"""An actuator that moves one finger only decides about it if it carries the tip at least this share
+of the way that any actuator does; less is an adjustment."""
 
 _PASSES: Final = 2
 """How often every actuator's limits are compared: the second time with the others' chosen."""
@@ -187,16 +191,21 @@ class _Search:
         ]
 
     def _opposed(self, pair: Pair) -> bool:
-        """Return whether the motion that carries the tips farthest past each other parts them."""
-        tried = [(*self._moved(pair, a, bound), a, bound) for a, bound in self._ways(pair)]
-        if not tried:
-            return False
-        moved, widened, *_ = max(tried, key=lambda found: found[0])
-        return moved > 0.0 and widened >= _APART * moved
+        """Return whether the motion that carries the tips farthest past each other parts them.
+
+        A motion of one of them only comes first: spreading moves several that stand side by side.
+        """
+        hand = self._hand
+        own = {name for i in pair for name in hand.fingers[i].own}
+        tried = [(*self._moved(pair, a, b), hand.actuators[a].name) for a, b in self._ways(pair)]
+        farthest = max((moved for moved, *_ in tried), default=0.0)
+        first = [way for way in tried if way[2] in own and way[0] >= OWN * farthest]
+        moved, widened, _ = max(first or tried, default=(0.0, 0.0, ""), key=lambda way: way[0])
+        return moved > 0.0 and widened >= APART * moved
 
     def _parts(self, pair: Pair, actuator: int, bound: float) -> bool:
         moved, widened = self._moved(pair, actuator, bound)
-        return moved > 0.0 and widened >= _APART * moved
+        return moved > 0.0 and widened >= APART * moved
 
     def _moved(self, pair: Pair, actuator: int, bound: float) -> tuple[float, float]:
         """Return how far a step to a limit moves the tips past each other, and how much apart [m].

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from hand.conftest import MODELS
 from hand.models import FRANKA, GRIPPER, SRDF, anthropomorphic
 from rtee.actions.resting import pinch_at_rest
 from rtee.actions.store import read_actions
-from rtee.actions.types import Primitive
+from rtee.actions.types import Evidence, Posture, Primitive, PrimitiveKind
 from rtee.extract.extraction import extract
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
@@ -77,19 +78,57 @@ def test_fingers_that_touch_side_by_side_do_not(load: Load) -> None:
     assert closed_rest_of(load(anthropomorphic(), None)) is None
 
 
+SPREAD = """
+  <link name="{name}_knuckle"/>
+  <joint name="{name}_spread" type="revolute">
+    <parent link="palm"/><child link="{name}_knuckle"/><origin xyz="0 0 0.02"/>
+    <axis xyz="0 0 {axis}"/><limit lower="0" upper="3.1" velocity="2" effort="5"/>{mimic}
+  </joint>"""
+
+
+def test_fingers_that_one_actuator_spreads_do_not(load: Load) -> None:
+    """As a Barrett Hand's: they stand side by side, and the spread carries them farthest."""
+    prongs = ""
+    for name, x, axis, mimic in (
+        ("first", -0.01, 1, ""),
+        ("second", 0.01, -1, '<mimic joint="first_spread"/>'),
+    ):
+        prong = PRONG.format(name=name, x=x).replace('0.02"/><axis', '0"/><axis')
+        prongs += SPREAD.format(name=name, axis=axis, mimic=mimic)
+        prongs += prong.replace('link="palm"', f'link="{name}_knuckle"')
+    hand = load(SIDE_BY_SIDE.format(prongs), None)
+    assert hand.finger("first").own == ("first_bend",)
+    assert closed_rest_of(hand) is None
+    assert pinch_at_rest(hand, extract(hand).primitives) == ""
+
+
+def test_fingers_side_by_side_are_told_from_a_pinch_without_geometry(load: Load) -> None:
+    prongs = (PRONG.format(name=n, x=x) for n, x in (("first", -0.01), ("second", 0.01)))
+    hand = load(SIDE_BY_SIDE.format("".join(prongs)), None)
+    touching = Primitive(
+        PrimitiveKind.PINCH_TIGHT,
+        ("first", "second"),
+        (Posture({"first_bend": 0.0, "second_bend": 0.0}, hand.actuator_names),),
+        (Evidence(contact_at=0.0, point=(0.0, 0.0, 0.06), normal=(1.0, 0.0, 0.0)),),
+    )
+    assert pinch_at_rest(hand, [touching]) == ""
+    across = replace(touching.evidence[0], normal=(0.0, 1.0, 0.0))
+    assert pinch_at_rest(hand, [replace(touching, evidence=(across,))])
+
+
 def test_of_several_actuators_only_those_that_part_the_tips_are_moved(load: Load) -> None:
     swing = """
       <link name="left_mount"/>
       <joint name="swing" type="revolute">
         <parent link="panda_hand"/><child link="left_mount"/><axis xyz="0 1 0"/>
-        <limit lower="-0.5" upper="0.5" velocity="1" effort="1"/>
+        <limit lower="-0.1" upper="0.1" velocity="1" effort="1"/>
       </joint></robot>"""
     head, middle, tail = FRANKA.partition('<parent link="panda_hand"/>')
     urdf = (head + '<parent link="left_mount"/>' + tail).replace("</robot>", swing)
     assert middle
-    closed = closed_rest_of(load(urdf, None, rest={"swing": 0.1}))
+    closed = closed_rest_of(load(urdf, None, rest={"swing": 0.05}))
     assert closed is not None
-    assert closed.line == "rest: {swing: 0.1, panda_finger_joint1: 0.04}"
+    assert closed.line == "rest: {swing: 0.05, panda_finger_joint1: 0.04}"
 
 
 def test_names_that_yaml_would_read_as_numbers_are_quoted(load: Load) -> None:
