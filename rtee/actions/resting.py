@@ -47,8 +47,8 @@ def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
     }
     pairs = ", ".join(" and ".join(f"'{element}'" for element in p.elements) for p in closed)
     return (
-        f"the rest posture is a pinch: the tips of {pairs} touch or nearly do there, so that "
-        f"opening closes; type into hand.yaml: {rest_line(given)} and extract again: "
+        f"the rest posture is a pinch: the tips of {pairs} touch or nearly do there, so "
+        f"`rtee open` closes the hand; type into hand.yaml: {rest_line(given)} and extract again: "
         f"rtee extract {hand.name} --save"
     )
 

@@ -114,7 +114,7 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
     if len(names) == len(set(names)) == len(ends):
         return [found for found in called if found]
     distinct = _unique([safe_name(name, "finger") for name in _distinct_parts(ends)])
-    return [(name, "called by what tells its end from the others'") for name in distinct]
+    return [(name, "named after the distinct part of its end's name") for name in distinct]
 
 
 def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None:
@@ -123,15 +123,15 @@ def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None
     text = " ".join([*links, *(urdf.joint_to[link].name for link in links)]).lower()
     words = [word for word in WORDS if re.search(rf"(?<![a-z]){word}", text)]
     if len(words) == 1:
-        return words[0], f"called '{words[0]}' in its links and joints"
+        return words[0], "named after the word in its links and joints"
     prefixes = set(_PREFIX.findall(text))
     if len(prefixes) == 1:
         prefix = prefixes.pop()
-        return PREFIXES[prefix], f"'{prefix}' in its links and joints stands for {PREFIXES[prefix]}"
+        return PREFIXES[prefix], f"named for the prefix '{prefix}' of its links and joints"
     numbers = set(_NUMBER.findall(text))
     if len(numbers) == 1:
         number = numbers.pop()
-        return f"finger_{number}", f"it has the number {number} in its links and joints"
+        return f"finger_{number}", "named after the number in its links and joints"
     return None
 
 

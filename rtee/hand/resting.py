@@ -68,7 +68,7 @@ class ClosedRest:
     def text(self) -> str:
         """What is wrong and what to type, in one sentence."""
         return (
-            f"the rest posture is a pinch: {self.found} there, so that opening closes; type into "
+            f"the rest posture is a pinch: {self.found} there, so `rtee open` closes the hand; type into "
             f"hand.yaml: {self.line} (then they are {self.opening * 1e3:.1f} mm apart) and extract "
             "again"
         )

@@ -170,7 +170,8 @@ def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
             candidate.joint
             for candidate in candidates
             if not ask(
-                f"joint '{candidate.joint}' {candidate.why}. Has it a motor?", not candidate.likely
+                f"joint '{candidate.joint}' {candidate.why}. Does it have a motor?",
+                not candidate.likely,
             )
         )
         if len(chosen) == len(hand.actuators):

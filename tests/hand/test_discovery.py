@@ -169,7 +169,7 @@ def test_names_by_what_people_write(
 def test_the_reason_says_where_the_name_comes_from(load: Load) -> None:
     hand = load(fingers_called("rh_th{}", "rh_ff{}"), None)
     assert hand.finger("index").reason.endswith(
-        "carries 2 moved joints; 'ff' in its links and joints stands for index"
+        "carries 2 moved joints; named for the prefix 'ff' of its links and joints"
     )
     hand = load(fingers_called("f1_{}", "f2_{}"), None)
-    assert hand.finger("finger_1").reason.endswith("it has the number 1 in its links and joints")
+    assert hand.finger("finger_1").reason.endswith("named after the number in its links and joints")

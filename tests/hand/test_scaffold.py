@@ -254,7 +254,9 @@ def test_command_new_asks_on_a_terminal(shared: Path, tmp_path: Path) -> None:
             said += chunk
     os.close(ours)
     assert process.wait() == 0, said.decode()
-    assert b"turns a few degrees only, like a joint on a spring. Has it a motor? [y/N]:" in said
+    assert (
+        b"turns a few degrees only, like a joint on a spring. Does it have a motor? [y/N]:" in said
+    )
     passive = read_srdf(tmp_path / "config" / "heri" / "heri.srdf").passive
     assert set(passive) == {"BASE__SFB1", "BASE__LFB1", "BASE__LFB3"}
     assert set(load_hand(tmp_path / "config" / "heri").actuator_names) == {

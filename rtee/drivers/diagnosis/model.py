@@ -61,7 +61,9 @@ def _by_geometry(hand: Hand) -> Check:
     if closed is None:
         return ok(_REST, "no two fingertips pinch there")
     remedy = f"type into hand.yaml: {closed.line}; then: rtee extract {hand.name} --save"
-    return warning(_REST, f"is a pinch: {closed.found} there, so that opening closes", remedy)
+    return warning(
+        _REST, f"is a pinch: {closed.found} there, so `rtee open` closes the hand", remedy
+    )
 
 
 def _by_primitives(hand: Hand, folder: Path) -> Check:
