@@ -68,9 +68,9 @@ class ClosedRest:
     def text(self) -> str:
         """What is wrong and what to type, in one sentence."""
         return (
-            f"the rest posture is a pinch: {self.found} there, so `rtee open` closes the hand; type into "
-            f"hand.yaml: {self.line} (then they are {self.opening * 1e3:.1f} mm apart) and extract "
-            "again"
+            f"the rest posture is a pinch: {self.found} there, so `rtee open` closes the hand; "
+            f"type into hand.yaml: {self.line} (then they are {self.opening * 1e3:.1f} mm apart) "
+            "and extract again"
         )
 
 
