@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rtee.actions.library import ActionLibrary
+from rtee.actions.resting import pinch_at_rest
+from rtee.actions.types import Primitive
 from rtee.drivers.homing import homing_allowed
 from rtee.drivers.objects import between_fingers
 from rtee.hand.config import HandConfig, read_document
@@ -75,6 +77,13 @@ class PreparedHand:
     settings: LoopSettings
     devices: tuple[DeviceSettings, ...]
 
+    def warnings(self) -> list[str]:
+        """Return what makes the hand do other than expected, one sentence each."""
+        pinched = pinch_at_rest(
+            self.hand, (action for action in self.library if isinstance(action, Primitive))
+        )
+        return [pinched] if pinched else []
+
     def attachments(self) -> dict[str, bytes]:
         """Return the files that belong into a recording, by name."""
         files = [self.folder / "hand.yaml"]
@@ -123,11 +132,12 @@ def prepare(name: str, options: RunOptions) -> PreparedHand:
         str(folder),
     )
     devices = tuple(device_settings(hand, config, settings.rate, choice))
+    library = ActionLibrary.load(hand, folder / "actions")
     return PreparedHand(
         hand=hand,
         config=config,
         folder=folder,
-        library=ActionLibrary.load(hand, folder / "actions"),
+        library=library,
         settings=settings,
         devices=_asked_for(hand.name, devices, options),
     )

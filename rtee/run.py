@@ -86,6 +86,9 @@ async def run_hands(
     twice = [hand.hand.name for hand in prepared]
     if len(set(twice)) < len(twice):
         raise ConfigError(f"the hand '{max(twice, key=twice.count)}' is given twice")
+    for hand in prepared:
+        for warning in hand.warnings():
+            log.warning("%s: %s", hand.hand.name, warning)
     realtime = _realtime(prepared, options)
     collector = Collector()
     async with AsyncExitStack() as stack:

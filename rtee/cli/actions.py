@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import typer
@@ -14,6 +14,7 @@ from rtee.cli._common import Hand, JsonOption, actions_of
 if TYPE_CHECKING:
     from rtee.actions.types import Action, ActionReference, Evidence
     from rtee.cli._table import Row
+    from rtee.hand.model import Hand as HandModel
 
 app = typer.Typer()
 
@@ -32,25 +33,27 @@ def actions(hand: Hand, as_json: JsonOption = False) -> None:
         seconds = time.perf_counter() - begun
         print(json.dumps(describe(library.hand, library, seconds), indent=2))
         return
-    _show(library.hand.name, list(library), library.hand.actuator_names)
+    _show(library.hand, list(library))
 
 
-def _show(hand: str, found: list[Action], actuators: Collection[str]) -> None:
+def _show(hand: HandModel, found: list[Action]) -> None:
     from rtee.cli._table import Column, Table, prefix_to_drop
 
     if not found:
-        print(f"{hand} has no actions yet; 'rtee extract {hand} --save' finds its primitives")
+        name = hand.name
+        print(f"{name} has no actions yet; 'rtee extract {name} --save' finds its primitives")
         return
-    prefix = prefix_to_drop(actuators)
-    title = f"Grasping actions of {hand}"
+    prefix = prefix_to_drop(hand.actuator_names)
+    title = f"Grasping actions of {hand.name}"
     if prefix:
         title += f"\n(names of actuators begin with {prefix})"
     columns = (Column("elements"), Column("involves", whole=True), Column("remarks"))
-    rows = [_row(action, prefix) for action in found]
+    rows = [_row(hand, action, prefix) for action in found]
     Table(columns, tuple(rows), title, "action").show()
 
 
-def _row(action: Action, prefix: str) -> Row:
+def _row(hand: HandModel, action: Action, prefix: str) -> Row:
+    from rtee.actions.sideways import sideways_words
     from rtee.actions.types import Composed, Generic, Primitive, Timed
     from rtee.cli._table import Row
 
@@ -58,7 +61,9 @@ def _row(action: Action, prefix: str) -> Row:
         case Primitive():
             elements = ", ".join(element.removeprefix(prefix) for element in action.elements)
             involved: Iterable[str] = action.posture.involved
-            remark = remarks(action.evidence[0], prefix) if action.evidence else ""
+            remark = sideways_words(hand, action, prefix)
+            if action.evidence:
+                remark = remarks(action.evidence[0], prefix)
         case Composed():
             elements, involved = "composed", action.posture.involved
             remark = " + ".join(_use(part, prefix) for part in action.parts)

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
+_MODEL = "the hand"
+"""No device can be called so."""
+
 
 @app.command()
 def doctor(
@@ -42,11 +45,15 @@ def doctor(
     from rtee.drivers.diagnosis.checks import Verdict
     from rtee.drivers.diagnosis.device import check_device
     from rtee.drivers.diagnosis.machine import check_machine
+    from rtee.drivers.diagnosis.model import check_model, has_devices
 
     async def execute() -> dict[str, list[Check]]:
         found = {"computer": check_machine()}
+        if hand:
+            found[_MODEL] = check_model(hand)
+        looked_at = hand is not None and (device is not None or has_devices(hand))
         async with BusPool() as pool:
-            for spec in devices_of(hand, device, emulated=emulated) if hand else ():
+            for spec in devices_of(hand, device, emulated=emulated) if hand and looked_at else ():
                 found[spec.name] = await check_device(spec, pool)
         return found
 

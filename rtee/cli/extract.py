@@ -219,7 +219,7 @@ def _show(hand: HandModel, found: Extraction) -> None:
     width = max(len(name.removeprefix(prefix)) for name in hand.actuator_names)
     columns = (Column("elements"), Column("posture", whole=True), Column("evidence"))
     rows = [
-        Row(_cells(primitive, prefix, width), primitive.name, faint=not _usable(primitive))
+        Row(_cells(hand, primitive, prefix, width), primitive.name, faint=not _usable(primitive))
         for primitive in found.primitives
     ]
     Table(columns, tuple(rows), title, "primitive").show()
@@ -229,7 +229,8 @@ def _usable(primitive: Primitive) -> bool:
     return not primitive.evidence or primitive.evidence[0].clear
 
 
-def _cells(primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:
+def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:
+    from rtee.actions.sideways import sideways_words
     from rtee.cli._table import on_terminal
     from rtee.cli.actions import remarks
 
@@ -242,5 +243,7 @@ def _cells(primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str
         ]
     else:
         lines = [f"{name}={posture.position[name]:.6g}" for name in posture.involved]
-    said = remarks(primitive.evidence[0], prefix) if primitive.evidence else ""
+    said = sideways_words(hand, primitive, prefix)
+    if primitive.evidence:
+        said = remarks(primitive.evidence[0], prefix)
     return elements, "\n".join(lines), said

@@ -25,11 +25,19 @@ def new(
         typer.Option("--package-dir", help="Where package:// is looked up; may be repeated."),
     ] = None,
     into: Annotated[Path, typer.Option("--into", help="Folder of the hands.")] = Path("config"),
+    ask: Annotated[
+        bool, typer.Option("--ask", help="Ask about what the files cannot say for sure.")
+    ] = False,
 ) -> None:
     """Make config/NAME with hand.yaml, URDF, SRDF and meshes."""
     from rtee.hand.scaffold import make_hand
 
-    _print(make_hand(name, urdf, srdf, package_dirs=package_dir or (), into=into))
+    asked = _ask if ask else None
+    _print(make_hand(name, urdf, srdf, package_dirs=package_dir or (), into=into, ask=asked))
+
+
+def _ask(question: str, default: bool) -> bool:
+    return typer.confirm(question, default=default)
 
 
 def _print(made: NewHand) -> None:

@@ -18,6 +18,7 @@ from rtee.extract.multi import Pinches, find_multi
 from rtee.extract.pinch import Sight, pinch_search
 from rtee.extract.ranking import Found, Rank
 from rtee.hand.model import Hand
+from rtee.hand.resting import closed_rest
 
 _LARGE: Final = 5.0
 """Links of hands are smaller than this [m]."""
@@ -142,4 +143,7 @@ def _notes(inspector: Inspector) -> tuple[str, ...]:
     if pairs:
         named = ", ".join(f"{a} and {b}" for a, b in pairs)
         notes.append(f"these links touch at rest and are not checked against each other: {named}")
+    closed = closed_rest(inspector.scene.geometry)
+    if closed is not None:
+        notes.append(closed.text)
     return tuple(notes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from rtee.actions.types import Posture, Primitive, PrimitiveKind
+from rtee.hand.abduction import abduction
 from rtee.hand.model import Finger, Hand
 
 
@@ -12,17 +13,20 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
     """Return the primitives that need no geometry.
 
     A continuous actuator has no bound to go to and takes no part in them. Fingers without a
-    fingertip have none.
+    fingertip have none. FingFlex bends a finger: an actuator that swings it sideways is none.
     """
     found: list[Primitive] = []
     bounded = {finger.name: _bounded(hand, finger) for finger in hand.fingers if finger.tip}
     for name, own in bounded.items():
         if own:
             found.append(_flex(hand, PrimitiveKind.TRIG, name, own))
-    for kind, end in ((PrimitiveKind.TIP_FLEX, -1), (PrimitiveKind.FING_FLEX, 0)):
-        for name, own in bounded.items():
-            if len(own) >= 2:
-                found.append(_flex(hand, kind, name, (own[end],)))
+    several = {name: own for name, own in bounded.items() if len(own) >= 2}
+    for name, own in several.items():
+        found.append(_flex(hand, PrimitiveKind.TIP_FLEX, name, own[-1:]))
+    for name, own in several.items():
+        sideways = abduction(hand, hand.finger(name))
+        first = next((a for a in own if a not in sideways), own[0])
+        found.append(_flex(hand, PrimitiveKind.FING_FLEX, name, (first,)))
     found += [
         _single_joint(hand, i)
         for i, actuator in enumerate(hand.actuators)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rtee.actions.sideways import sideways_words
 from rtee.actions.types import (
     Action,
     Composed,
@@ -24,6 +25,7 @@ from rtee.extract.report_page import CLOSE_SHARE, Card, Section, Shot, page
 from rtee.extract.report_pictures import SIZE, Studio
 from rtee.extract.report_trials import Tried, section
 from rtee.hand.model import Hand
+from rtee.hand.names import common_prefix
 from rtee.types import FloatArray
 
 if TYPE_CHECKING:
@@ -147,7 +149,8 @@ def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
         tips = tuple(tip for f in fingers if (tip := hand.finger(f).tip) is not None)
     view = _View(_position(hand, primitive.posture), fingers, contact=contact, tips=tips)
     title = " + ".join(primitive.elements)
-    return _Plan(title, fingers, (view,), primitive.posture, evidence)
+    said = sideways_words(hand, primitive, common_prefix(hand.actuator_names))
+    return _Plan(title, fingers, (view,), primitive.posture, evidence, said)
 
 
 def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:

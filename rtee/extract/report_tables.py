@@ -136,6 +136,8 @@ def couplings(hand: Hand) -> str:
         mimic = hand.urdf.joints[joint.name].mimic
         if joint.role is JointRole.PASSIVE:
             rows.append([code(joint.name), "passive", "stands at rest"])
+        elif joint.role is JointRole.IGNORED:
+            rows.append([code(joint.name), "ignored", "stands at rest, like a fixed joint"])
         elif mimic is not None:
             how = (
                 f"{mimic.multiplier:g} · x{mimic.offset:+g}"

@@ -42,7 +42,7 @@ def from_info(info: HandInfo) -> Hand:
         path = Path(folder) / "hand.urdf"
         path.write_text(info.urdf, encoding="utf-8")
         rest = {a.name: a.rest for a in info.actuators}
-        hand = load_model(path, name=info.name, rest=rest)
+        hand = load_model(path, name=info.name, rest=rest, actuators=info.actuator_names)
         return replace(hand, fingers=_fingers(info))
 
 

@@ -7,12 +7,14 @@ import math
 import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
+from functools import partial
 
 import anyio
 import anyio.to_thread
 import numpy as np
 import viser
 
+from rtee.actions.sideways import sideways_words
 from rtee.actions.types import Action, ActionKind, Evidence, Posture
 from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.bridge import Bridge
@@ -71,7 +73,7 @@ class Session:
             self._header = Header(bridge, remote)
         self._tabs = gui.add_tab_group()
         with self._tabs.add_tab("Actions", viser.Icon.HAND_GRAB):
-            self._actions = ActionsPanel(bridge, remote, self._show)
+            self._actions = ActionsPanel(bridge, remote, self._show, partial(sideways_words, hand))
         with self._tabs.add_tab("Make", viser.Icon.PENCIL):
             self._making = MakingPanel(bridge, remote, hand, self._refresh)
         with self._tabs.add_tab("Log", viser.Icon.MOVIE):

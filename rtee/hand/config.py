@@ -46,6 +46,9 @@ class HandConfig(Section):
     rest: dict[str, float] = Field(default={})
     """Rest positions by actuator [rad | m]; unless given, the SRDF's group_state ``rest``,
     ``open`` or ``home``, or 0 clamped into the limits."""
+    ignore: list[str] = Field(default=[])
+    """Actuators that take no part, such as those of a wrist: they stand fixed at ``rest``, move in
+    no action and need no device."""
     limits: LimitsSection = LimitsSection()
     """Limits that tighten or complete the URDF's."""
     clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE

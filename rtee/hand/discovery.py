@@ -12,6 +12,17 @@ from rtee.hand.urdf import Urdf
 
 WORDS: Final = ("thumb", "index", "middle", "ring", "little", "pinky")
 
+PREFIXES: Final = {"th": "thumb", "ff": "index", "mf": "middle", "rf": "ring", "lf": "little"}
+"""What names of links and joints begin with where they do not spell a finger out."""
+
+_PREFIX: Final = re.compile(
+    rf"(?<![a-z0-9])({'|'.join(PREFIXES)})(?=[^a-z]|$|tip|distal|middle|proximal|knuckle|metacarpal"
+    r"|base|hub|link|joint|j[0-9])"
+)
+
+_NUMBER: Final = re.compile(r"(?<![a-z0-9])f(?:inger)?_?([0-9]+)")
+"""``finger_1``, ``finger1``, ``f1``."""
+
 
 def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
     """Find the fingers of a hand without an SRDF.
@@ -28,9 +39,8 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
         The fingers, in the tree's order.
     """
     ends = _ends(urdf, moved)
-    names = finger_names(ends, urdf)
     chains = []
-    for name, end in zip(names, ends, strict=True):
+    for (name, why), end in zip(name_fingers(ends, urdf), ends, strict=True):
         links = _branch(end, ends, urdf)
         moving = [j.name for j in urdf.path_to(end) if j.name in moved and j.child in links[1:]]
         chains.append(
@@ -38,7 +48,7 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
                 name,
                 links,
                 f"branch from '{links[0]}' to '{end}', its last link with geometry, carries "
-                f"{len(moving)} moved joint{'s' if len(moving) > 1 else ''}",
+                f"{len(moving)} moved joint{'s' if len(moving) > 1 else ''}; {why}",
             )
         )
     return tuple(chains)
@@ -86,24 +96,43 @@ def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
     return path[shared:]
 
 
-def finger_names(ends: Sequence[str], urdf: Urdf) -> list[str]:
-    """Name fingers by the usual word in their links and joints, or by what tells the ends apart.
+def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
+    """Name fingers by what people call them in links and joints, or by what tells the ends apart.
+
+    People write the usual word (``index``), the prefix of the Shadow Hand (``ff``), or a number
+    (``finger_1``, ``f1``). These count only where every finger has one, and each another one.
 
     Args:
         ends: The last link of each finger.
         urdf: The hand's URDF.
+
+    Returns:
+        Per finger its name, and where it comes from.
     """
-    words = [_word(end, ends, urdf) for end in ends]
-    if all(words) and len(set(words)) == len(words):
-        return [word for word in words if word]
-    return _unique([safe_name(name, "finger") for name in _distinct_parts(ends)])
+    called = [_called(end, ends, urdf) for end in ends]
+    names = [name for name, _ in filter(None, called)]
+    if len(names) == len(set(names)) == len(ends):
+        return [found for found in called if found]
+    distinct = _unique([safe_name(name, "finger") for name in _distinct_parts(ends)])
+    return [(name, "named after the distinct part of its end's name") for name in distinct]
 
 
-def _word(end: str, ends: Sequence[str], urdf: Urdf) -> str | None:
+def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None:
+    """Return what people call a finger, and why; nothing where its names do not agree."""
     links = _branch(end, ends, urdf)[1:]
     text = " ".join([*links, *(urdf.joint_to[link].name for link in links)]).lower()
-    found = [word for word in WORDS if re.search(rf"(?<![a-z]){word}", text)]
-    return found[0] if len(found) == 1 else None
+    words = [word for word in WORDS if re.search(rf"(?<![a-z]){word}", text)]
+    if len(words) == 1:
+        return words[0], "named after the word in its links and joints"
+    prefixes = set(_PREFIX.findall(text))
+    if len(prefixes) == 1:
+        prefix = prefixes.pop()
+        return PREFIXES[prefix], f"named for the prefix '{prefix}' of its links and joints"
+    numbers = set(_NUMBER.findall(text))
+    if len(numbers) == 1:
+        number = numbers.pop()
+        return f"finger_{number}", "named after the number in its links and joints"
+    return None
 
 
 def _distinct_parts(names: Sequence[str]) -> Iterable[str]:

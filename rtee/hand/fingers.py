@@ -35,7 +35,7 @@ def make_fingers(
 
         chains = discover_fingers(urdf, frozenset(movers))
         notes.append(
-            "no SRDF was given; the fingers were found from the tree; no joint is passive"
+            "no SRDF was given; the fingers were found from the tree"
             if srdf is None
             else "the SRDF names no finger; the fingers were found from the tree"
         )

@@ -64,6 +64,8 @@ class Overrides:
         limits: Limits by actuator.
         default_limits: Limits of actuators that have none of their own there.
         clearance: Distance that clear poses keep from other links [m].
+        ignore: Actuators that stand fixed at rest and take no part.
+        passive: Joints without a motor, besides the SRDF's.
         error: Makes the error for a value of the configuration, from its place and a message.
     """
 
@@ -74,7 +76,9 @@ class Overrides:
     limits: Mapping[str, Limits] = field(default_factory=dict)
     default_limits: Limits = field(default_factory=Limits)
     clearance: float = CLEARANCE
-    error: Callable[[tuple[str, ...], str], UserError] | None = None
+    ignore: tuple[str, ...] = ()
+    passive: frozenset[str] = frozenset()
+    error: Callable[[tuple[str | int, ...], str], UserError] | None = None
 
 
 def rest_state(srdf: Srdf | None) -> tuple[str, dict[str, float]]:
@@ -212,6 +216,40 @@ class _Reader:
         return ModelError(
             f"actuator '{self.joint.name}': {message}", path=self.urdf.path, line=self.joint.line
         )
+
+
+def standing_position(
+    joint: UrdfJoint, urdf: Urdf, state: Mapping[str, float], overrides: Overrides
+) -> float:
+    """Return where a joint stands that no actuator moves [rad | m].
+
+    Raises:
+        UserError: It is configured to stand outside its limits.
+    """
+    if joint.name in overrides.ignore:
+        rest = _Reader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)
+        if rest is not None:
+            return rest
+    return clamped(state.get(joint.name, 0.0), joint.lower, joint.upper)
+
+
+def rest_note(
+    name: str, state: Mapping[str, float], actuators: Sequence[str], overrides: Overrides
+) -> list[str]:
+    """Note where the rest posture comes from, as far as it comes from the SRDF.
+
+    Args:
+        name: Name of the SRDF's group_state.
+        state: Its joint positions [rad | m].
+        actuators: Names of the actuators.
+        overrides: What the configuration says.
+    """
+    taken = [actuator for actuator in actuators if actuator in state]
+    own = [actuator for actuator in taken if actuator in overrides.rest]
+    if not name or (own and len(own) == len(taken)):
+        return []
+    but = f", but for {', '.join(own)}, which the configuration sets" if own else ""
+    return [f"the rest posture is the SRDF's group_state '{name}'{but}"]
 
 
 def images_outside(

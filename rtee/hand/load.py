@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,15 @@ from rtee.errors import ConfigError, ModelError, UnknownActuator, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf
 from rtee.hand.fingers import make_fingers
-from rtee.hand.limits import Limits, Overrides, actuator_spec, clamped, images_outside, rest_state
+from rtee.hand.limits import (
+    Limits,
+    Overrides,
+    actuator_spec,
+    images_outside,
+    rest_note,
+    rest_state,
+    standing_position,
+)
 from rtee.hand.model import Hand, Joint, JointRole
 from rtee.hand.names import check_name, safe_name
 from rtee.hand.srdf import Srdf, read_srdf
@@ -32,6 +40,9 @@ def load_model(
     name: str | None = None,
     package_dirs: Sequence[Path | str] = (),
     rest: Mapping[str, float] | None = None,
+    ignore: Sequence[str] = (),
+    passive: Collection[str] = (),
+    actuators: Collection[str] | None = None,
 ) -> Hand:
     """Load a hand from its URDF.
 
@@ -41,15 +52,27 @@ def load_model(
         name: The hand's name; the robot's in the URDF unless given.
         package_dirs: Folders to look mesh packages up in.
         rest: Rest positions by actuator [rad | m]; they override the SRDF's and 0.
+        ignore: Actuators that stand fixed at rest and take no part.
+        passive: Joints without a motor, besides the SRDF's.
+        actuators: The actuators, where they are known; other joints that could be one stand fixed.
 
     Raises:
         ModelError: A file cannot be read or does not describe a hand.
         ConfigError: The name is not allowed.
     """
+    model, semantics = read_urdf(urdf), None if srdf is None else read_srdf(srdf)
+    if actuators is not None:
+        settled = {*actuators, *passive, *(semantics.passive if semantics else ())}
+        free = (j.name for j in model.joints.values() if j.moving and j.mimic is None)
+        ignore = [*ignore, *(name for name in free if name not in settled)]
     overrides = Overrides(
-        name=name, package_dirs=tuple(Path(p) for p in package_dirs), rest=dict(rest or {})
+        name=name,
+        package_dirs=tuple(Path(p) for p in package_dirs),
+        rest=dict(rest or {}),
+        ignore=tuple(ignore),
+        passive=frozenset(passive),
     )
-    return build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
+    return build_hand(model, semantics, overrides)
 
 
 def load_hand(name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()) -> Hand:
@@ -88,6 +111,7 @@ def load_configured(
         limits={n: Limits(**dict(v)) for n, v in config.limits.actuators.items()},
         default_limits=Limits(**dict(config.limits.defaults)),
         clearance=config.clearance,
+        ignore=tuple(config.ignore),
         error=document.error,
     )
     hand = build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
@@ -136,6 +160,10 @@ def _check_devices(hand: Hand, config: HandConfig, document: YamlDocument) -> No
         chosen = hand.actuator_names if device.actuators == "all" else device.actuators
         for i, actuator in enumerate(chosen):
             place = ("devices", name, "actuators", *(() if device.actuators == "all" else (i,)))
+            if actuator in config.ignore:
+                raise document.error(
+                    place, f"actuator '{actuator}' is ignored; no device drives it"
+                )
             if actuator not in hand.actuator_names:
                 hint = suggestion(actuator, hand.actuator_names)
                 raise document.error(place, f"unknown actuator '{actuator}'; {hint}")
@@ -157,28 +185,33 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         ConfigError: A name or a configured value is not allowed.
     """
     notes = check_srdf(srdf, urdf) if srdf else []
-    passive = {n for n in srdf.passive if urdf.joints[n].moving} if srdf else set()
-    joints = tuple(_joint(joint, passive) for joint in urdf.joints.values() if joint.moving)
+    passive = {
+        n for n in (*(srdf.passive if srdf else ()), *overrides.passive) if urdf.joints[n].moving
+    }
+    roles = {joint.name: _role(joint, passive) for joint in urdf.joints.values() if joint.moving}
+    _check_ignored(roles, overrides, urdf)
+    roles |= dict.fromkeys(overrides.ignore, JointRole.IGNORED)
+    joints = tuple(_joint(urdf.joints[name], role) for name, role in roles.items())
     driven = [joint.name for joint in joints if joint.role is JointRole.ACTUATOR]
     if not driven:
         check_mimics(urdf)  # the likelier mistake
         raise ModelError(
-            "no joint is an actuator: every moving joint is mimic or passive, or there is none",
+            "no joint is an actuator: every moving joint is mimic, passive or ignored, or there is "
+            "none",
             path=urdf.path,
         )
     _check_actuators(driven, overrides, urdf)
     state_name, state = rest_state(srdf)
-    if state_name:
-        notes.append(f"the rest posture is the SRDF's group_state '{state_name}'")
+    notes += rest_note(state_name, state, driven, overrides)
     specs = []
     for name in driven:
         spec, assumed = actuator_spec(urdf.joints[name], urdf, state, overrides)
         specs.append(spec)
         notes += assumed
     standing = {
-        joint.name: clamped(state.get(joint.name, 0.0), joint.lower, joint.upper)
+        joint.name: standing_position(urdf.joints[joint.name], urdf, state, overrides)
         for joint in joints
-        if joint.role is JointRole.PASSIVE
+        if joint.role in (JointRole.PASSIVE, JointRole.IGNORED)
     }
     transmission = make_transmission(urdf, driven, standing)
     notes += images_outside(joints, specs, transmission)
@@ -208,23 +241,40 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     )
 
 
+def _check_ignored(roles: Mapping[str, JointRole], overrides: Overrides, urdf: Urdf) -> None:
+    """Refuse to ignore what is no actuator."""
+    actuators = [name for name, role in roles.items() if role is JointRole.ACTUATOR]
+    for i, name in enumerate(overrides.ignore):
+        if name in actuators:
+            continue
+        if overrides.error is None:
+            raise UnknownActuator(name, actuators, path=urdf.path)
+        what = f"joint '{name}' is {roles[name]}, no actuator" if name in roles else ""
+        what = what or f"unknown actuator '{name}'; {suggestion(name, actuators)}"
+        raise overrides.error(("ignore", i), what)
+
+
 def _check_actuators(actuators: list[str], overrides: Overrides, urdf: Urdf) -> None:
     """Refuse a configuration of actuators that the hand does not have."""
     for section, names in (("rest", overrides.rest), ("limits", overrides.limits)):
         for name in names:
-            if name in actuators:
+            ignored = name in overrides.ignore
+            if name in actuators or (ignored and section == "rest"):
                 continue
             if overrides.error is None:
                 raise UnknownActuator(name, actuators, path=urdf.path)
-            hint = suggestion(name, actuators)
-            raise overrides.error((section, name), f"unknown actuator; {hint}")
+            hint = "the actuator is ignored" if ignored else "unknown actuator; "
+            hint += "" if ignored else suggestion(name, actuators)
+            raise overrides.error((section, name), hint)
 
 
-def _joint(joint: UrdfJoint, passive: set[str]) -> Joint:
+def _role(joint: UrdfJoint, passive: set[str]) -> JointRole:
     if joint.mimic is not None:
-        role = JointRole.MIMIC
-    else:
-        role = JointRole.PASSIVE if joint.name in passive else JointRole.ACTUATOR
+        return JointRole.MIMIC
+    return JointRole.PASSIVE if joint.name in passive else JointRole.ACTUATOR
+
+
+def _joint(joint: UrdfJoint, role: JointRole) -> Joint:
     return Joint(
         name=joint.name,
         kind=JointKind(joint.kind),

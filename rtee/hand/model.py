@@ -24,6 +24,7 @@ class JointRole(StrEnum):
     ACTUATOR = "actuator"
     MIMIC = "mimic"
     PASSIVE = "passive"
+    IGNORED = "ignored"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,8 @@ class Joint:
     Attributes:
         name: Its name in the URDF.
         kind: Revolute, continuous or prismatic.
-        role: Actuator, mimic or passive. A joint that is both mimic and passive is a mimic.
+        role: Actuator, mimic, passive or ignored. A joint that is both mimic and passive is a
+            mimic; an ignored one has a motor but stands at its rest position like a fixed joint.
         parent: Parent link.
         child: Child link.
         lower: Lower limit [rad | m]; ``-inf`` if continuous.

@@ -6,20 +6,25 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from html import unescape
 from pathlib import Path, PurePosixPath
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from rtee.errors import ConfigError, ModelError
+from rtee.hand.candidates import carriers, double_limits, in_words, passive_candidates
 from rtee.hand.catalog import FILE_NAME
-from rtee.hand.discovery import finger_names
+from rtee.hand.discovery import name_fingers
 from rtee.hand.files import make_folder, new_folder, read_bytes, reason, write_atomically
+from rtee.hand.lines import ignore_line, rest_line
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Finger, Hand
 from rtee.hand.names import check_name, safe_name
+from rtee.hand.resting import closed_rest_of
 from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
 from rtee.hand.srdf import read_srdf
 from rtee.hand.srdfwrite import format_srdf, with_disabled
@@ -29,6 +34,10 @@ from rtee.hand.xmlfile import read_xml
 
 _FILENAME = re.compile(r"""(\bfilename\s*=\s*)("[^"]*"|'[^']*')""")
 _DECLARATION = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
+
+
+Ask = Callable[[str, bool], bool]
+"""Asks a question that is answered by yes or no, with the answer that is likelier."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +66,13 @@ def make_hand(
     *,
     package_dirs: Sequence[Path | str] = (),
     into: Path | str = "config",
+    ask: Ask | None = None,
 ) -> NewHand:
     """Make the folder of a new hand.
 
     Its meshes are copied beside the URDF and addressed relative to it. Without an SRDF one is
-    written from what is found in the tree, with the reasons.
+    written from what is found in the tree, with the reasons. Actuators that move all fingers as one
+    body are ignored, and a rest posture that is a pinch is opened; both stand in hand.yaml.
 
     Args:
         name: The hand's name.
@@ -69,6 +80,8 @@ def make_hand(
         srdf: Its SRDF, if it has one.
         package_dirs: Folders to look mesh packages up in.
         into: Folder of the hands.
+        ask: Asks about what the files cannot say for sure; without it joints that may have no motor
+            are noted only.
 
     Raises:
         ConfigError: The name is not allowed or taken, or the folder cannot be written.
@@ -78,33 +91,124 @@ def make_hand(
     target = Path(into) / name
     if target.exists():
         raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
-    hand = load_model(urdf, srdf, name=name, package_dirs=package_dirs)
-    pairs = touching_pairs(hand)
-    notes = list(hand.notes)
-    if srdf is None:
-        fingers, left_out = without_linkages(hand, pairs)
-        hand = replace(hand, fingers=fingers)
-        notes += left_out
+    load = partial(load_model, urdf, srdf, name=name, package_dirs=package_dirs)
+    settled = _settle(load, searched=srdf is None, ask=ask)
+    hand, pairs, notes = settled.hand, settled.pairs, settled.notes
     if len(hand.fingers) == 1:
         notes.append(
             "there is only one finger; if a fixed part acts as another, add a group for it to the "
             "SRDF"
         )
     with new_folder(into):
-        notes += _make(target, hand, srdf, pairs)
+        notes += _make(target, settled, srdf)
     reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
     return NewHand(target, load_hand(target), reasons, pairs, tuple(notes))
 
 
-def _make(
-    target: Path, hand: Hand, srdf: Path | str | None, pairs: Sequence[TouchingPair]
-) -> list[str]:
+@dataclass(frozen=True)
+class _Settled:
+    """A hand about which all is settled that its files leave open.
+
+    Attributes:
+        hand: The hand.
+        pairs: Pairs of links that need not be checked for collision.
+        ignored: Actuators that are to be ignored.
+        rest: Rest positions for hand.yaml [rad | m].
+        notes: What was noticed and chosen, one sentence each.
+    """
+
+    hand: Hand
+    pairs: tuple[TouchingPair, ...]
+    ignored: tuple[str, ...]
+    rest: Mapping[str, float]
+    notes: list[str]
+
+
+def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _Settled:
+    """Settle which joints are actuators, which are ignored, and where the hand rests.
+
+    Args:
+        load: Loads the hand, with what was settled so far.
+        searched: The fingers are to be found in the tree; no joint is known to be passive.
+        ask: Asks, if somebody answers.
+    """
+    hand: Hand = load()
+    chosen: dict[str, Any] = {}
+    notes: list[str] = []
+    if searched:
+        passive, notes = _passive(hand, ask)
+        if passive:
+            chosen["passive"] = passive
+            hand = load(**chosen)
+    ignored, said = _ignored(hand, ask)
+    notes += said
+    if ignored:
+        chosen["ignore"] = ignored
+        hand = load(**chosen)
+    pairs = touching_pairs(hand)
+    fingers, left_out = without_linkages(hand, pairs) if searched else (hand.fingers, [])
+    hand = replace(hand, fingers=fingers)
+    closed = closed_rest_of(hand)
+    if closed is not None:
+        hand = replace(load(**chosen, rest=closed.opened), fingers=fingers)
+        pairs = touching_pairs(hand)
+        notes.append(
+            f"{closed.found} where the hand would rest, so hand.yaml has it rest where they are "
+            f"{closed.opening * 1e3:.1f} mm apart: {closed.line}"
+        )
+    rest = {} if closed is None else closed.opened
+    return _Settled(
+        hand, pairs, ignored, rest, [*hand.notes, *double_limits(hand), *left_out, *notes]
+    )
+
+
+def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
+    """Return the joints without a motor as somebody says, and what may be one if nobody does."""
+    candidates = passive_candidates(hand)
+    if ask is not None:
+        chosen = tuple(
+            candidate.joint
+            for candidate in candidates
+            if not ask(
+                f"joint '{candidate.joint}' {candidate.why}. Does it have a motor?",
+                not candidate.likely,
+            )
+        )
+        if len(chosen) == len(hand.actuators):
+            raise ModelError("no joint is left that has a motor", path=hand.urdf.path)
+        return chosen, [f"joint '{joint}' is passive: it has no motor" for joint in chosen]
+    notes = in_words(candidates)
+    if notes:
+        notes[-1] += (
+            '; such a joint is declared by <passive_joint name="JOINT"/> in the SRDF; --ask goes '
+            "through them all"
+        )
+    return (), notes
+
+
+def _ignored(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
+    """Return the actuators to ignore, and what was chosen about them."""
+    found = carriers(hand)
+    if not found:
+        return (), []
+    one = len(found) == 1
+    names = ", ".join(f"'{name}'" for name in found)
+    said = f"{names} {'moves' if one else 'each move'} all fingers as one body, as a wrist does"
+    them = "it" if one else "them"
+    if ask is not None and not ask(f"{said}. Ignore {them}?", True):
+        return (), []
+    line = ignore_line(found)
+    return found, [f"{said}, so hand.yaml ignores {them} by '{line}'"]
+
+
+def _make(target: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:
     """Make a hand's folder under another name and give it its own once it is whole."""
+    hand = settled.hand
     into = target.parent
     try:
         scratch = Path(tempfile.mkdtemp(prefix=f".{hand.name[:40]}.", dir=into))
         try:
-            notes = _fill(scratch, hand, srdf, pairs)
+            notes = _fill(scratch, settled, srdf)
             load_hand(scratch)
             os.chmod(scratch, 0o777 & ~_umask())
             write_atomically(into / SCHEMA_FILE, schema_text())
@@ -151,24 +255,26 @@ def without_linkages(
             )
     if not kept or not notes:
         return hand.fingers, []
-    names = finger_names([finger.links[-1] for finger in kept], hand.urdf)
-    return tuple(replace(f, name=n) for f, n in zip(kept, names, strict=True)), notes
+    names = name_fingers([finger.links[-1] for finger in kept], hand.urdf)
+    return tuple(
+        replace(f, name=name, reason=f"{f.reason.rpartition('; ')[0]}; {why}")
+        for f, (name, why) in zip(kept, names, strict=True)
+    ), notes
 
 
-def _fill(
-    folder: Path, hand: Hand, srdf: Path | str | None, pairs: Sequence[TouchingPair]
-) -> list[str]:
+def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:
     """Write the files of a hand into a folder; return what was noticed."""
+    hand, pairs = settled.hand, settled.pairs
     urdf_text, notes = _with_local_meshes(hand, folder)
     write_atomically(folder / f"{hand.name}.urdf", urdf_text)
     if srdf is None:
-        srdf_text = format_srdf(hand, pairs)
+        srdf_text = format_srdf(hand, pairs, with_rest=not settled.rest)
     else:
         srdf_text = _utf8(read_xml(srdf, "SRDF")[1])
         if not read_srdf(srdf).disabled:
             srdf_text = with_disabled(srdf_text, pairs)
     write_atomically(folder / f"{hand.name}.srdf", srdf_text)
-    write_atomically(folder / FILE_NAME, _hand_yaml(hand))
+    write_atomically(folder / FILE_NAME, _hand_yaml(settled))
     return notes
 
 
@@ -235,12 +341,25 @@ def _place(uri: str, source: Path) -> str:
     return "/".join([*(safe_name(part, "x") for part in parts), safe_name(source.name, "mesh")])
 
 
-def _hand_yaml(hand: Hand) -> str:
+def _hand_yaml(settled: _Settled) -> str:
+    hand = settled.hand
     example = hand.actuators[0].name
+    chosen = ""
+    if settled.rest:
+        chosen += f"""
+# Where actions start from and what `rtee open` goes to [rad or m]. At the model's own rest posture
+# fingertips pinch.
+{rest_line(settled.rest)}
+"""
+    if settled.ignored:
+        chosen += f"""
+# These move all fingers as one body, as a wrist does; they stand fixed and take no part.
+{ignore_line(settled.ignored)}
+"""
     return f"""{SCHEMA_LINE}name: {hand.name}
 urdf: {hand.name}.urdf
 srdf: {hand.name}.srdf
-
+{chosen}
 # Limits that the URDF does not have, or tighter ones [rad or m, s, N·m or N]:
 # limits:
 #   defaults: {{acceleration: 20.0, jerk: 400.0}}

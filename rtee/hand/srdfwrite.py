@@ -14,12 +14,13 @@ _HEAD = """<?xml version="1.0"?>
 """
 
 
-def format_srdf(hand: Hand, pairs: Sequence[TouchingPair]) -> str:
+def format_srdf(hand: Hand, pairs: Sequence[TouchingPair], *, with_rest: bool = True) -> str:
     """Return the SRDF of a hand.
 
     Args:
         hand: The hand.
         pairs: Pairs of links that need not be checked for collision.
+        with_rest: Write the rest posture; it stands in hand.yaml otherwise.
     """
     lines = [f"<robot name={quoteattr(hand.urdf.name)}>"]
     for finger in hand.fingers:
@@ -32,7 +33,7 @@ def format_srdf(hand: Hand, pairs: Sequence[TouchingPair]) -> str:
         f'group="{GROUP_OF_FINGERS}"/>'
     )
     lines += _passive(hand)
-    lines += _rest(hand)
+    lines += _rest(hand) if with_rest else ["", "  <!-- The rest posture is in hand.yaml. -->"]
     lines += disabled_lines(pairs)
     lines.append("</robot>")
     return _HEAD + "\n".join(lines) + "\n"

@@ -93,8 +93,9 @@ def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
         if attached:
             srdf = Path(folder, "hand.srdf")
             srdf.write_text(attached)
-        hand = load_model(urdf, srdf, name=recording.hand)
-    specs = actuators.actuators
+        specs = actuators.actuators
+        names = [spec.name for spec in specs]
+        hand = load_model(urdf, srdf, name=recording.hand, actuators=names)
     return replace(hand, actuators=specs, rest=readonly([spec.rest for spec in specs]))
 
 

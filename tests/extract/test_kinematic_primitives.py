@@ -5,11 +5,15 @@ from pathlib import Path
 
 import pytest
 from hand.conftest import MODELS
+from hand.models import anthropomorphic
 
 from extract.models import Model, box
+from rtee.actions.sideways import sideways_words
+from rtee.actions.store import read_actions
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.extract.kinematic import kinematic_primitives
-from rtee.hand.load import load_model
+from rtee.hand.abduction import abduction
+from rtee.hand.load import load_hand, load_model
 
 TIP = box((0.01, 0.01, 0.01))
 
@@ -92,3 +96,83 @@ def test_a_single_joint_keeps_its_near_bound_as_second_posture(tmp_path: Path) -
     assert found.elements == ("spread",)
     assert found.fingers == ("a", "b")
     assert [posture.position["spread"] for posture in found.postures] == [0.7, -0.2]
+
+
+PAPERS = (
+    "dagana",
+    "heri_ii",
+    "onrobot_3fg15",
+    "qb_softhand",
+    "robotiq_2f_140",
+    "robotiq_2f_85",
+    "robotiq_3f",
+    "schunk_svh",
+)
+KINEMATIC = ("Trig", "TipFlex", "FingFlex")
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_the_papers_rule_stays_for_the_papers_hands(name: str, repository: Path) -> None:
+    folder = repository / "config" / name
+    hand = load_hand(folder)
+    assert [abduction(hand, finger) for finger in hand.fingers] == [()] * len(hand.fingers)
+    stored = [a for a in read_actions(hand, folder / "actions") if isinstance(a, Primitive)]
+    found = {(p.kind, p.elements): p.posture for p in kinematic_primitives(hand)}
+    assert found == {
+        (p.kind, p.elements): p.posture
+        for p in stored
+        if p.kind in KINEMATIC or p.kind is PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS
+    }
+    for finger in hand.fingers:
+        flexes = [found.get((kind, (finger.name,))) for kind in list(PrimitiveKind)[1:3]]
+        ends = [finger.own[-1:], finger.own[:1]] if len(finger.own) >= 2 else [None, None]
+        assert [flex and flex.involved for flex in flexes] == ends
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_abduction_is_no_fing_flex(tmp_path: Path, *, coupled: bool) -> None:
+    (tmp_path / "h.urdf").write_text(anthropomorphic(coupled=coupled))
+    hand = load_model(tmp_path / "h.urdf", ignore=["rh_WRJ1", "rh_WRJ2"])
+    found = kinematic_primitives(hand)
+    assert by_kind(found, PrimitiveKind.FING_FLEX) == {
+        "index": ["rh_FFJ3"],
+        "middle": ["rh_MFJ3"],
+        "ring": ["rh_RFJ3"],
+        "little": ["rh_LFJ5"],
+        "thumb": ["rh_THJ4"],
+    }
+    last = "J2" if coupled else "J1"
+    assert by_kind(found, PrimitiveKind.TIP_FLEX)["index"] == [f"rh_FF{last}"]
+    trig = next(p for p in found if p.kind is PrimitiveKind.TRIG and p.elements == ("index",))
+    assert "rh_FFJ4" in trig.posture.involved
+    words = sideways_words(hand, trig, "rh_")
+    assert words == "also swings sideways (abduction): FFJ4"
+    assert all(not sideways_words(hand, p) for p in found if p.kind is not PrimitiveKind.TRIG)
+
+
+def test_what_rests_at_an_end_of_its_range_is_no_abduction(tmp_path: Path) -> None:
+    (tmp_path / "h.urdf").write_text(anthropomorphic())
+    hand = load_model(tmp_path / "h.urdf", rest={"rh_FFJ4": -0.35})
+    assert abduction(hand, hand.finger("index")) == ()
+    assert abduction(hand, hand.finger("middle")) == ("rh_MFJ4",)
+
+
+def test_the_leap_hand_has_its_flexion_first(repository: Path) -> None:
+    hand = load_hand(repository / "config" / "leap_hand")
+    assert abduction(hand, hand.finger("index")) == ("index_mcp_side",)
+    flexes = by_kind(kinematic_primitives(hand), PrimitiveKind.FING_FLEX)
+    assert flexes == {
+        **{name: [f"{name}_mcp_forward"] for name in ("index", "middle", "ring")},
+        "thumb": ["thumb_cmc"],
+    }
+
+
+def test_the_allegro_hand_bends_by_its_second_joints(repository: Path) -> None:
+    hand = load_hand(repository / "config" / "allegro")
+    flexes = by_kind(kinematic_primitives(hand), PrimitiveKind.FING_FLEX)
+    assert flexes == {
+        "index": ["joint_1"],
+        "middle": ["joint_5"],
+        "ring": ["joint_9"],
+        "thumb": ["joint_12"],
+    }

@@ -13,9 +13,12 @@ import viser
 from remote.serving import make_hand, make_library, serving
 
 import rtee
-from rtee.actions.types import ActionKind
+from rtee.actions.library import ActionLibrary
+from rtee.actions.types import ActionKind, PrimitiveKind
+from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.app import App
 from rtee.gui.panels.plots import PlotsPanel
+from rtee.hand.load import load_hand
 
 pytestmark = pytest.mark.anyio
 
@@ -110,6 +113,25 @@ async def test_every_control_says_what_it_is_for(server: viser.ViserServer, tmp_
     assert unclear == [], "the tooltip does not say the unit"
     sliders = [c for c in controls if isinstance(c, viser.GuiSliderHandle | viser.GuiNumberHandle)]
     assert [c.label for c in sliders if "[" not in c.label and c.label != "Value"] == []
+
+
+async def test_the_card_of_trig_names_abduction(server: viser.ViserServer) -> None:
+    hand = load_hand("allegro")
+    trigs = [p for p in kinematic_primitives(hand) if p.kind is PrimitiveKind.TRIG]
+    async with serving(hand, ActionLibrary(hand, trigs)), anyio.create_task_group() as group:
+        app = App(server, "allegro", None)
+        group.start_soon(app.run)
+        await has(app, ActionKind.PRIMITIVE, "Trig")
+        assert app.session is not None
+        card = app.session.cards[ActionKind.PRIMITIVE, "Trig"]
+        assert card.action.fingers == ("index",)
+        assert "also swings sideways (abduction): joint_0" in card._said.content
+        assert card._said.visible
+        assert card._choice is not None
+        card._choice._boxes[0].value = "thumb"
+        card._chosen_anew()
+        assert not card._said.visible
+        group.cancel_scope.cancel()
 
 
 def test_what_is_not_measured_leaves_the_other_lines_their_scale(

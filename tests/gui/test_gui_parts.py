@@ -16,6 +16,7 @@ from rtee.errors import ConfigError
 from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
 from rtee.gui.history import LONGEST, POINTS, History, nice_range
 from rtee.gui.labels import short_names, units
+from rtee.gui.model import from_info
 from rtee.gui.panels.actions import grouped
 from rtee.gui.panels.choice import options_at
 from rtee.gui.panels.header import device_line
@@ -24,9 +25,10 @@ from rtee.gui.panels.table import table
 from rtee.gui.tried import Tried, key_of, line, tried_in
 from rtee.gui.tried import table as tried_table
 from rtee.gui.wording import described, said
-from rtee.hand.load import load_hand
+from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.messages.state import State
+from rtee.remote.planner import info_fields, info_of
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
 from rtee.types import DeviceStatus, Lifecycle, Result
@@ -92,6 +94,20 @@ def test_actions_stand_by_kind_and_name(hand: Hand) -> None:
     groups = grouped([poke, *trig])
     assert list(groups) == [(ActionKind.PRIMITIVE, "Trig"), (ActionKind.GENERIC, "poke")]
     assert groups[ActionKind.PRIMITIVE, "Trig"] == trig
+
+
+@pytest.mark.parametrize("ignored", [(), ("motor_thumb",)])
+def test_a_hand_that_describes_itself_has_the_same_actuators(ignored: tuple[str, ...]) -> None:
+    """Its passive and ignored joints are told by their absence alone."""
+    known = load_hand("heri_ii")
+    srdf = known.urdf.path.with_suffix(".srdf")
+    hand = load_model(known.urdf.path, srdf, name="heri_ii", ignore=ignored)
+    info = info_of(info_fields(hand, {}))
+    again = from_info(info)
+    assert again.actuator_names == hand.actuator_names
+    assert again.joint_names == hand.joint_names
+    u = 0.5 * (hand.lower + hand.upper)
+    assert np.allclose(again.transmission.joints(u), hand.transmission.joints(u))
 
 
 def test_a_use_is_described_as_people_write_it() -> None:

@@ -127,3 +127,49 @@ def test_names_are_unique_and_allowed(load: Load) -> None:
         *(("r", "palm", f"hand_{i}_link") for i in (1, 2)), solid="palm hand_1_link hand_2_link"
     )
     assert load(text, None).finger_names == ("finger_1", "finger_2")
+
+
+def fingers_called(*names: str) -> str:
+    """Return a hand whose fingers each consist of two links with such names."""
+    joints = [
+        ("r", parent, child)
+        for name in names
+        for parent, child in (
+            ("palm", name.format("proximal", 3)),
+            (name.format("proximal", 3), name.format("distal", 1)),
+        )
+    ]
+    return robot(*joints, solid=" ".join(["palm", *(child for _, _, child in joints)]))
+
+
+ALL_FIVE = ("thumb", "index", "middle", "ring", "little")
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (("rh_th{}", "rh_ff{}", "rh_mf{}", "rh_rf{}", "rh_lf{}"), ALL_FIVE),
+        (("TH_{}", "FF_{}", "MF_{}", "RF_{}", "LF_{}"), ALL_FIVE),
+        (("THJ{1}", "FFJ{1}", "MFJ{1}"), ALL_FIVE[:3]),
+        (("index_{}", "ff_{}"), ("ff", "index")),
+        (("f1_{}", "f2_{}", "f3_{}"), ("finger_1", "finger_2", "finger_3")),
+        (("finger1_{}", "finger2_{}", "thumb_{}"), ("finger_1", "finger_2", "thumb")),
+        (("hand_F1{}", "hand_F2{}"), ("finger_1", "finger_2")),
+        # Long and short fingers of HERI II; nothing says which is which.
+        (("LFP1_{}", "LFP2_{}"), ("LFP1", "LFP2")),
+    ],
+)
+def test_names_by_what_people_write(
+    load: Load, names: tuple[str, ...], found: tuple[str, ...]
+) -> None:
+    hand = load(fingers_called(*names), None)
+    assert set(hand.finger_names) == set(found)
+
+
+def test_the_reason_says_where_the_name_comes_from(load: Load) -> None:
+    hand = load(fingers_called("rh_th{}", "rh_ff{}"), None)
+    assert hand.finger("index").reason.endswith(
+        "carries 2 moved joints; named for the prefix 'ff' of its links and joints"
+    )
+    hand = load(fingers_called("f1_{}", "f2_{}"), None)
+    assert hand.finger("finger_1").reason.endswith("named after the number in its links and joints")

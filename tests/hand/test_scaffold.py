@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import contextlib
 import os
+import pty
 import subprocess
 import sys
 import textwrap
@@ -8,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from hand.models import GRIPPER, SRDF
+from hand.models import FRANKA, GRIPPER, SRDF, anthropomorphic
+from hand.test_candidates import kinova
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.config import HandConfig
 from rtee.hand.load import load_hand, load_model
@@ -154,6 +157,121 @@ def test_the_documented_fields_are_current(repository: Path) -> None:
     example = page.split("A fuller one:\n\n")[1].split("\n\nThe first line")[0]
     document = parse_yaml(textwrap.dedent(example), Path("hand.yaml"), "hand.yaml")
     assert HandConfig.model_validate(document.data).devices["hand"].driver == "schunk_svh"
+
+
+def test_a_closed_rest_is_opened_and_told(tmp_path: Path) -> None:
+    (tmp_path / "g.urdf").write_text(FRANKA)
+    made = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config")
+    line = "rest: {panda_finger_joint1: 0.04}"
+    assert line in (made.folder / "hand.yaml").read_text().splitlines()
+    assert list(made.hand.rest) == [0.04]
+    (told,) = [note for note in made.notes if line in note]
+    assert "the tips of 'leftfinger' and 'rightfinger' touch where the hand would rest" in told
+    assert "rest where they are 80.0 mm apart" in told
+    # What else touches is looked for where it rests now, and the rest is defined in one place.
+    assert read_srdf(made.folder / "g.srdf").states == ()
+    assert not [note for note in made.hand.notes if "group_state" in note]
+
+
+def test_a_closed_rest_in_an_srdf_is_opened_in_hand_yaml(tmp_path: Path) -> None:
+    (tmp_path / "g.urdf").write_text(FRANKA)
+    fingers = "".join(
+        f'<group name="{n}"><chain base_link="panda_hand" tip_link="panda_{n}finger"/></group>'
+        for n in ("left", "right")
+    )
+    home = '<group_state name="home" group="left"><joint name="panda_finger_joint1" value="0"/>'
+    (tmp_path / "g.srdf").write_text(
+        f'<robot name="franka_hand">{fingers}{home}</group_state></robot>'
+    )
+    made = make_hand("g", tmp_path / "g.urdf", tmp_path / "g.srdf", into=tmp_path / "config")
+    assert list(made.hand.rest) == [0.04]
+    assert not [note for note in made.hand.notes if "group_state" in note]
+
+
+def test_the_wsg_50_is_made_open(shared: Path, tmp_path: Path) -> None:
+    made = make_hand("wsg", shared / "more_hands" / "wsg50" / "wsg50.urdf", into=tmp_path)
+    assert list(made.hand.rest) == [-0.055, 0.055]
+    assert {(pair.link1, pair.link2) for pair in made.pairs} == {
+        ("base_link", f"{part}_{side}")
+        for part in ("gripper", "finger")
+        for side in ("left", "right")
+    }
+
+
+def test_a_wrist_is_ignored_and_told(tmp_path: Path) -> None:
+    (tmp_path / "h.urdf").write_text(anthropomorphic())
+    made = make_hand("h", tmp_path / "h.urdf", into=tmp_path / "config")
+    line = "ignore: [rh_WRJ2, rh_WRJ1]"
+    assert line in (made.folder / "hand.yaml").read_text().splitlines()
+    assert any(line in note and "all fingers as one body" in note for note in made.notes)
+    assert len(made.hand.actuators) == 22
+    assert made.hand.finger_names == ("index", "middle", "ring", "little", "thumb")
+
+
+def test_candidates_for_passive_joints_are_named(tmp_path: Path) -> None:
+    (tmp_path / "k.urdf").write_text(kinova())
+    made = make_hand("k", tmp_path / "k.urdf", into=tmp_path / "config")
+    assert len(made.hand.actuators) == 6
+    said = [note for note in made.notes if "may have no motor" in note]
+    assert len(said) == 3
+    assert "--ask" in said[-1]
+
+
+def test_what_is_asked_is_done(tmp_path: Path) -> None:
+    (tmp_path / "k.urdf").write_text(kinova())
+    asked: list[tuple[str, bool]] = []
+
+    def ask(question: str, likelier: bool) -> bool:
+        asked.append((question, likelier))
+        return "finger_tip_2" in question
+
+    made = make_hand("k", tmp_path / "k.urdf", into=tmp_path / "config", ask=ask)
+    assert [likelier for _, likelier in asked] == [True] * 3
+    assert set(read_srdf(made.folder / "k.srdf").passive) == {
+        "joint_finger_tip_1",
+        "joint_finger_tip_3",
+    }
+    assert len(made.hand.actuators) == 4
+    (tmp_path / "h.urdf").write_text(anthropomorphic())
+    made = make_hand("h", tmp_path / "h.urdf", into=tmp_path / "config", ask=lambda *_: False)
+    assert len(made.hand.actuators) == 24
+
+
+def test_command_new_asks_on_a_terminal(shared: Path, tmp_path: Path) -> None:
+    urdf = shared / "hands" / "heri_II" / "heri_II.urdf"
+    command = [sys.executable, "-m", "rtee", "new", "heri", "--ask", "--urdf", str(urdf)]
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(command, cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    said = b""
+    for answer in (b"\n", b"n\n", b"y\n", b"\n"):  # the likelier one is no
+        while not said.rstrip().endswith(b"[y/N]:"):
+            said += os.read(ours, 1024)
+        os.write(ours, answer)
+        said += b"|"
+    with contextlib.suppress(OSError):  # the end, as Linux puts it
+        while chunk := os.read(ours, 1024):
+            said += chunk
+    os.close(ours)
+    assert process.wait() == 0, said.decode()
+    assert (
+        b"turns a few degrees only, like a joint on a spring. Does it have a motor? [y/N]:" in said
+    )
+    passive = read_srdf(tmp_path / "config" / "heri" / "heri.srdf").passive
+    assert set(passive) == {"BASE__SFB1", "BASE__LFB1", "BASE__LFB3"}
+    assert set(load_hand(tmp_path / "config" / "heri").actuator_names) == {
+        "BASE__LFB2",
+        *(f"motor_{finger}" for finger in ("thumb", "finger1", "finger2", "finger3")),
+    }
+
+
+def test_an_end_of_the_answers_makes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "k.urdf").write_text(kinova())
+    command = [sys.executable, "-m", "rtee", "new", "k", "--ask", "--urdf", "k.urdf"]
+    done = subprocess.run(command, cwd=tmp_path, input="n\n", capture_output=True, text=True)
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "config").exists()
 
 
 def test_command_new(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, GoalRejected, LeaseHeld, MessageError, UnknownActuator
+from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
@@ -21,7 +22,7 @@ from rtee.remote import directory
 from rtee.remote.actions import action_fields, action_of
 from rtee.remote.directory import announced, running, runtime_folder
 from rtee.remote.lease import JOGGING, Lease
-from rtee.remote.planner import info_fields, info_of, tip_pose_and_jacobian
+from rtee.remote.planner import info_fields, info_of
 
 # --- lease
 

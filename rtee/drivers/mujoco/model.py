@@ -226,6 +226,21 @@ def _add_actuators(spec: mujoco.MjSpec, hand: Hand, options: SimOptions) -> list
     return notes
 
 
+def _add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
+    """Hold the ignored joints where they stand."""
+    for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True):
+        if joint.role is JointRole.IGNORED:
+            equality = spec.add_equality(
+                name=coupling_name(joint.name),
+                name1=joint.name,
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            )
+            equality.data[:5] = (coupling.value(0.0), 0.0, 0.0, 0.0, 0.0)
+            equality.solref = [0.005, 1.0]
+            equality.solimp = [0.95, 0.99, 0.001, 0.5, 2.0]
+
+
 def _add_couplings(spec: mujoco.MjSpec, hand: Hand) -> tuple[tuple[Polynomial, ...], list[str]]:
     polynomials = couplings(hand)
     notes = []
@@ -258,8 +273,8 @@ def build(
     """Make a MuJoCo model from a hand.
 
     The transmission becomes joint equalities (polynomials of degree 4 at most), actuators get
-    position gains and effort limits, passive joints a spring and a damper, fingertips pads with
-    friction. What the URDF lacks is made up and noted.
+    position gains and effort limits, passive joints a spring and a damper, ignored ones a lock,
+    fingertips pads with friction. What the URDF lacks is made up and noted.
 
     Args:
         hand: The hand.
@@ -288,6 +303,7 @@ def build(
     if made_up:
         notes.append(f"mass made up for {len(made_up)} links: {', '.join(made_up)}")
     notes += _add_actuators(spec, hand, options)
+    _add_locks(spec, hand)
     polynomials, coupling_notes = _add_couplings(spec, hand)
     notes += coupling_notes
     notes += leave_pairs_out(spec, hand, touch)

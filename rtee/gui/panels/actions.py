@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rtee.actions.types import Action, ActionKind, Primitive, kind_of
 from rtee.gui.bridge import Bridge
@@ -32,12 +32,19 @@ def grouped(actions: Sequence[Action]) -> dict[tuple[ActionKind, str], list[Acti
 class ActionsPanel:
     """The cards, with a search above them."""
 
-    def __init__(self, bridge: Bridge, hand: RemoteHand, show: Show) -> None:
+    def __init__(
+        self,
+        bridge: Bridge,
+        hand: RemoteHand,
+        show: Show,
+        remark: Callable[[Action], str] = lambda action: "",
+    ) -> None:
         """Put the panel where the GUI builds now; `refresh` fills it."""
         gui = bridge.server.gui
         self._bridge = bridge
         self._hand = hand
         self._show = show
+        self._remark = remark
         self._search = gui.add_text(
             "Search", "", hint="Show only actions whose name or elements contain this"
         )
@@ -74,6 +81,7 @@ class ActionsPanel:
                     self._show,
                     expanded=place < _FEW or key[0] is not ActionKind.PRIMITIVE,
                     order=place,
+                    remark=self._remark,
                 )
             self._cards[key].tell(self._tried)
             self._known[key] = signature

@@ -54,6 +54,7 @@ class Card:
         *,
         expanded: bool,
         order: float,
+        remark: Callable[[Action], str] = lambda action: "",
     ) -> None:
         """Put the card where the GUI builds now.
 
@@ -64,6 +65,7 @@ class Card:
             show: Shows a posture.
             expanded: Whether it is unfolded at once.
             order: Where it stands among the others.
+            remark: Says in words what an action does besides what its name says.
         """
         self.name = actions[0].name
         self._bridge = bridge
@@ -75,6 +77,7 @@ class Card:
         self._stage: viser.GuiDropdownHandle[str] | None = None
         self._contact: float | None = None
         self._tried = Tried()
+        self._remark = remark
         gui = bridge.server.gui
         self._folder = gui.add_folder(self.name, expand_by_default=expanded, order=order)
         with self._folder:
@@ -109,6 +112,8 @@ class Card:
                 single = action.kind is PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS
                 noun = "Actuator" if single else "Finger"
                 self._choice = ElementChoice(gui, whole, self._chosen_anew, noun)
+                self._said = gui.add_html("", visible=False, order=0.5)
+                self._show_remark()
             case Composed(parts=parts):
                 gui.add_html(small(" + ".join(escape(described(p)) for p in parts)), order=0)
             case Generic(posture=posture):
@@ -174,8 +179,14 @@ class Card:
             self._slider.remove()
             with self._folder:
                 self._slider = self._make_slider(self._bridge.server.gui, value)
+        self._show_remark()
         self._show_tried()
         self._preview_if_shown()
+
+    def _show_remark(self) -> None:
+        words = self._remark(self.action)
+        self._said.content = small(escape(words))
+        self._said.visible = bool(words)
 
     def tell(self, tried: Tried) -> None:
         """Take what trials found."""

@@ -1,0 +1,119 @@
+"""A rest posture that is a pinch, told from the stored primitives alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+
+from rtee.actions.types import Primitive, PrimitiveKind
+from rtee.hand.frames import tip_pose_and_jacobian
+from rtee.hand.lines import rest_line
+from rtee.hand.model import Hand
+from rtee.hand.resting import APART, NEAR, OWN
+from rtee.types import FloatArray
+
+_PINCHES: Final = (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE)
+
+_HERE: Final = 0.1
+"""A pinch is at rest if no actuator travels farther than this share of its range to it."""
+
+_MEETING: Final = 0.02
+"""Tips meet at once if no actuator has travelled this share of its range at the first contact."""
+
+
+def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
+    """Return what is wrong with a rest posture that is a pinch, and what to type; else nothing.
+
+    No shapes are needed: a stored pinch of two fingers lies at the rest posture itself, its
+    evidence says that the tips meet there, or nearly do, and the motion that carries them farthest
+    past each other goes along the contact normal.
+
+    Args:
+        hand: The hand.
+        primitives: Its stored primitives.
+    """
+    at_rest = (p for p in primitives if p.kind in _PINCHES and _is_at_rest(hand, p))
+    ways = [(p, _opened(hand, p)) for p in at_rest]
+    closed = [p for p, way in ways if way]
+    if not closed:
+        return ""
+    opened = {name: bound for _, way in ways for name, bound in way.items()}
+    given = {
+        spec.name: opened.get(spec.name, spec.rest)
+        for spec in hand.actuators
+        if spec.name in opened or spec.rest != min(max(0.0, spec.lower), spec.upper)
+    }
+    pairs = ", ".join(" and ".join(f"'{element}'" for element in p.elements) for p in closed)
+    return (
+        f"the rest posture is a pinch: the tips of {pairs} touch or nearly do there, so "
+        f"`rtee open` closes the hand; type into hand.yaml: {rest_line(given)} and extract again: "
+        f"rtee extract {hand.name} --save"
+    )
+
+
+def _is_at_rest(hand: Hand, pinch: Primitive) -> bool:
+    travel = max(_travel(hand, pinch).values(), default=0.0)
+    if not pinch.evidence or travel > _HERE:
+        return False
+    evidence = pinch.evidence[0]
+    if evidence.contact_at is None:
+        return pinch.kind is PrimitiveKind.PINCH_LOOSE and evidence.distance <= NEAR
+    return evidence.contact_at * travel <= _MEETING
+
+
+def _travel(hand: Hand, pinch: Primitive) -> dict[str, float]:
+    """Return how far the actuators travel from rest, as shares of their ranges."""
+    specs = [hand.actuator(name) for name in pinch.posture.involved]
+    return {
+        spec.name: abs(pinch.posture.position[spec.name] - spec.rest) / (spec.upper - spec.lower)
+        for spec in specs
+    }
+
+
+def _opened(hand: Hand, pinch: Primitive) -> dict[str, float]:
+    """Return the limits to which actuators part the tips of a pinch at rest [rad | m]; may be none.
+
+    Whether the tips are opposed is decided as `closed_rest` does.
+    """
+    evidence = pinch.evidence[0]
+    if evidence.point is None or evidence.normal is None:
+        return {}
+    past = _past(hand, pinch.fingers, np.array(evidence.point))
+    spans = hand.upper - hand.lower
+    spans = np.where(np.isfinite(spans), spans, 0.0)  # a continuous one has no limit to go to
+    own = {name for finger in pinch.fingers for name in hand.finger(finger).own}
+    speeds = np.linalg.norm(past, axis=0)
+    moved = speeds * spans
+    parting = np.array(evidence.normal) @ past
+    opposed = np.abs(parting) >= APART * speeds
+    first = np.array([name in own for name in hand.actuator_names]) & (moved >= OWN * moved.max())
+    farthest = int(np.argmax(np.where(first, moved, 0.0) if first.any() else moved))
+    if moved[farthest] == 0.0 or not opposed[farthest]:
+        return {}
+    found = {}
+    for i, spec in enumerate(hand.actuators):
+        bound = spec.upper if parting[i] > 0.0 else spec.lower
+        if moved[i] > 0.0 and opposed[i] and abs(bound - spec.rest) > _HERE * spans[i]:
+            found[spec.name] = bound
+    return found
+
+
+def _past(hand: Hand, fingers: Sequence[str], point: FloatArray) -> FloatArray:
+    """Return how the second tip moves past the first, per unit of each actuator ``(3, n)``.
+
+    Args:
+        hand: The hand, at rest.
+        fingers: The two fingers.
+        point: Where the tips meet, in the base frame [m].
+    """
+    velocities = []
+    for name in fingers:
+        tip = hand.finger(name).tip
+        assert tip is not None  # noqa: S101 - a finger without a fingertip has no pinch
+        pose, jacobian = tip_pose_and_jacobian(hand, tip, hand.rest)
+        arm = point - pose[:3, 3]
+        velocities.append(jacobian[:3] + np.cross(jacobian[3:], arm, axis=0))
+    past: FloatArray = velocities[1] - velocities[0]
+    return past

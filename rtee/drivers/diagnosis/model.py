@@ -1,0 +1,75 @@
+"""What is wrong with a hand's model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rtee.actions.library import ActionLibrary
+from rtee.actions.resting import pinch_at_rest
+from rtee.actions.types import Primitive
+from rtee.drivers.diagnosis.checks import Check, ok, warning
+from rtee.errors import UserError
+from rtee.hand.load import hand_folder, load_configured, load_hand
+from rtee.hand.model import Hand
+
+_REST = "rest"
+
+
+def check_model(name: str) -> list[Check]:
+    """Return what was found about a hand's rest posture, and that it has no devices if so.
+
+    The geometry is looked at where Pinocchio and Coal are installed, else the stored primitives.
+
+    Args:
+        name: The hand's name, or its folder.
+
+    Raises:
+        UserError: for every mistake in its files.
+    """
+    hand = load_hand(name)
+    found = _by_geometry(hand) if _has_geometry() else _by_primitives(hand, hand_folder(name)[0])
+    if has_devices(name):
+        return [found]
+    remedy = "describe them under 'devices:' in hand.yaml"
+    return [found, warning("devices", "there are none: it moves on the screen only", remedy)]
+
+
+def has_devices(name: str) -> bool:
+    """Return whether a hand's hand.yaml describes devices.
+
+    Raises:
+        UserError: for every mistake in its files.
+    """
+    return bool(load_configured(name)[1].devices)
+
+
+def _has_geometry() -> bool:
+    try:
+        import rtee.hand.geometry  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def _by_geometry(hand: Hand) -> Check:
+    from rtee.hand.resting import closed_rest_of
+
+    try:
+        closed = closed_rest_of(hand)
+    except UserError as error:  # a mesh; the loop needs none
+        return warning(_REST, f"cannot be looked at: {error}", "mend the model")
+    if closed is None:
+        return ok(_REST, "no two fingertips pinch there")
+    remedy = f"type into hand.yaml: {closed.line}; then: rtee extract {hand.name} --save"
+    return warning(
+        _REST, f"is a pinch: {closed.found} there, so `rtee open` closes the hand", remedy
+    )
+
+
+def _by_primitives(hand: Hand, folder: Path) -> Check:
+    library = ActionLibrary.load(hand, folder / "actions")
+    pinched = pinch_at_rest(hand, (a for a in library if isinstance(a, Primitive)))
+    if not pinched:
+        return ok(_REST, "no stored pinch of two fingertips lies there")
+    found, _, remedy = pinched.partition("; ")
+    return warning(_REST, found, remedy)

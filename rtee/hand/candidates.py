@@ -1,0 +1,204 @@
+"""What a URDF cannot say for sure: joints that may have no motor, actuators that carry the hand."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtee.hand.frames import tip_pose_and_jacobian
+from rtee.hand.model import Finger, Hand
+from rtee.hand.xmlfile import Element, read_xml
+from rtee.types import JointKind
+
+_SPRUNG: Final = re.compile(r"spring|passive|complian|elastic|flexure|underactuated", re.IGNORECASE)
+"""What people call joints without a motor."""
+
+_SPRINGS: Final = ("springStiffness", "springReference", "spring_stiffness", "spring_reference")
+"""Elements and attributes by which a simulator is told of a spring."""
+
+_PLAY: Final = 0.25
+"""A joint that turns less than this from end to end [rad] is hardly worth a motor: 14 degrees."""
+
+_PARALLEL: Final = 0.9
+"""Least cosine of the angle of axes that count as parallel: 26 degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A joint that counts as an actuator and may have no motor.
+
+    Attributes:
+        joint: Its name.
+        why: What speaks for it, in words that go on from the joint's name.
+        likely: Whether that is hard to explain otherwise.
+    """
+
+    joint: str
+    why: str
+    likely: bool
+
+
+def passive_candidates(hand: Hand) -> tuple[Candidate, ...]:
+    """Return the actuators that may be joints without a motor, in the hand's order.
+
+    Likely are springs (by a simulator's elements, by name, or by a range of a few degrees), joints
+    without effort, velocity or transmission where others have one, and joints of a finger whose
+    other joints follow a motor elsewhere, as by a tendon. Possible is the outer one of two parallel
+    joints of a finger: one tendon may bend both.
+
+    Args:
+        hand: A hand without an SRDF.
+
+    Raises:
+        ModelError: Its URDF cannot be read again.
+    """
+    root = read_xml(hand.urdf.path, "URDF")[0]
+    reasons: dict[str, str] = {}
+    for found in (_springs(hand, root), _idle(hand), _undriven(hand, root), _pulled(hand)):
+        for joint, why in found.items():
+            reasons.setdefault(joint, why)
+    likely = [Candidate(joint, why, True) for joint, why in reasons.items()]
+    possible = [
+        Candidate(joint, why, False)
+        for joint, why in _outer(hand).items()
+        if joint not in reasons and not reasons.keys() & set(_finger_of(hand, joint).own)
+    ]
+    # With nothing left to move, none of it can be true.
+    if len(likely) == len(hand.actuators):
+        return ()
+    order = hand.actuator_names
+    return tuple(sorted((*likely, *possible), key=lambda c: order.index(c.joint)))
+
+
+def _springs(hand: Hand, root: Element) -> dict[str, str]:
+    told = {
+        element.attributes.get("reference", "")
+        for element in root.all("gazebo")
+        if any(child.tag in _SPRINGS for child in element.children)
+    }
+    for element in root.all("joint"):
+        dynamics = element.first("dynamics")
+        if dynamics is not None and any(key in dynamics.attributes for key in _SPRINGS):
+            told.add(element.attributes.get("name", ""))
+    found = {}
+    for spec in hand.actuators:
+        if spec.name in told:
+            found[spec.name] = "has a spring for the simulator"
+        elif _SPRUNG.search(spec.name):
+            found[spec.name] = "is called like a joint without a motor"
+        elif spec.kind is JointKind.REVOLUTE and spec.upper - spec.lower <= _PLAY:
+            found[spec.name] = "turns a few degrees only, like a joint on a spring"
+    return found
+
+
+def _idle(hand: Hand) -> dict[str, str]:
+    """Return the joints without effort or velocity where others have one."""
+    joints = [hand.urdf.joints[name] for name in hand.actuator_names]
+    found: dict[str, str] = {}
+    for quantity in ("effort", "velocity"):
+        idle = [joint.name for joint in joints if getattr(joint, quantity) == 0.0]
+        if len(idle) < len(joints):
+            found |= dict.fromkeys(idle, f"has no {quantity} limit, as others have")
+    return found
+
+
+def _undriven(hand: Hand, root: Element) -> dict[str, str]:
+    """Return the joints that no transmission names where one names another."""
+    driven = {
+        joint.attributes.get("name", "")
+        for element in root.all("transmission")
+        for joint in element.all("joint")
+    }
+    left = [name for name in hand.actuator_names if name not in driven]
+    if len(left) == len(hand.actuators):
+        return {}
+    return dict.fromkeys(left, "has no <transmission>, as others have")
+
+
+def _pulled(hand: Hand) -> dict[str, str]:
+    """Return the joints of fingers whose other joints follow a motor beside the finger."""
+    found: dict[str, str] = {}
+    for finger in hand.fingers:
+        way = {joint.name for joint in hand.urdf.path_to(finger.links[-1])}
+        motors = [name for name in finger.own if name not in way]
+        if motors:
+            why = f"belongs to a finger whose other joints follow '{motors[0]}', as by a tendon"
+            found |= {name: why for name in finger.own if name in way}
+    return found
+
+
+def _outer(hand: Hand) -> dict[str, str]:
+    """Return the outer one of two parallel joints that are all that bends a finger."""
+    found = {}
+    for finger in hand.fingers:
+        if finger.tip is None or len(finger.own) != 2:
+            continue
+        inner, outer = finger.own
+        way = [joint.name for joint in hand.urdf.path_to(finger.tip)]
+        if not {inner, outer} <= set(way):
+            continue
+        turning = tip_pose_and_jacobian(hand, finger.tip, hand.rest)[1][3:]
+        axes = [turning[:, hand.actuator_index(name)] for name in (inner, outer)]
+        lengths = [float(np.linalg.norm(axis)) for axis in axes]
+        if min(lengths) > 0.0 and abs(axes[0] @ axes[1]) >= _PARALLEL * lengths[0] * lengths[1]:
+            found[outer] = f"bends parallel to '{inner}', and one tendon may bend both"
+    return found
+
+
+def _finger_of(hand: Hand, actuator: str) -> Finger:
+    return next(finger for finger in hand.fingers if actuator in finger.own)
+
+
+def in_words(candidates: Sequence[Candidate]) -> list[str]:
+    """Return the candidates as sentences, those with the same reason in one."""
+    reasons: dict[str, list[str]] = {}
+    for candidate in candidates:
+        reasons.setdefault(candidate.why, []).append(f"'{candidate.joint}'")
+    return [
+        f"{', '.join(joints)} may have no motor: {'it' if len(joints) == 1 else 'each'} {why}"
+        for why, joints in reasons.items()
+    ]
+
+
+def double_limits(hand: Hand) -> list[str]:
+    """Return which actuators have several limits in the URDF, of which the first counts.
+
+    Raises:
+        ModelError: The URDF cannot be read again.
+    """
+    found = []
+    for element in read_xml(hand.urdf.path, "URDF")[0].all("joint"):
+        name, count = element.attributes.get("name", "").strip(), len(list(element.all("limit")))
+        if name in hand.actuator_names and count > 1:
+            joint = hand.urdf.joints[name]
+            found.append(
+                f"actuator '{name}' has {count} <limit> elements, of which the first counts: "
+                f"velocity {joint.velocity:g}, effort {joint.effort:g}"
+            )
+    return found
+
+
+def carriers(hand: Hand) -> tuple[str, ...]:
+    """Return the actuators that move all fingers as one body, as those of a wrist, in order.
+
+    All that such an actuator moves on the way to any fingertip lies where all the ways are one.
+    There are none where no other actuator would be left, or with fewer than two fingers.
+    """
+    tips = [finger.tip for finger in hand.fingers if finger.tip]
+    if len(tips) < 2:
+        return ()
+    ways = [[joint.name for joint in hand.urdf.path_to(tip)] for tip in tips]
+    common = set(ways[0]).intersection(*ways[1:])
+    rows = {joint.name: row for row, joint in enumerate(hand.joints)}
+    moved: dict[int, set[str]] = {}
+    for name in set().union(*ways):
+        if name in rows:
+            index = hand.transmission.moves(rows[name])
+            if index is not None:
+                moved.setdefault(index, set()).add(name)
+    found = [hand.actuators[index].name for index in sorted(moved) if moved[index] <= common]
+    return tuple(found) if len(found) < len(moved) else ()
