@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -146,3 +147,19 @@ def actions_of(name: str | None) -> ActionLibrary:
     logging.basicConfig(format="rtee: warning: %(message)s")
     folder = hand_folder(name)
     return ActionLibrary.load(load_hand(folder), folder / "actions")
+
+
+def tell_copy(before: Path | None, after: Path | None) -> None:
+    """Say in a line that a hand was copied to be changed, if it was.
+
+    Args:
+        before: The hand's folder, or that of its actions, as it was.
+        after: The same now.
+    """
+    if before is None or after is None or before == after:
+        return
+    from rtee.hand.own import told
+
+    if before.name == after.name == "actions":
+        before, after = before.parent, after.parent
+    print(told(before, after), file=sys.stderr)
