@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import lru_cache
@@ -111,7 +111,7 @@ def attempt(name: str, trial: Trial) -> TrialResult:
         return TrialResult(trial, False, str(error))
 
 
-def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Iterator[TrialResult]:
+def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResult]:
     """Do trials in several processes; results come as they are done.
 
     The processes end with this one, however it ends, and with the iteration: at once, what they are
@@ -162,7 +162,7 @@ def end_with(leash: Connection) -> None:
     threading.Thread(target=watch, name="leash", daemon=True).start()
 
 
-def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Iterator[TrialResult]:
+def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Generator[TrialResult]:
     """Do trials on a Dask cluster; results come as they are done, equal to those of `sweep`.
 
     Args:

@@ -295,3 +295,43 @@ def test_a_copy_that_is_no_hand_leaves_nothing(shipped: Path, tmp_path: Path) ->
     with pytest.raises(UserError):
         own.own(shipped)
     assert not list(Path().iterdir())
+
+
+def new(*words: str) -> tuple[int, str]:
+    from typer.testing import CliRunner
+
+    from rtee.cli.new import app
+
+    try:
+        done = CliRunner().invoke(app, words, catch_exceptions=False)
+    except UserError as error:
+        return error.exit_status, str(error)
+    return done.exit_code, done.output
+
+
+def test_new_from_a_hand(shipped: Path) -> None:
+    status, said = new("my_gripper", "--from", str(shipped))
+    assert (status, said.splitlines()[-1]) == (0, "Next: rtee actions my_gripper")
+    assert load_hand("my_gripper").actuator_names == load_hand(shipped).actuator_names
+
+
+def test_new_ends_with_what_makes_the_actions(shipped: Path) -> None:
+    status, said = new("mine", "--urdf", str(shipped / f"{GRIPPER}.urdf"))
+    assert (status, said.splitlines()[-1]) == (0, "Next: rtee extract mine --save")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("mine", "give either --urdf FILE or --from HAND"),
+        (f"mine --from {GRIPPER} --urdf g.urdf", "give either --urdf FILE or --from HAND"),
+        (f"mine --from {GRIPPER} --srdf g.srdf", "--srdf and --package-dir go with --urdf"),
+        ("mine --from nix", "unknown hand 'nix'"),
+        (f"a/b --from {GRIPPER}", "'a/b'"),
+    ],
+)
+def test_new_from_refuses_what_makes_no_sense(shipped: Path, words: str, said: str) -> None:
+    status, text = new(*words.split())
+    assert status == 2
+    assert said in text
+    assert not list(Path().iterdir())
