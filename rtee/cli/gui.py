@@ -25,9 +25,10 @@ def gui(
 
     from rtee.errors import ConfigError
     from rtee.gui.priority import stand_back
-    from rtee.remote.find import hands_running
 
     stand_back()  # before numpy and the network start threads of their own
+    from rtee.remote.find import hands_running
+
     try:
         from rtee.gui.app import serve
     except ImportError as error:

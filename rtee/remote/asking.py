@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.fingerprint import fingerprint
-from rtee.hand.own import told
+from rtee.hand.own import TRIALS, told
 from rtee.messages.convert import device_status_fields, loop_statistics_fields
 from rtee.remote.actions import action_fields, group_fields, made_of
 from rtee.remote.asked import Asked
@@ -27,7 +27,6 @@ Fields = Mapping[str, Any]
 log = logging.getLogger(__name__)
 
 _LONGEST_MARK = 1000
-_TRIALS = "trials.yaml"
 
 _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
 """Requests whose answer changes only with the actions."""
@@ -152,7 +151,7 @@ class Asking:
         if folder is None:
             return ""
         with contextlib.suppress(OSError, UnicodeDecodeError):
-            text = (folder.parent / _TRIALS).read_text(encoding="utf-8")
+            text = (folder.parent / TRIALS).read_text(encoding="utf-8")
             return f"{text}present: '{fingerprint(folder.parent)}'\n"
         return ""
 
