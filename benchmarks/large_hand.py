@@ -1,4 +1,4 @@
-"""A hand with 24 actuators, laid out as tendon-driven anthropomorphic hands are, as a URDF and SRDF.
+"""A hand with 24 actuators, laid out as tendon-driven anthropomorphic hands are.
 
 Two wrist joints, four joints in each of three fingers, five in the little finger (its metacarpal
 moves, too) and five in the thumb. All shapes are boxes, cylinders and spheres. The dimensions are
@@ -43,7 +43,12 @@ def _phalanx(length: float, radius: float) -> str:
 
 
 def _joint(
-    name: str, parent: str, child: str, place: tuple[str, str], axis: str, limits: tuple[float, float]
+    name: str,
+    parent: str,
+    child: str,
+    place: tuple[str, str],
+    axis: str,
+    limits: tuple[float, float],
 ) -> str:
     return (
         f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'

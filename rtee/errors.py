@@ -29,6 +29,7 @@ The tree::
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
+        ├── NotReady (TimeoutError)  a device of the hand is not active in time
         ├── LeaseHeld              another client holds the hand
         └── RequestRejected        the hand refused, with its reason
 """
@@ -345,6 +346,10 @@ class RemoteError(RteeError):
 
 class NoHand(RemoteError):
     """No running hand answers on the network."""
+
+
+class NotReady(RemoteError, TimeoutError):
+    """A hand runs but is not ready within the time one would wait; with what it lacks."""
 
 
 class LeaseHeld(RemoteError):

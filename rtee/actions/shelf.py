@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import logging
+import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from rtee.actions.build import uses_of
 from rtee.actions.index import Index
 from rtee.actions.naming import normalise
 from rtee.actions.types import Action, Primitive
 from rtee.errors import ActionError
+from rtee.hand.catalog import FILE_NAME
 from rtee.hand.model import Hand
+
+log = logging.getLogger(__name__)
+
+ACTIONS: Final = "actions"
+"""The folder of the actions in a hand's folder."""
 
 
 class Shelf:
@@ -54,7 +63,10 @@ class Shelf:
         """Return whether a file was changed, added or removed since it was read or written."""
         from rtee.actions.store import stamps
 
-        return self.folder is not None and stamps(self.folder) != self._seen
+        if self.folder is None:
+            return False
+        self._follow()
+        return stamps(self.folder) != self._seen
 
     def holds(self, name: str) -> bool:
         """Return whether a composed, timed or generic action is stored in a file."""
@@ -70,7 +82,7 @@ class Shelf:
         from rtee.actions.store import primitive_changes
 
         if isinstance(action, Primitive):
-            primitive_changes(self._home(), self.hand, index.primitives).write()
+            primitive_changes(self._own_home(), self.hand, index.primitives).write()
             return
         for use in uses_of(action):
             inner = index.find(use.action, use.elements, None)
@@ -89,10 +101,16 @@ class Shelf:
         """
         from rtee.actions.store import Changes, custom_changes, primitive_changes
 
-        primitives = primitive_changes(self._home(), self.hand, index.primitives)
-        custom = custom_changes(self._home(), index.custom.values())
-        files = {**primitives.files, **custom.files}
-        Changes(files, primitives.gone, primitives.folders).write()
+        def changes(folder: Path) -> Changes:
+            primitives = primitive_changes(folder, self.hand, index.primitives)
+            custom = custom_changes(folder, index.custom.values())
+            files = {**primitives.files, **custom.files}
+            return Changes(files, primitives.gone, primitives.folders)
+
+        found = changes(self._home())
+        if found.files or found.gone:
+            found = changes(self._own_home())
+        found.write()
         self._stored.update(
             (normalise(action.name), action.name) for action in index.custom.values()
         )
@@ -107,7 +125,7 @@ class Shelf:
         from rtee.actions.store import delete_custom
 
         if self.holds(action.name):
-            delete_custom(self._home(), action)
+            delete_custom(self._own_home(), action)
             del self._stored[normalise(action.name)]
             self._note()
 
@@ -131,14 +149,14 @@ class Shelf:
             [other for other in changed if normalise(other.name) == new or self.holds(other.name)]
         )
         if new != old:
-            delete_custom(self._home(), action)
+            delete_custom(self._own_home(), action)
             del self._stored[old]
             self._note()
 
     def _write_custom(self, actions: Sequence[Action]) -> None:
         from rtee.actions.store import custom_changes
 
-        custom_changes(self._home(), actions).write()
+        custom_changes(self._own_home(), actions).write()
         self._stored.update((normalise(action.name), action.name) for action in actions)
         self._note()
 
@@ -147,7 +165,39 @@ class Shelf:
             raise ActionError("these actions have no folder to be stored in")
         return self.folder
 
+    def _follow(self) -> None:
+        """Go to the copy of the hand, where another program has made one since."""
+        from rtee.hand.own import copied_since
+
+        if self.folder is not None and _of_a_hand(self.folder):
+            copy = copied_since(self.folder.parent)
+            if copy is not None and os.path.isdir(copy / ACTIONS):
+                self.folder = copy / ACTIONS
+
+    def _own_home(self) -> Path:
+        """Return the folder to write to; a hand that is not to be changed is copied for it.
+
+        Raises:
+            ActionError: if there is no folder.
+            ConfigError: if a copy is needed and cannot be made.
+        """
+        from rtee.hand.own import own, told
+
+        home = self._home()
+        if not _of_a_hand(home):
+            return home
+        copy = own(home.parent)
+        if copy != home.parent:
+            log.info("%s", told(home.parent, copy))
+            self.folder = copy / ACTIONS
+        return self._home()
+
     def _note(self) -> None:
         from rtee.actions.store import stamps
 
         self._seen = stamps(self._home())
+
+
+def _of_a_hand(folder: Path) -> bool:
+    """Return whether a folder of actions is that of a hand, not one that was given by itself."""
+    return folder.name == ACTIONS and os.path.isfile(folder.parent / FILE_NAME)

@@ -9,7 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from rtee.actions.build import StepPlan
 from rtee.actions.types import ActionReference
@@ -74,6 +75,52 @@ def read_set_points(words: Sequence[str]) -> dict[str, float]:
             raise ActionError(f"the actuator '{name}' is given twice")
         found[name] = _number(value, f"set-point of '{name}'", word)
     return found
+
+
+@dataclass(frozen=True)
+class Efforts:
+    """Effort limits as words say them.
+
+    Attributes:
+        share: Of the limit of every actuator that is not named, above 0 up to 1; ``None``: its own.
+        shares: The same by actuator.
+        limits: Limits by actuator [N·m | N].
+    """
+
+    share: float | None
+    shares: Mapping[str, float]
+    limits: Mapping[str, float]
+
+
+def read_efforts(words: Sequence[str]) -> Efforts:
+    """Read ``PERCENT%``, ``ACTUATOR=PERCENT%`` and ``ACTUATOR=VALUE`` words [N·m | N].
+
+    Raises:
+        ActionError: if a word is not like that, or an actuator, or all of them, are given twice.
+    """
+    share: float | None = None
+    shares: dict[str, float] = {}
+    limits: dict[str, float] = {}
+    for word in words:
+        name, equals, value = word.rpartition("=")
+        percent = value.endswith("%")
+        if bool(name) != bool(equals) or not (name or percent):
+            raise ActionError(
+                f"'{word}' is no effort limit; it is written PERCENT% for all actuators, "
+                "ACTUATOR=PERCENT% or ACTUATOR=VALUE for one"
+            )
+        if name in shares or name in limits:
+            raise ActionError(f"the actuator '{name}' is given twice")
+        number = _number(value.removesuffix("%").rstrip(), "effort limit", word)
+        if percent and not 0.0 < number <= 100.0:
+            raise ActionError(f"the effort in '{word}' must be above 0 % and at most 100 %")
+        if name:
+            (shares if percent else limits)[name] = number / 100.0 if percent else number
+        elif share is not None:
+            raise ActionError(f"the effort of all actuators is given twice: '{word}'")
+        else:
+            share = number / 100.0
+    return Efforts(share, shares, limits)
 
 
 def _number(text: str, what: str, word: str) -> float:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from rtee.errors import ConfigError, RteeError
 
@@ -110,7 +112,38 @@ ConnectOption = Annotated[
         help="Where the hand runs, if elsewhere, such as tcp/robot:7447.",
     ),
 ]
+WaitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--wait",
+        min=0.0,
+        metavar="[SECONDS]",
+        help="Wait until the hand runs and its devices are active; 60 s unless given.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+class WaitingCommand(TyperCommand):
+    """A command whose ``--wait`` may be given without its number of seconds."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the number in where it is left out."""
+        from rtee.remote.views import READY_WITHIN
+
+        end = args.index("--") if "--" in args else len(args)
+        for number in [i for i, word in enumerate(args[:end]) if word == "--wait"][::-1]:
+            if number + 1 >= end or not _is_number(args[number + 1]):
+                args = [*args[: number + 1], f"{READY_WITHIN:g}", *args[number + 1 :]]
+        return super().parse_args(ctx, args)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def hand_folder(name: str | None) -> Path:
@@ -146,3 +179,19 @@ def actions_of(name: str | None) -> ActionLibrary:
     logging.basicConfig(format="rtee: warning: %(message)s")
     folder = hand_folder(name)
     return ActionLibrary.load(load_hand(folder), folder / "actions")
+
+
+def tell_copy(before: Path | None, after: Path | None) -> None:
+    """Say in a line that a hand was copied to be changed, if it was.
+
+    Args:
+        before: The hand's folder, or that of its actions, as it was.
+        after: The same now.
+    """
+    if before is None or after is None or before == after:
+        return
+    from rtee.hand.own import told
+
+    if before.name == after.name == "actions":
+        before, after = before.parent, after.parent
+    print(told(before, after), file=sys.stderr)

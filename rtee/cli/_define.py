@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import HAND_VARIABLE, actions_of
+from rtee.cli._common import HAND_VARIABLE, actions_of, tell_copy
 from rtee.errors import RteeError, UnknownAction
 
 if TYPE_CHECKING:
@@ -68,11 +68,13 @@ def store(library: ActionLibrary, action: Composed | Timed | Generic, replace: b
 
     if replace and not action.description:
         action = dataclasses.replace(action, description=_description(library, action.name))
+    before = library.folder
     library.add(action, store=True, replace_same=replace)
+    tell_copy(before, library.folder)
     for warning in warnings_of(action):
         print(f"rtee: warning: {warning}", file=sys.stderr)
     print(f"'{action.name}' is now an action of {library.hand.name}")
-    _tell(library.hand.name)
+    _tell(library.hand.name, action.name)
 
 
 def _description(library: ActionLibrary, name: str) -> str:
@@ -84,7 +86,7 @@ def _description(library: ActionLibrary, name: str) -> str:
     return ""
 
 
-def _tell(hand: str) -> None:
+def _tell(hand: str, action: str) -> None:
     """Have a running hand read its actions again, as it does when it is asked for them."""
     from rtee.remote.directory import running
 
@@ -93,6 +95,8 @@ def _tell(hand: str) -> None:
             return
         from rtee.cli._online import with_hand
 
-        with_hand(hand, None, "define", lambda remote: remote.actions())
+        known = with_hand(hand, None, "define", lambda remote: remote.actions())
+        if action not in {each.name for each in known}:
+            raise RteeError(f"it was started from other files; end it, then 'rtee run {hand}' here")
     except RteeError as error:
         print(f"rtee: warning: the running hand does not know it yet: {error}", file=sys.stderr)

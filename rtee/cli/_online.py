@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+import time
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -20,17 +22,37 @@ def with_hand(
     endpoint: str | None,
     what: str,
     function: Callable[[RemoteHand], Coroutine[Any, Any, T]],
+    *,
+    wait: float | None = None,
 ) -> T:
-    """Connect to a running hand, call a function with it and return what that returns."""
+    """Connect to a running hand, call a function with it and return what that returns.
+
+    Args:
+        hand: Its name; not needed where only one runs.
+        endpoint: Where it is; ``None``: on this computer, unless ``RTEE_CONNECT`` says so.
+        what: The command, to tell this client from others.
+        function: What to do with the hand.
+        wait: How long to wait for it to run and to be ready [s]; ``None``: it must run, no more.
+    """
     import anyio
 
     from rtee.remote.client import connect
 
     async def main() -> T:
-        async with connect(hand, endpoint=endpoint, client=f"rtee-{what}") as remote:
+        began, within = time.monotonic(), wait or 0.0
+        name = f"rtee-{what}"
+        async with connect(
+            hand, endpoint=endpoint, client=name, wait=within, on_wait=_waiting if wait else None
+        ) as remote:
+            if wait is not None:
+                await remote.ready(max(0.0, began + wait - time.monotonic()), _waiting)
             return await function(remote)
 
     return anyio.run(main)
+
+
+def _waiting(text: str) -> None:
+    print(f"rtee: waiting: {text}", file=sys.stderr, flush=True)
 
 
 def to_json(values: Any) -> str:

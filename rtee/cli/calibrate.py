@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import Hand
+from rtee.cli._common import Hand, tell_copy
+
+if TYPE_CHECKING:
+    from rtee.types import DeviceSpec
 
 app = typer.Typer()
 
@@ -34,6 +37,7 @@ def calibrate(
     from rtee.cli._devices import devices_of, folder_of, with_options
     from rtee.drivers import calibration
     from rtee.drivers.registry import find_driver
+    from rtee.hand.own import own
 
     specs = devices_of(hand, device, emulated=emulated)
 
@@ -42,12 +46,21 @@ def calibrate(
         if not yes:
             await asyncio.to_thread(input, "Press Enter when it is so, Ctrl-C to end. ")
 
+    def file_of(spec: DeviceSpec) -> Path:
+        """Return where a device's values go; a hand that is not to be changed is copied first."""
+        stored, folder = spec.options.get("calibration"), folder_of(hand)
+        path = Path(str(stored)) if stored else folder / "calibration" / f"{spec.name}.json"
+        if out is not None or not path.resolve().is_relative_to(folder.resolve()):
+            return out or path
+        copy = own(folder)
+        tell_copy(folder, copy)
+        return copy / path.resolve().relative_to(folder.resolve())
+
     async def execute() -> None:
         async with BusPool() as pool:
             for spec in specs:
                 stored = spec.options.get("calibration")
-                path = out or Path(str(stored)) if stored or out else None
-                path = path or folder_of(hand) / "calibration" / f"{spec.name}.json"
+                path = file_of(spec)
                 made = with_options(spec, calibration=None)
                 driver = find_driver(spec.driver, source=spec.source)(made, pool)
                 found = await calibration.calibrate(driver, path, ready)

@@ -10,6 +10,8 @@ from rtee.cli._common import (
     ConnectOption,
     JsonOption,
     RunningOption,
+    WaitingCommand,
+    WaitOption,
     complete_action,
     complete_element,
 )
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command()
+@app.command(cls=WaitingCommand)
 def do(
     action: Annotated[
         str,
@@ -45,7 +47,11 @@ def do(
     ] = 1.0,
     effort: Annotated[
         list[str] | None,
-        typer.Option(metavar="ACTUATOR=VALUE", help="Effort limit of an actuator [N·m | N]."),
+        typer.Option(
+            metavar="PERCENT%|ACTUATOR=VALUE",
+            help="Effort limit: 40% of the limits of all actuators, or of one by name, or a value "
+            "[N·m | N]; may be repeated.",
+        ),
     ] = None,
     speed: Annotated[float, typer.Option(help="Scale of the velocity limits, up to 1.")] = 1.0,
     tolerance: Annotated[float, typer.Option(help="Error norm that counts as reached.")] = 0.01,
@@ -58,6 +64,7 @@ def do(
     ] = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
+    wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Execute a grasping action; Ctrl-C cancels it.
@@ -65,14 +72,19 @@ def do(
     Example: rtee do pinch_tight index thumb --intensity 0.6
     """
     from rtee.actions.naming import label
-    from rtee.actions.words import read_set_points
+    from rtee.actions.words import read_efforts
     from rtee.cli._online import result_json, sentence, with_hand
     from rtee.cli._progress import follow
 
-    limits = read_set_points(effort or [])
+    efforts = read_efforts(effort or [])
     chosen = tuple(elements or ())
 
     async def execute(remote: RemoteHand) -> Result:
+        limits = dict(efforts.limits)
+        for name, share in efforts.shares.items():
+            limits |= await remote.effort_limits(share, only=[name])
+        if efforts.share is not None:
+            limits = await remote.effort_limits(efforts.share, besides=list(limits)) | limits
         running = await remote.start(
             action,
             *chosen,
@@ -86,6 +98,6 @@ def do(
         )
         return await follow(running, label(action, chosen))
 
-    result = with_hand(hand, connect, "do", execute)
+    result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
     raise typer.Exit(0 if result.succeeded else 1)

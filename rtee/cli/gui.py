@@ -27,8 +27,33 @@ def gui(
     from rtee.gui.priority import stand_back
 
     stand_back()  # before numpy and the network start threads of their own
+    from rtee.remote.find import hands_running
+
     try:
         from rtee.gui.app import serve
     except ImportError as error:
         raise ConfigError(f"the GUI needs the extra 'gui' ({error}); install rtee[gui]") from error
+    if hand is not None or endpoint is not None:
+        anyio.run(_look, hand, endpoint)
+    elif not hands_running():
+        print("rtee: no hand runs here yet; the page will show the first one that does", flush=True)
     anyio.run(lambda: serve(hand, host=host, port=port, endpoint=endpoint))
+
+
+async def _look(hand: str | None, endpoint: str | None) -> None:
+    """Find the hand that is asked for before a page is served that would wait for it.
+
+    Raises:
+        ConfigError: if it does not run.
+    """
+    import anyio.to_thread
+
+    from rtee.errors import ConfigError, NoHand
+    from rtee.remote.find import open_hand
+
+    try:
+        session, _ = await open_hand(hand, endpoint, 0.0)
+    except NoHand as error:
+        start = "" if "rtee run" in str(error) else f"; start it with 'rtee run {hand or 'HAND'}'"
+        raise ConfigError(f"{error}{start}") from None
+    await anyio.to_thread.run_sync(session.close)

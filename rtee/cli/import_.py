@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import HandOption, actions_of
+from rtee.cli._common import HandOption, actions_of, tell_copy
 from rtee.errors import ActionError
 
 if TYPE_CHECKING:
@@ -41,7 +41,10 @@ def import_(
     if out is not None:
         library = ActionLibrary.load(library.hand, out)
     kept = _add(library, imported.actions, replace)
+    before = library.folder
     library.save(out)
+    if out is None:
+        tell_copy(before, library.folder)
     for note in imported.notes:
         print(f"note: {note}")
     for action in kept:

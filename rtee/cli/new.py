@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rtee.cli._common import complete_hand, hand_folder
+from rtee.errors import ConfigError
+
 if TYPE_CHECKING:
     from rtee.hand.scaffold import NewHand
 
@@ -16,7 +19,7 @@ app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the new hand.")],
-    urdf: Annotated[Path, typer.Option("--urdf", help="Its URDF.")],
+    urdf: Annotated[Path | None, typer.Option("--urdf", help="Its URDF.")] = None,
     srdf: Annotated[
         Path | None, typer.Option("--srdf", help="Its SRDF; without one the fingers are found.")
     ] = None,
@@ -24,12 +27,30 @@ def new(
         list[Path] | None,
         typer.Option("--package-dir", help="Where package:// is looked up; may be repeated."),
     ] = None,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="HAND",
+            help="A hand to copy instead, with its actions.",
+            autocompletion=complete_hand,
+        ),
+    ] = None,
     into: Annotated[Path, typer.Option("--into", help="Folder of the hands.")] = Path("config"),
     ask: Annotated[
         bool, typer.Option("--ask", help="Ask about what the files cannot say for sure.")
     ] = False,
 ) -> None:
-    """Make config/NAME with hand.yaml, URDF, SRDF and meshes."""
+    """Make config/NAME with hand.yaml, URDF, SRDF and meshes; or copy a hand."""
+    if (urdf is None) == (source is None):
+        raise ConfigError("give either --urdf FILE or --from HAND")
+    if urdf is None:
+        from rtee.hand.names import check_name
+
+        if srdf or package_dir:
+            raise ConfigError("--srdf and --package-dir go with --urdf")
+        _copy(hand_folder(source), into / check_name(name, "hand"))
+        return
     from rtee.hand.scaffold import make_hand
 
     asked = _ask if ask else None
@@ -40,19 +61,28 @@ def _ask(question: str, default: bool) -> bool:
     return typer.confirm(question, default=default)
 
 
+def _copy(folder: Path, target: Path) -> None:
+    from rtee.hand.own import copy_hand
+
+    copy_hand(folder, target)
+    print(f"{target} is made, a copy of {folder}.\nNext: rtee actions {_known(target)}")
+
+
+def _known(folder: Path) -> str:
+    """Return by what a hand is found: in ./config and here by its name, elsewhere by its folder."""
+    return folder.name if folder.parent in (Path("config"), Path()) else str(folder)
+
+
 def _print(made: NewHand) -> None:
     hand = made.hand
     print(f"{made.folder} is made.")
     for finger, reason in zip(hand.fingers, made.reasons, strict=True):
         print(f"\nfinger {reason}\n  tip: {finger.tip or 'none'}")
         print(f"  moved by: {', '.join(finger.actuators) or 'nothing'}")
-    # By its name a hand is found in ./config and here only.
-    near = made.folder.parent in (Path("config"), Path())
-    known = hand.name if near else str(made.folder)
     print()
     for note in made.notes:
         print(f"note: {note}")
     print(
         f"{len(made.pairs)} pairs of links are never checked for collision; {hand.name}.srdf says "
-        f"why.\nNext: rtee extract {known}"
+        f"why.\nNext: rtee extract {_known(made.folder)} --save"
     )

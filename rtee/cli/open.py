@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from rtee.cli._common import ConnectOption, JsonOption, RunningOption
+from rtee.cli._common import (
+    ConnectOption,
+    JsonOption,
+    RunningOption,
+    WaitingCommand,
+    WaitOption,
+)
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
@@ -15,9 +21,12 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command(name="open")
+@app.command(name="open", cls=WaitingCommand)
 def open_(
-    hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Bring the hand to its rest posture, or do its action "open" if it has one."""
     from rtee.cli._online import result_json, sentence, with_hand
@@ -26,6 +35,6 @@ def open_(
     async def execute(remote: RemoteHand) -> Result:
         return await follow(await remote.start("open"), "open")
 
-    result = with_hand(hand, connect, "open", execute)
+    result = with_hand(hand, connect, "open", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result))
     raise typer.Exit(0 if result.succeeded else 1)

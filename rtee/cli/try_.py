@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
+import time
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import complete_hand
+from rtee.cli._common import complete_hand, tell_copy
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from rtee.trials.trial import Trial, TrialResult
 
 app = typer.Typer()
 
-_EVERY = 20
+_WRITING = 0.1
+"""Largest share of the time that goes into writing results; the file is written whole each time."""
 
 
 @app.command()
@@ -157,9 +161,11 @@ def _all(
     cluster: str | None,
     out: Path | None,
 ) -> list[TrialResult]:
-    """Do what is not known yet; what is known is kept after every few trials."""
+    """Do what is not known yet; every result is kept as it comes."""
     from rtee.drivers.mujoco.objects import parse_object
-    from rtee.trials.store import FILE_NAME, fingerprint, read_results, write_results
+    from rtee.errors import ConfigError
+    from rtee.hand.own import own
+    from rtee.trials.store import FILE_NAME, fingerprint, read_results
     from rtee.trials.sweep import all_trials, bench, sweep, sweep_on_cluster
 
     for shape in shapes:
@@ -167,20 +173,81 @@ def _all(
     ready = bench(name)
     path, made_with = out or ready.folder / FILE_NAME, fingerprint(ready.folder)
     trials = all_trials(ready.library, shapes)
+    if not trials:
+        raise ConfigError(
+            f"hand '{ready.hand.name}' has no actions to try; find its primitives first: "
+            f"rtee extract {name} --save"
+        )
     known = read_results(path, made_with)
     todo = [trial for trial in trials if again or trial.key not in known]
     if todo:
-        write_results(path, made_with, known.values())  # so that it fails before, not after
+        if out is None:
+            folder = own(ready.folder)
+            tell_copy(ready.folder, folder)
+            path = folder / FILE_NAME
+        keep = _Kept(path, made_with, known)
+        keep.write()  # so that it fails before, not after
         processes = jobs or len(os.sched_getaffinity(0))
         coming = sweep_on_cluster(name, todo, cluster) if cluster else sweep(name, todo, processes)
-        try:
-            for count, result in enumerate(_with_progress(coming, len(todo)), 1):
-                known[result.trial.key] = result
-                if count % _EVERY == 0:
-                    write_results(path, made_with, known.values())
-        finally:
-            write_results(path, made_with, known.values())
+        with keep.until_done(len(todo), again), closing(coming):
+            for result in _with_progress(coming, len(todo)):
+                keep.take(result)
     return [known[trial.key] for trial in trials]
+
+
+class _Kept:
+    """Results in a file, written as they come."""
+
+    def __init__(self, path: Path, made_with: str, known: dict[str, TrialResult]) -> None:
+        self._path, self._made_with, self._known = path, made_with, known
+        self._write_at = 0.0
+        self._taken = 0
+
+    def take(self, result: TrialResult) -> None:
+        """Keep a result; it is written now, unless writing would take too much of the time."""
+        self._known[result.trial.key] = result
+        self._taken += 1
+        if time.monotonic() >= self._write_at:
+            self.write()
+
+    def write(self) -> None:
+        """Write all results."""
+        from rtee.trials.store import write_results
+
+        begun = time.monotonic()
+        write_results(self._path, self._made_with, self._known.values())
+        ended = time.monotonic()
+        self._write_at = ended + (ended - begun) * (1.0 / _WRITING - 1.0)
+
+    @contextmanager
+    def until_done(self, total: int, again: bool) -> Iterator[None]:
+        """Write what there is when the context ends; where it is interrupted, say what is kept.
+
+        Args:
+            total: How many results are to come.
+            again: Whether they come from trials that are done though their results are known.
+        """
+
+        def once(*_: object) -> None:
+            # Some send it twice, to the process and its group; the second must not spoil the end.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            raise KeyboardInterrupt
+
+        before = signal.signal(signal.SIGINT, once)
+        try:
+            yield
+        except KeyboardInterrupt:
+            self.write()
+            same = "the same command without --again" if again else "the same command"
+            print(
+                f"rtee: interrupted; the results of {self._taken} of {total} trials are kept in "
+                f"{self._path}; {same} does the others",
+                file=sys.stderr,
+            )
+            raise
+        finally:
+            self.write()
+            signal.signal(signal.SIGINT, before)
 
 
 def _with_progress(results: Iterable[TrialResult], total: int) -> Iterable[TrialResult]:

@@ -16,6 +16,9 @@ Result = TypeVar("Result")
 
 Progress = Callable[[int, int], None]
 
+_PR_SET_PDEATHSIG: Final = 1
+"""Linux: the signal that a process gets when its parent ends (prctl(2))."""
+
 _TICKET: Final = 4
 """Bytes of a task's number."""
 
@@ -100,11 +103,13 @@ class _Fork:
         self, function: Callable[[Task], Result], tasks: Sequence[Task], queue: _Queue
     ) -> None:
         self._results, writing = Pipe(duplex=False)
+        parent = os.getpid()
         self._process = os.fork()
         if self._process:
             writing.close()
             return
         with suppress(BaseException):
+            _end_with(parent)
             results = {}
             while (number := queue.next()) is not None:
                 results[number] = function(tasks[number])
@@ -124,3 +129,12 @@ class _Fork:
         with suppress(ProcessLookupError):
             os.kill(self._process, signal.SIGKILL)
         os.waitpid(self._process, 0)
+
+
+def _end_with(parent: int) -> None:
+    """Have the kernel end this process when its parent ends, even if that is killed."""
+    import ctypes
+
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it ended before
+        os._exit(1)

@@ -17,21 +17,31 @@ FILE_NAME: Final = "hand.yaml"
 def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     """Return the folders that hold hands, those that take precedence first.
 
-    They are ``extra``, those in ``RTEE_CONFIG_PATH``, ``./config``, the ones that came with rtee,
-    and at last the folder one works in, where nothing takes the place of a hand known elsewhere.
+    They are ``extra``, the user's (see `own_dirs`), the ones that came with rtee, and at last the
+    folder one works in, where nothing takes the place of a hand known elsewhere.
     """
-    candidates = [Path(folder) for folder in extra]
-    candidates += [Path(p) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
     package = Path(__file__).resolve().parents[1]
-    candidates += [Path("config"), package / "_config"]
+    candidates = [*(Path(folder) for folder in extra), *own_dirs(), package / "_config"]
     if (package.parent / "pyproject.toml").is_file():
         candidates.append(package.parent / "config")
     candidates.append(Path())
     found: dict[Path, Path] = {}
     for folder in candidates:
-        if folder.is_dir():
+        if os.path.isdir(folder):  # unlike Path.is_dir, also beside folders that may not be read
             found.setdefault(folder.resolve(), folder)
     return list(found.values())
+
+
+def own_dirs() -> list[Path]:
+    """Return the folders for hands of the user, whether they exist or not, by precedence.
+
+    They are those in ``RTEE_CONFIG_PATH``, ``./config``, and ``rtee/hands`` in the user's folder of
+    settings (``XDG_CONFIG_HOME``, else ``~/.config``).
+    """
+    found = [Path(p) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    found.append(Path("config"))
+    settings = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
+    return [*found, settings / "rtee" / "hands"] if settings.is_absolute() else found
 
 
 def hands(extra: Sequence[Path | str] = ()) -> dict[str, Path]:

@@ -6,11 +6,13 @@ That thread is the only one that changes the library; the loop's thread only loo
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.fingerprint import fingerprint
+from rtee.hand.own import TRIALS, told
 from rtee.messages.convert import device_status_fields, loop_statistics_fields
 from rtee.remote.actions import action_fields, group_fields, made_of
 from rtee.remote.asked import Asked
@@ -22,8 +24,9 @@ if TYPE_CHECKING:
 
 Fields = Mapping[str, Any]
 
+log = logging.getLogger(__name__)
+
 _LONGEST_MARK = 1000
-_TRIALS = "trials.yaml"
 
 _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
 """Requests whose answer changes only with the actions."""
@@ -38,6 +41,7 @@ class Asking:
         self._server = server
         self._hand = server.hand
         self._library = server.loop.library
+        self._folder = self._library.folder
         self._answered: dict[tuple[str, bytes], bytes] = {}
         self._version = -1
         self._answers: dict[str, Callable[[Fields], Fields]] = {
@@ -147,7 +151,7 @@ class Asking:
         if folder is None:
             return ""
         with contextlib.suppress(OSError, UnicodeDecodeError):
-            text = (folder.parent / _TRIALS).read_text(encoding="utf-8")
+            text = (folder.parent / TRIALS).read_text(encoding="utf-8")
             return f"{text}present: '{fingerprint(folder.parent)}'\n"
         return ""
 
@@ -178,20 +182,33 @@ class Asking:
         return self._done(fields, f"the action '{action.name}' was added")
 
     def _store(self, fields: Fields) -> Fields:
+        self._reload()
         self._library.store(fields["name"])
         return self._done(fields, f"the action '{fields['name']}' was stored")
 
     def _remove(self, fields: Fields) -> Fields:
+        self._reload()
         self._library.remove(fields["name"])
         return self._done(fields, f"the action '{fields['name']}' was removed")
 
     def _rename(self, fields: Fields) -> Fields:
+        self._reload()
         self._library.rename(fields["name"], fields["what"])
         return self._done(fields, f"the action '{fields['name']}' is now called '{fields['what']}'")
 
     def _done(self, fields: Fields, text: str) -> Fields:
+        text += self._copied()
         self._changed(fields["client"], text)
         return {"accepted": True, "error": "", "reason": "", "text": text}
+
+    def _copied(self) -> str:
+        """Return that the hand was copied to be changed, for once, if it was."""
+        before, self._folder = self._folder, self._library.folder
+        if before is None or self._folder is None or before == self._folder:
+            return ""
+        text = told(before.parent, self._folder.parent)
+        log.warning("%s", text)
+        return f"; {text}"
 
     def _changed(self, client: str, text: str) -> None:
         server = self._server

@@ -13,6 +13,7 @@ from collections.abc import (
     AsyncGenerator,
     AsyncIterator,
     Callable,
+    Collection,
     Coroutine,
     Iterator,
     Mapping,
@@ -31,7 +32,7 @@ from rtee.messages.state import State
 from rtee.remote.client import GoalOptions, RemoteHand, connect
 from rtee.remote.goal import RunningGoal
 from rtee.remote.planner import HandInfo
-from rtee.remote.views import HandStatus
+from rtee.remote.views import READY_WITHIN, HandStatus
 from rtee.types import Event, Feedback, Result
 
 T = TypeVar("T")
@@ -133,6 +134,12 @@ class BlockingHand:
         """Go to the rest posture and wait for the result."""
         return self.do("open", on_feedback=on_feedback)
 
+    def effort_limits(
+        self, share: float, only: Collection[str] | None = None, *, besides: Collection[str] = ()
+    ) -> dict[str, float]:
+        """Return a share of the effort limits of actuators; see `RemoteHand.effort_limits`."""
+        return self._call(self._hand.effort_limits, share, only, besides=besides)
+
     def cancel(self, goal_id: str = "") -> None:
         """Cancel a goal, or whichever runs."""
         self._call(self._hand.cancel, goal_id)
@@ -192,6 +199,14 @@ class BlockingHand:
     def status(self) -> HandStatus:
         """Return how the loop and the devices are doing."""
         return self._call(self._hand.status)
+
+    def ready(
+        self,
+        timeout: float | None = READY_WITHIN,
+        on_wait: Callable[[str], object] | None = None,
+    ) -> None:
+        """Wait until the hand ticks and all its devices are active; see `RemoteHand.ready`."""
+        self._call(self._hand.ready, timeout, on_wait)
 
     def info(self, posture: Mapping[str, float] | None = None) -> HandInfo:
         """Return the hand as a grasp planner needs it."""
@@ -283,6 +298,7 @@ def connect_blocking(
     endpoint: str | None = None,
     client: str = "python",
     wait: float = 0.0,
+    on_wait: Callable[[str], object] | None = None,
 ) -> BlockingHand:
     """Connect to a running hand; an event loop in a thread of its own does the work.
 
@@ -291,7 +307,9 @@ def connect_blocking(
         endpoint: Where it is, such as ``tcp/robot:7447``; else as ``RTEE_CONNECT`` says, else on
             this computer.
         client: A name for this client, for people.
-        wait: Time to wait for a hand that does not run yet [s].
+        wait: Time to wait for a hand that does not run yet [s]; `BlockingHand.ready` waits until
+            its devices are active, too.
+        on_wait: Called with why it waits, in words, whenever that changes.
 
     Raises:
         NoHand: if no such hand runs.
@@ -300,7 +318,7 @@ def connect_blocking(
     with contextlib.ExitStack() as stack:
         portal = _start_portal()
         stack.callback(lambda: portal.call(portal.stop))
-        opened = connect(hand, endpoint=endpoint, client=client, wait=wait)
+        opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
         leave = stack.pop_all().close
     # Zenoh's threads must not outlive the interpreter.

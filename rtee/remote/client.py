@@ -10,7 +10,7 @@ import contextlib
 import math
 import os
 import uuid
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from typing import Any, TypedDict, Unpack
 
 import anyio
@@ -33,7 +33,8 @@ class GoalOptions(TypedDict, total=False):
 
     Attributes:
         intensity: 0 (rest) to 1 (the action's posture); 1 unless given.
-        effort: Effort limit by actuator [N·m | N].
+        effort: Effort limit by actuator [N·m | N]; or a number, above 0 up to 1: that share of the
+            limit of every actuator.
         tolerance: Error norm at which it counts as reached; 0.01 unless given.
         speed: Scale of the velocity limits, above 0 up to 1; 1 unless given.
         timeout: Longest time it may take [s]; as configured for the hand unless given.
@@ -42,7 +43,7 @@ class GoalOptions(TypedDict, total=False):
     """
 
     intensity: float
-    effort: Mapping[str, float]
+    effort: Mapping[str, float] | float
     tolerance: float
     speed: float
     timeout: float | None
@@ -76,6 +77,7 @@ class RemoteHand(Library):
     def __init__(self, link: Link) -> None:
         super().__init__(link)
         self._goals: dict[str, RunningGoal] = {}
+        self._efforts: dict[str, float] | None = None
         link.subscribe(topics.FEEDBACK, self._on_feedback)
         link.subscribe(topics.RESULTS, self._on_result)
 
@@ -118,6 +120,9 @@ class RemoteHand(Library):
             LeaseHeld: if another client holds the hand.
             NoHand: if the hand has gone.
         """
+        effort = options.get("effort")
+        if isinstance(effort, float | int):
+            options["effort"] = await self.effort_limits(effort)
         goal = _goal(action, elements, self.client, options)
         # On its way first: the answer and what follows it wait until this task does.
         answer = self._link.send("do", encode_goal(goal))
@@ -160,6 +165,42 @@ class RemoteHand(Library):
     async def open(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
         """Go to the rest posture and wait for the result. See `start`."""
         return await self.do("open", on_feedback=on_feedback)
+
+    async def effort_limits(
+        self, share: float, only: Collection[str] | None = None, *, besides: Collection[str] = ()
+    ) -> dict[str, float]:
+        """Return a share of the effort limits of actuators [N·m | N], as `start` takes them.
+
+        Args:
+            share: Above 0 up to 1.
+            only: Of which actuators; ``None``: of all.
+            besides: Actuators to leave out.
+
+        Raises:
+            GoalRejected: if the share is none, or an actuator is unknown or has no effort limit.
+        """
+        if not 0.0 < share <= 1.0:
+            raise GoalRejected(
+                f"an effort for all actuators is a share of their limits, above 0 and at most 1 "
+                f"(100 %), not {share:g}"
+            )
+        if self._efforts is None:
+            self._efforts = {a.name: a.effort for a in (await self.info()).actuators}
+        known = self._efforts
+        chosen = [name for name in (known if only is None else only) if name not in besides]
+        for name in chosen:
+            if name not in known:
+                raise GoalRejected(
+                    f"effort for an unknown actuator '{name}'; {suggestion(name, known)}"
+                )
+        limits = {name: known[name] for name in chosen}
+        unknown = [name for name, most in limits.items() if not math.isfinite(most)]
+        if unknown:
+            raise GoalRejected(
+                f"'{unknown[0]}' has no effort limit to take a share of; give one under 'limits' "
+                "in hand.yaml, or its effort by name"
+            )
+        return {name: share * most for name, most in limits.items()}
 
     async def cancel(self, goal_id: str = "") -> None:
         """Cancel a goal, or whichever runs: the hand brakes and holds the measured posture."""
@@ -252,6 +293,7 @@ async def connect(
     endpoint: str | None = None,
     client: str = "python",
     wait: float = 0.0,
+    on_wait: Callable[[str], object] | None = None,
 ) -> AsyncIterator[RemoteHand]:
     """Connect to a running hand for as long as the context lasts.
 
@@ -263,13 +305,15 @@ async def connect(
         endpoint: Where it is, such as ``tcp/robot:7447``; else as ``RTEE_CONNECT`` says, else on
             this computer.
         client: A name for this client, for people.
-        wait: Time to wait for a hand that does not run yet [s].
+        wait: Time to wait for a hand that does not run yet [s]; `RemoteHand.ready` waits until its
+            devices are active, too.
+        on_wait: Called with why it waits, in words, whenever that changes.
 
     Raises:
         NoHand: if no such hand runs.
         ConfigError: if several run and none is named.
     """
-    session, name = await open_hand(hand, endpoint, wait)
+    session, name = await open_hand(hand, endpoint, wait, on_wait)
     identity = safe_name(f"{client[:60]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
     link = Link(session, name, identity)
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 import anyio
 import anyio.to_thread
@@ -30,7 +30,10 @@ def hands_running() -> dict[str, Running]:
 
 
 async def open_hand(
-    hand: str | None, endpoint: str | None, wait: float
+    hand: str | None,
+    endpoint: str | None,
+    wait: float,
+    on_wait: Callable[[str], object] | None = None,
 ) -> tuple[zenoh.Session, str]:
     """Find a hand and open a session with it.
 
@@ -38,6 +41,7 @@ async def open_hand(
         hand: Its name; ``None`` where only one runs.
         endpoint: Where it is; ``None``: as ``RTEE_CONNECT`` says, else on this computer.
         wait: Time to wait for a hand that is not there yet [s].
+        on_wait: Called with why it waits, in words, whenever that changes.
 
     Returns:
         The session, and the hand's name.
@@ -49,13 +53,16 @@ async def open_hand(
     if hand is not None:
         check_name(hand, "hand")
     endpoint = endpoint or os.environ.get(VARIABLE) or None
-    until = time.monotonic() + wait
+    until, told = time.monotonic() + wait, ""
     while True:
         try:
             return await (_there(hand, endpoint) if endpoint else _here(hand))
-        except NoHand:
+        except NoHand as error:
             if time.monotonic() >= until:
                 raise
+            if on_wait is not None and str(error) != told:
+                told = str(error)
+                on_wait(told)
         await anyio.sleep(_LOOK_EVERY)
 
 

@@ -138,9 +138,6 @@ class Server(Observer):
             )
             session, self.endpoint = await anyio.to_thread.run_sync(open_session)
             stack.push_async_callback(anyio.to_thread.run_sync, session.close)
-            stack.enter_context(announced(self.hand.name, [self.endpoint]))
-            self._tasks = await stack.enter_async_context(anyio.create_task_group())
-            stack.callback(self._tasks.cancel_scope.cancel)
             rate = self.loop.settings.rate
             self.streams = Streams(session, self.hand, rate, self._settings.state_rate)
             stack.push_async_callback(anyio.to_thread.run_sync, self.streams.close)
@@ -153,6 +150,10 @@ class Server(Observer):
             self.loop.add_observer(self)
             stack.callback(self.loop.remove_observer, self)
             self._declare(session)
+            # Last: who waits for the hand asks as soon as it is announced.
+            stack.enter_context(announced(self.hand.name, [self.endpoint]))
+            self._tasks = await stack.enter_async_context(anyio.create_task_group())
+            stack.callback(self._tasks.cancel_scope.cancel)
             self._exit = stack.pop_all()
         return self
 

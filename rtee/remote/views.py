@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import weakref
 from collections import deque
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from rtee.errors import MessageError, NoHand
+import anyio
+
+from rtee.errors import MessageError, NoHand, NotReady
 from rtee.messages import decode_event, topics
 from rtee.messages.convert import device_status_of, loop_statistics_of
 from rtee.messages.state import State, decode_state
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
-from rtee.types import DeviceStatus, Event, LoopStatistics
+from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics
 
 T = TypeVar("T")
+
+READY_WITHIN = 60.0
+"""How long one waits for a hand to be ready unless told [s]; homing a hand takes half of it."""
+
+_LOOK_EVERY = 0.05
+"""Time between two looks whether a hand is ready [s]."""
 
 _MOST_WAITING = 1000
 
@@ -176,6 +185,41 @@ class View:
             devices=tuple(device_status_of(device) for device in reply["devices"]),
         )
 
+    async def ready(
+        self,
+        timeout: float | None = READY_WITHIN,
+        on_wait: Callable[[str], object] | None = None,
+    ) -> None:
+        """Wait until the hand ticks and all its devices are active, homing and activation done.
+
+        Args:
+            timeout: How long at most [s]; ``None``: for ever.
+            on_wait: Called with what it waits for, in words, whenever that changes.
+
+        Raises:
+            NotReady: if it is not in time; with what it lacks.
+            NoHand: if the hand goes.
+        """
+        lacks, told, active_at = "it has not answered", "", math.inf
+        with anyio.move_on_after(timeout):
+            while True:
+                if self._gone:
+                    raise NoHand(f"the hand '{self.name}' has gone")
+                status = await self.status()
+                ticks = status.statistics.ticks
+                troubles = [_trouble(d) for d in status.devices if d.lifecycle != Lifecycle.ACTIVE]
+                if not troubles and ticks > active_at:
+                    return
+                # The loop takes note of a device that is active now at its next tick.
+                active_at = math.inf if troubles else min(active_at, ticks)
+                lacks = "; ".join(troubles) or "the loop does not tick"
+                if on_wait is not None and troubles and lacks != told:
+                    told = lacks
+                    on_wait(lacks)
+                await anyio.sleep(_LOOK_EVERY)
+        within = 0.0 if timeout is None else timeout
+        raise NotReady(f"the hand '{self.name}' is not ready after {within:g} s: {lacks}")
+
     async def info(self, posture: Mapping[str, float] | None = None) -> HandInfo:
         """Return the hand as a grasp planner needs it.
 
@@ -189,6 +233,13 @@ class View:
     async def robot_description(self) -> str:
         """Return the URDF."""
         return str((await self._link.ask("robot_description"))["data"])
+
+
+def _trouble(device: DeviceStatus) -> str:
+    """Return in words why a device is not active."""
+    what = f"fault {device.fault_code} ({device.fault_name})" if device.fault_name else ""
+    why = "; ".join(text for text in (what or device.message, device.hint) if text)
+    return f"device '{device.name}' is {device.lifecycle}" + (f": {why}" if why else "")
 
 
 def _put(queue: asyncio.Queue[T], item: T) -> None:

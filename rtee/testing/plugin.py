@@ -1,4 +1,7 @@
-"""The pytest plugin of rtee: makes the contract suite's assertions speak, and offers a leak check.
+"""The pytest plugin of rtee: hands for the tests of applications, and help for drivers' authors.
+
+``rtee_hand`` starts a hand whose devices are emulated. The assertions of the contract suite speak,
+and ``no_leaks`` is a leak check.
 
 It is loaded through the entry point ``pytest11`` in every project that has rtee installed, so it
 imports nothing of rtee by itself and changes nothing that is not asked for.
@@ -6,12 +9,19 @@ imports nothing of rtee by itself and changes nothing that is not asked for.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from rtee.remote.blocking import BlockingHand
+    from rtee.testing.running import StartHand
 
 pytest.register_assert_rewrite("rtee.testing.contract")
 
@@ -28,6 +38,38 @@ def no_leaks() -> Iterator[None]:
         pytest.fail(
             f"left behind: {_files() - files} files, {threading.active_count() - threads} threads"
         )
+
+
+@pytest.fixture
+def rtee_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[StartHand]:
+    """Start hands whose devices are emulated; they run until the test ends.
+
+    ``rtee_hand("robotiq_2f_85", object="50mm")`` returns the hand as `rtee.connect_blocking` does,
+    ready; everything in the test that connects to a hand finds this one and no other. Recordings
+    are in the test's ``tmp_path``, under ``rtee``. See `rtee.testing.running.running_hand` for what
+    else may be given.
+    """
+    from rtee.testing.running import running_hand
+
+    folder = tmp_path / "rtee"
+    folder.mkdir()
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(folder / "run"))
+    for name in ("RTEE_CONNECT", "RTEE_HAND"):
+        monkeypatch.delenv(name, raising=False)
+    with contextlib.ExitStack() as stack:
+
+        def start(
+            hand: str | Path,
+            *,
+            object: str | None = None,  # noqa: A002 - as on the command line
+            driver: str | None = None,
+            timeout: float = 60.0,
+        ) -> BlockingHand:
+            return stack.enter_context(
+                running_hand(hand, folder=folder, object=object, driver=driver, timeout=timeout)
+            )
+
+        yield start
 
 
 def _files() -> int:

@@ -10,10 +10,11 @@ from rtee.actions.yamltext import emit
 from rtee.errors import ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.fingerprint import fingerprint as fingerprint
+from rtee.hand.own import TRIALS
 from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
 from rtee.trials.result import Trial, TrialResult
 
-FILE_NAME = "trials.yaml"
+FILE_NAME = TRIALS
 """Where the results stand in a hand's folder."""
 
 

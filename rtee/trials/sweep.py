@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import importlib
 import multiprocessing
-from collections.abc import Iterator, Sequence
+import os
+import signal
+import threading
+from collections.abc import Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import lru_cache
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -107,8 +111,11 @@ def attempt(name: str, trial: Trial) -> TrialResult:
         return TrialResult(trial, False, str(error))
 
 
-def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Iterator[TrialResult]:
+def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResult]:
     """Do trials in several processes; results come as they are done.
+
+    The processes end with this one, however it ends, and with the iteration: at once, what they are
+    at is given up.
 
     Args:
         name: The hand, by name or folder.
@@ -120,17 +127,42 @@ def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Iterator[TrialResult
             yield attempt(name, trial)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(trials)), mp_context=context) as pool:
-        futures = [pool.submit(attempt, name, trial) for trial in trials]
+    leash, held = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(
+        min(jobs, len(trials)), mp_context=context, initializer=end_with, initargs=(leash,)
+    )
+    with pool:
         try:
+            # Ctrl-C, which a terminal sends to all processes, is left to this one: the others are
+            # born with it blocked.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            futures = [pool.submit(attempt, name, trial) for trial in trials]
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            leash.close()
             for future in as_completed(futures):
                 yield future.result()
         finally:
-            for future in futures:
-                future.cancel()
+            held.close()
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
-def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Iterator[TrialResult]:
+def end_with(leash: Connection) -> None:
+    """Have this process end as soon as the other end of a pipe is closed, whatever it does.
+
+    That end closes when the process that holds it is killed, too.
+
+    Args:
+        leash: This end of the pipe.
+    """
+
+    def watch() -> None:
+        leash.poll(None)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="leash", daemon=True).start()
+
+
+def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Generator[TrialResult]:
     """Do trials on a Dask cluster; results come as they are done, equal to those of `sweep`.
 
     Args:

@@ -1,8 +1,11 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import threading
+import time
+from pathlib import Path
 
 import pytest
 
@@ -75,3 +78,35 @@ def test_progress_reaches_the_end(jobs: int) -> None:
     spread(square, range(5), jobs, lambda done, total: seen.append((done, total)))
     assert seen == sorted(seen)
     assert seen[-1] == (5, 5)
+
+
+SEARCH = """
+import os, time
+from rtee.extract.jobs import spread
+
+def search(task):
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+
+spread(search, range(2), 2, lambda done, total: None)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are forked on Linux")
+def test_the_other_processes_end_with_a_killed_one() -> None:
+    program = [sys.executable, "-c", SEARCH]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as first:
+        assert first.stdout is not None
+        others = {int(first.stdout.readline()) for _ in range(2)} - {first.pid}
+        first.kill()
+    assert len(others) == 1
+    while running(*others):
+        time.sleep(0.02)
+
+
+def running(process: int) -> bool:
+    """Return whether a process that is nobody's child here still runs."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

@@ -1,0 +1,168 @@
+"""A copy of one's own of a hand that is not to be changed where it is.
+
+What came with rtee stays as it was installed, and a folder may be write-protected. Whoever changes
+such a hand (stores an action, its primitives, results of trials) gets a copy first, in a folder
+where hands are looked up earlier: the copy is the hand of that name from then on.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from rtee.errors import ConfigError
+from rtee.hand.catalog import FILE_NAME, VARIABLE, own_dirs
+from rtee.hand.files import new_folder, read_bytes, reason, write_atomically
+from rtee.hand.load import load_configured
+from rtee.hand.names import check_name
+from rtee.hand.schema import SCHEMA_FILE, schema_text
+
+SHIPPED: Final = Path(__file__).resolve().parents[1] / "_config"
+"""The hands in an installed rtee. A checkout has none there: its ``config/`` is its owner's."""
+
+TRIALS: Final = "trials.yaml"
+"""Results of trials in a hand's folder; they hold for the hand they were made with only."""
+
+_NAME = re.compile(r"^(name:[ \t]*)\S+", re.MULTILINE)
+
+
+def is_own(folder: Path) -> bool:
+    """Return whether the files of a hand are the user's to change.
+
+    Args:
+        folder: The hand's folder.
+    """
+    real = folder.resolve()
+    if real.is_relative_to(SHIPPED):
+        return False
+    inside = (place for place in real.rglob("*") if place.is_dir())
+    return all(os.access(place, os.W_OK | os.X_OK) for place in (real, *inside))
+
+
+def own_place(folder: Path) -> Path:
+    """Return where the changes of a hand go: its folder, or that of the copy that `own` would make.
+
+    The copy's place is the first that can be written to of those where users' hands are looked up.
+
+    Args:
+        folder: The hand's folder.
+
+    Raises:
+        ConfigError: There is no such place, a hand of that name is there already, or the copy would
+            not be the hand of that name.
+    """
+    if is_own(folder):
+        return folder
+    name = load_configured(folder)[1].name
+    fixed = f"hand '{name}' cannot be changed in {folder}"
+    places = own_dirs()
+    number = next((i for i, place in enumerate(places) if _can_be_made(place)), None)
+    if number is None:
+        raise ConfigError(f"{fixed}, and there is no folder that a copy could be written to")
+    target = places[number] / name
+    if os.path.exists(target / FILE_NAME):
+        raise ConfigError(f"{fixed}; your own is {target}: give that, or its name")
+    for earlier in places[:number]:
+        if os.path.exists(earlier / name / FILE_NAME):
+            raise ConfigError(
+                f"{fixed}, and a copy in {places[number]} would be hidden by {earlier / name}; put "
+                f"a folder of your own first into {VARIABLE}"
+            )
+    return target
+
+
+def own(folder: Path) -> Path:
+    """Return the folder in which a hand may be changed: its own, or a copy that is made now.
+
+    Args:
+        folder: The hand's folder.
+
+    Raises:
+        ConfigError: A copy is needed and cannot be made; see `own_place`.
+    """
+    target = own_place(folder)
+    if target != folder:
+        copy_hand(folder, target)
+    return target
+
+
+def copied_since(folder: Path) -> Path | None:
+    """Return the user's copy of a hand that came with rtee, if there is one by now.
+
+    Args:
+        folder: The hand's folder.
+    """
+    if not folder.resolve().is_relative_to(SHIPPED):
+        return None
+    copies = (place / folder.name for place in own_dirs())
+    return next((copy for copy in copies if os.path.isfile(copy / FILE_NAME)), None)
+
+
+def told(folder: Path, copy: Path) -> str:
+    """Return the line that tells people of a copy.
+
+    Args:
+        folder: Where the hand was.
+        copy: Where it is now.
+    """
+    why = "came with rtee" if folder.resolve().is_relative_to(SHIPPED) else "is write-protected"
+    return f"hand '{copy.name}' {why}; it is copied to {copy}, which is used from now on"
+
+
+def copy_hand(folder: Path, target: Path) -> None:
+    """Copy a hand: its whole folder, or nothing.
+
+    A copy of another name is a hand of that name, and has no results of trials.
+
+    Args:
+        folder: The hand's folder.
+        target: Folder of the copy, which does not exist; it gives the name.
+
+    Raises:
+        ConfigError: The name is not allowed or taken, or the folder cannot be written.
+        ModelError: What was copied is no hand, because files outside of its folder belong to it.
+    """
+    name = check_name(target.name, "hand")
+    if target.exists():
+        raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
+    with new_folder(target.parent) as place:
+        try:
+            scratch = Path(tempfile.mkdtemp(prefix=f".{name[:40]}.", dir=place))
+            try:
+                _fill(folder, scratch / name, name)
+                if not (place / SCHEMA_FILE).exists():
+                    write_atomically(place / SCHEMA_FILE, schema_text())
+                (scratch / name).rename(target)
+            finally:
+                shutil.rmtree(scratch, ignore_errors=True)
+        except (OSError, shutil.Error) as error:
+            text = "; ".join(e[2] for e in error.args[0]) if isinstance(error, shutil.Error) else ""
+            raise ConfigError(f"cannot be made: {text or reason(error)}", path=target) from error
+
+
+def _fill(folder: Path, copy: Path, name: str) -> None:
+    """Copy the files, give them to the user, and set the name; check that it is a hand."""
+    config = load_configured(folder)[1]
+    ignored = ["__pycache__", ".*", *([] if config.name == name else [TRIALS])]
+    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(*ignored))
+    for place in (copy, *copy.rglob("*")):
+        place.chmod(stat.S_IMODE(place.stat().st_mode) | stat.S_IWUSR)
+    if config.name != name:
+        file = copy / FILE_NAME
+        text = read_bytes(file, FILE_NAME).decode("utf-8")
+        write_atomically(file, _NAME.sub(lambda found: found[1] + name, text, count=1))
+    made = load_configured(copy)[1]
+    if made.name != name:
+        raise ConfigError(f"the name cannot be set to '{name}'; do it by hand", path=folder)
+
+
+def _can_be_made(place: Path) -> bool:
+    """Return whether a folder could be made in a place, the place itself as well."""
+    while not os.path.exists(place) and place != place.parent:
+        place = place.parent
+    return os.path.isdir(place) and os.access(place, os.W_OK | os.X_OK)

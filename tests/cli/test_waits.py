@@ -1,0 +1,42 @@
+"""No command waits in silence for what is not there."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rtee.cli.main import main
+
+
+def test_the_gui_of_a_hand_that_does_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("viser")
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RTEE_CONNECT", raising=False)
+    monkeypatch.setattr(sys, "argv", ["rtee", "gui", "schunk_svh"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1
+    assert "the hand 'schunk_svh' does not run on this computer" in output.err
+    assert "'rtee run schunk_svh'" in output.err
+
+
+def test_the_gui_of_any_hand_says_that_it_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("viser")
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RTEE_CONNECT", raising=False)
+    words = [sys.executable, "-m", "rtee", "gui", "--port", "0"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as page:
+        assert page.stdout is not None
+        said = page.stdout.readline()
+        page.terminate()
+    assert said == "rtee: no hand runs here yet; the page will show the first one that does\n"

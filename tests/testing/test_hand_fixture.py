@@ -1,0 +1,121 @@
+"""The pytest fixture `rtee_hand`, as the tests of a user's application use it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest_plugins = ["pytester"]
+
+APPLICATION = '''
+import rtee
+
+def pick(effort):
+    """What the application does with a gripper, wherever that is."""
+    with rtee.connect_blocking(client="picker") as hand:
+        result = hand.do("grasp", effort=effort)
+        return result.grasped, hand.name
+
+async def pick_async():
+    async with rtee.connect("robotiq_2f_85") as hand:
+        return (await hand.do("grasp")).grasped
+'''
+
+TESTS = """
+import os
+import application
+import pytest
+import rtee
+from rtee.errors import NoHand
+
+@pytest.fixture
+def anyio_backend():
+    return "asyncio"
+
+def test_something_is_picked(rtee_hand, tmp_path):
+    hand = rtee_hand("robotiq_2f_85", object="50mm")
+    assert application.pick(0.5) == (True, "robotiq_2f_85")
+    assert hand.state().position[0] > 0.1
+    assert hand.open().reached
+    assert list((tmp_path / "rtee/logs").glob("*.mcap"))
+
+@pytest.mark.anyio
+async def test_something_is_picked_by_async_code(rtee_hand):
+    rtee_hand("robotiq_2f_85", object="50mm")
+    assert await application.pick_async()
+
+def test_nothing_is_there_to_pick(rtee_hand):
+    rtee_hand("robotiq_2f_85")
+    assert application.pick(1.0) == (False, "robotiq_2f_85")
+
+def test_two_hands(rtee_hand):
+    first, second = rtee_hand("robotiq_2f_85"), rtee_hand("schunk_svh", driver="kinematic")
+    assert (first.name, second.name) == ("robotiq_2f_85", "schunk_svh")
+    assert second.do("trig", "index", intensity=0.2).reached
+
+def test_mistakes_are_told_at_once(rtee_hand):
+    with pytest.raises(ValueError, match="unknown hand 'robotiq_2f_8'"):
+        rtee_hand("robotiq_2f_8")
+    with pytest.raises(ValueError, match="50kg"):
+        rtee_hand("robotiq_2f_85", object="50kg")
+
+def test_none_is_left(rtee_hand):
+    with pytest.raises(NoHand):
+        rtee.connect_blocking()
+"""
+
+
+@pytest.mark.timeout(180)
+def test_a_project_tests_its_application(pytester: pytest.Pytester, repository: Path) -> None:
+    pytester.makepyfile(application=APPLICATION, test_application=TESTS)
+    (pytester.path / "config").symlink_to(repository / "config")
+    done = pytester.runpytest_subprocess("-q", "-W", "error", "-p", "no:cacheprovider", timeout=150)
+    done.assert_outcomes(passed=6)
+
+
+FALLS = """
+import os, signal
+from pathlib import Path
+
+def test_the_hand_falls(rtee_hand, tmp_path):
+    hand = rtee_hand("robotiq_2f_85", driver="kinematic")
+    (entry,) = (tmp_path / "rtee/run").glob("*.json")
+    import json
+    os.kill(json.loads(entry.read_text())["pid"], signal.SIGKILL)
+"""
+
+
+@pytest.mark.timeout(180)
+def test_a_hand_that_fails_fails_the_test(pytester: pytest.Pytester, repository: Path) -> None:
+    pytester.makepyfile(FALLS)
+    (pytester.path / "config").symlink_to(repository / "config")
+    done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider", timeout=150)
+    done.assert_outcomes(passed=1, errors=1)
+    done.stdout.fnmatch_lines(["*the hand 'robotiq_2f_85' failed*"])
+
+
+KILLED = """
+import os, signal
+
+def test_it_is_killed(rtee_hand, tmp_path):
+    hand = rtee_hand("robotiq_2f_85", driver="kinematic")
+    print("RUN", tmp_path / "rtee/run", flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_the_hand_ends_with_tests_that_are_killed(
+    pytester: pytest.Pytester, repository: Path
+) -> None:
+    file = pytester.makepyfile(KILLED)
+    (pytester.path / "config").symlink_to(repository / "config")
+    words = [sys.executable, "-m", "pytest", "-q", "-s", "-p", "no:cacheprovider", str(file)]
+    done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ), timeout=50)
+    (folder,) = (line[4:] for line in done.stdout.splitlines() if line.startswith("RUN "))
+    while list(Path(folder).glob("*.json")):  # the hand takes itself off the list when it ends
+        time.sleep(0.05)
