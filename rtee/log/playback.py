@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rtee.errors import LogError
+from rtee.hand.carried import FOLDER, with_addresses
 from rtee.hand.files import make_folder, write_atomically
 from rtee.hand.names import check_name
 from rtee.log.contents import REPLAY, Replayable
@@ -59,7 +60,8 @@ def fingers(recording: Recording) -> dict[str, tuple[str, ...]]:
 def write_hand(recording: Recording, folder: Path) -> Path:
     """Write the hand of a recording as a folder that `rtee run` takes.
 
-    Only what is needed to show it is written: a hand.yaml, the URDF and SRDF, the actions.
+    Only what is needed to show it is written: a hand.yaml, the URDF with its meshes, the SRDF, the
+    actions. The URDF names its meshes by their absolute paths, as RViz needs them.
 
     Args:
         recording: The recording.
@@ -75,8 +77,9 @@ def write_hand(recording: Recording, folder: Path) -> Path:
     if not recording.urdf:
         raise LogError("holds no URDF", path=recording.paths[0])
     name = check_name(recording.hand, "hand", path=recording.paths[0])
-    home = make_folder(folder / name)
-    write_atomically(home / "hand.urdf", recording.urdf)
+    home = make_folder(folder.absolute() / name)
+    meshes = _write_meshes(recording, home)
+    write_atomically(home / "hand.urdf", with_addresses(recording.urdf, meshes))
     lines = [f"name: {name}", "urdf: hand.urdf"]
     srdf = next(
         (data for file, data in recording.attachments.items() if file.endswith(".srdf")), None
@@ -87,6 +90,21 @@ def write_hand(recording: Recording, folder: Path) -> Path:
     write_atomically(home / "hand.yaml", "\n".join(lines) + "\n")
     _write_actions(recording.attachments, home)
     return home
+
+
+def _write_meshes(recording: Recording, home: Path) -> dict[str, str]:
+    """Write the attached meshes; returns address in the URDF to the file's."""
+    written: dict[str, str] = {}
+    for address, name in recording.meshes.items():
+        data = recording.attachments.get(name)
+        folder, _, file = name.partition("/")
+        if data is None or folder != FOLDER:
+            continue
+        target = make_folder(home / FOLDER) / check_name(file, "mesh")
+        if target.as_uri() not in written.values():
+            write_atomically(target, data)
+        written[address] = target.as_uri()
+    return written
 
 
 def _write_actions(attachments: Mapping[str, bytes], home: Path) -> None:

@@ -7,42 +7,16 @@ it, the link's angular velocity, both in the hand's base frame.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from rtee.errors import GoalRejected, MessageError
+from rtee.hand.frames import joint_motion, origin
 from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
-
-
-def _rotation(axis: Sequence[float], angle: float) -> FloatArray:
-    """Return the rotation about a unit axis (Rodrigues' formula) ``(3, 3)``."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: FloatArray = (
-        np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
-    )
-    return rotation
-
-
-def _pose(rotation: FloatArray, xyz: Sequence[float] | FloatArray) -> FloatArray:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, xyz
-    return pose
-
-
-def _origin(xyz: Sequence[float], rpy: Sequence[float]) -> FloatArray:
-    roll, pitch, yaw = rpy
-    rotation = (
-        _rotation((0.0, 0.0, 1.0), yaw)
-        @ _rotation((0.0, 1.0, 0.0), pitch)
-        @ _rotation((1.0, 0.0, 0.0), roll)
-    )
-    return _pose(rotation, xyz)
 
 
 def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -62,16 +36,13 @@ def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatAr
     pose = np.eye(4)
     axes: list[tuple[int, FloatArray, FloatArray, bool]] = []
     for joint in hand.urdf.path_to(link):
-        pose = pose @ _origin(joint.xyz, joint.rpy)
+        pose = pose @ origin(joint.xyz, joint.rpy)
         if not joint.moving:
             continue
         row, turning = rows[joint.name], joint.kind != "prismatic"
         axis = np.array(joint.axis, dtype=np.float64)
         axes.append((row, pose[:3, :3] @ axis, pose[:3, 3].copy(), turning))
-        if turning:
-            pose = pose @ _pose(_rotation(joint.axis, float(q[row])), np.zeros(3))
-        else:
-            pose = pose @ _pose(np.eye(3), float(q[row]) * axis)
+        pose = pose @ joint_motion(joint.kind, joint.axis, float(q[row]))
     jacobian = np.zeros((6, len(hand.actuators)))
     for row, axis, where, turning in axes:
         column = np.zeros(6)
