@@ -53,6 +53,7 @@ class TablePanel:
         kinds = {joint.kind for joint in hand.joints}
         slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
         self._joint_unit = units("position", slides=slides, turns=turns)
+        self._joint_speed = units("velocity", slides=slides, turns=turns)
         with gui.add_folder("Actuators"):
             self._actuators = gui.add_html("")
         with gui.add_folder("Joints", expand_by_default=len(hand.joints) <= 24):
@@ -77,16 +78,19 @@ class TablePanel:
         head = (f"actuator [{self._unit}]", "pos", "ref", f"effort [{self._force}]", "°C")
         self._actuators.content = table(head, rows)
         by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
+        speeds = self._hand.transmission.velocities(state.position, state.velocity)
         rows = [
             [
                 self._joint_names[i],
                 _number(float(by_name.get(joint.name, math.nan))),
+                _number(float(speeds[i]), 2),
                 _number(joint.lower),
                 _number(joint.upper),
             ]
             for i, joint in enumerate(self._hand.joints)
         ]
-        self._joints.content = table((f"joint [{self._joint_unit}]", "pos", "min", "max"), rows)
+        head = (f"joint [{self._joint_unit}]", "pos", f"vel [{self._joint_speed}]", "min", "max")
+        self._joints.content = table(head, rows)
 
     def show_status(self, status: HandStatus) -> None:
         """Show the loop's clock and the buses' counters."""
