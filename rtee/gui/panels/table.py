@@ -16,6 +16,7 @@ from rtee.remote.views import HandStatus
 _STYLE = "font-size:0.75em;border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums"
 
 
+_HEAD = "text-align:right;padding-left:0.6em;vertical-align:bottom"
 _NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
 
 
@@ -27,8 +28,8 @@ def _number(value: float, digits: int = 3) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return an HTML table; cells after the first are numbers."""
-    cells = "".join(f'<th style="{_NUMBER}">{h}</th>' for h in head[1:])
-    lines = [f'<tr><th style="text-align:left">{head[0]}</th>{cells}</tr>']
+    cells = "".join(f'<th style="{_HEAD}">{h}</th>' for h in head[1:])
+    lines = [f'<tr><th style="{_HEAD};text-align:left;padding-left:0">{head[0]}</th>{cells}</tr>']
     for row in rows:
         numbers = "".join(f'<td style="{_NUMBER}">{cell}</td>' for cell in row[1:])
         lines.append(f"<tr><td>{escape(row[0])}</td>{numbers}</tr>")
