@@ -30,11 +30,15 @@ class LinkTransforms:
         parents, children = zip(*self._frames.moving, strict=True)
         self._encoder = TransformsEncoder(parents, children)
         every = rate / settings.tf_rate / settings.decimation if settings.tf_rate else 0.0
+        self._turn = -1
         self._every = max(1, round(every)) * settings.decimation if settings.tf_rate else 0
 
     def due(self, tick: int) -> bool:
-        """Whether they are to be recorded at a tick."""
-        return self._every > 0 and tick % self._every == 0
+        """Whether they are to be recorded at a tick; a missed tick is made up for by the next."""
+        if not self._every or tick // self._every == self._turn:
+            return False
+        self._turn = tick // self._every
+        return True
 
     def encode(self, position: FloatArray, wall_ns: int) -> bytes:
         """Return the CDR bytes of a ``tf2_msgs/TFMessage``.

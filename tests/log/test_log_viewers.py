@@ -27,6 +27,8 @@ from rtee.log import read
 from rtee.log.check import recorded_hand
 from rtee.log.contents import Contents, Replayable
 from rtee.log.recover import recover
+from rtee.log.settings import RecorderSettings
+from rtee.log.transforms import LinkTransforms
 from rtee.log.writer import LogWriter
 from rtee.loop.observer import TickRecord
 from rtee.loop.settings import LoopSettings
@@ -195,6 +197,17 @@ def test_how_often_is_settable(
     positions = np.zeros((100, 2))
     path = record(claw, tmp_path, positions, tf_rate=rate, decimation=decimation)
     assert len(by_rosbags(path).get("/tf", [])) == expected
+
+
+def test_a_missed_tick_costs_no_transform(claw: Hand) -> None:
+    transforms = LinkTransforms(claw, 1000.0, RecorderSettings())
+    assert [n for n in [*range(19), *range(21, 45), *range(90, 101)] if transforms.due(n)] == [
+        0,
+        21,
+        40,
+        90,
+        100,
+    ]
 
 
 # --- the description ----------------------------------------------------------------------------
