@@ -244,7 +244,6 @@ def unpack(
     ],
 ) -> None:
     """Write the hand of a recording with its meshes: for RViz, or to run it."""
-    from rtee.hand.files import new_folder
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
     from rtee.messages.topics import ROBOT_DESCRIPTION
@@ -252,8 +251,7 @@ def unpack(
     recording = read(_paths(file, False), only=[ROBOT_DESCRIPTION])
     if recording.hand and (folder / recording.hand).exists():
         raise LogError("is there already; give another folder", path=folder / recording.hand)
-    with new_folder(folder):
-        print(write_hand(recording, folder))
+    print(write_hand(recording, folder))
 
 
 @app.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -18,20 +19,23 @@ from typer.testing import CliRunner
 
 from log.samples import RATE, WALL, Time, recorded, settings, tick
 from rtee.cli.log import app
+from rtee.errors import ConfigError
 from rtee.hand.carried import carried_meshes, with_addresses
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
-from rtee.log import read
+from rtee.log import Recorder, read
 from rtee.log.check import recorded_hand
 from rtee.log.contents import Contents, Replayable
+from rtee.log.playback import write_hand
 from rtee.log.recover import recover
 from rtee.log.settings import RecorderSettings
 from rtee.log.transforms import LinkTransforms
 from rtee.log.writer import LogWriter
 from rtee.loop.observer import TickRecord
 from rtee.loop.settings import LoopSettings
+from rtee.prepare import RunOptions, prepare
 from rtee.types import FloatArray
 
 ACCURACY = 1e-9
@@ -279,6 +283,50 @@ def test_the_hand_can_be_unpacked_where_its_files_are_not(shared: Path, tmp_path
     again = CliRunner().invoke(app, ["unpack", str(path), str(tmp_path / "out")])
     assert again.exit_code != 0
     assert "there already" in str(again.exception)
+
+
+def test_names_that_leave_the_folder_are_refused_and_nothing_is_written(
+    claw: Hand, tmp_path: Path
+) -> None:
+    recording = read(record(claw, tmp_path / "log", np.zeros((1, 2))))
+    names = {"a.stl": "meshes/a.stl", "evil": "meshes/../../evil.stl", "else": "elsewhere/b.stl"}
+    attached = {**recording.attachments, **dict.fromkeys(names.values(), b"x")}
+    changed = dataclasses.replace(recording, meshes=names, attachments=attached)
+    with pytest.raises(ConfigError, match="mesh name"):
+        write_hand(changed, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    del names["evil"]
+    home = write_hand(changed, tmp_path / "out")
+    assert [path.name for path in (home / "meshes").iterdir()] == ["a.stl"]
+
+
+def test_the_recorder_carries_meshes_unless_told_not_to(
+    shared: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = tmp_path / "source"
+    shutil.copytree(shared / "hands" / "robotiq_2f_85", source)
+    hand = load_model(source / "robotiq_2f_85.urdf")
+    first, *_ = addresses(hand.urdf.text)
+    (source / first).unlink()
+    for meshes in (True, False):
+        folder = tmp_path / str(meshes)
+        with Recorder(hand, settings(folder, meshes=meshes), rate=RATE) as recorder:
+            recorder.on_tick(known(hand, 0, hand.rest))
+        recording = read(recorded(folder)[0])
+        assert bool(recording.meshes) is meshes
+        assert any(name.startswith("meshes/") for name in recording.attachments) is meshes
+    (said,) = [each.getMessage() for each in caplog.records]
+    assert f"the mesh '{first}' is not in the recording" in said
+
+
+def test_hand_yaml_says_how(repository: Path, tmp_path: Path) -> None:
+    shutil.copytree(repository / "config" / "robotiq_2f_85", tmp_path / "robotiq_2f_85")
+    file = tmp_path / "robotiq_2f_85" / "hand.yaml"
+    before = prepare(str(file.parent), RunOptions()).recorder_settings(RunOptions())
+    assert (before.tf_rate, before.meshes) == (50.0, True)
+    file.write_text(file.read_text() + "\nlog: {tf_rate: 20, meshes: false}\n")
+    after = prepare(str(file.parent), RunOptions()).recorder_settings(RunOptions())
+    assert (after.tf_rate, after.meshes) == (20.0, False)
 
 
 def test_unpacking_again_and_recovering_keep_the_meshes(shared: Path, tmp_path: Path) -> None:
