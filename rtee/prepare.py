@@ -110,6 +110,8 @@ class PreparedHand:
             # What is shown again has been recorded.
             flight_recorder=0.0 if options.driver == "replay" else given.flight_recorder,
             decimation=given.decimation,
+            tf_rate=given.tf_rate,
+            meshes=given.meshes,
         )
 
 

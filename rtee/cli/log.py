@@ -237,6 +237,24 @@ def _show_check(found: Check, as_json: bool) -> None:
 
 
 @app.command()
+def unpack(
+    file: File,
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Where the hand's folder is made.")
+    ],
+) -> None:
+    """Write the hand of a recording with its meshes: for RViz, or to run it."""
+    from rtee.log.playback import write_hand
+    from rtee.log.reader import read
+    from rtee.messages.topics import ROBOT_DESCRIPTION
+
+    recording = read(_paths(file, False), only=[ROBOT_DESCRIPTION])
+    if recording.hand and (folder / recording.hand).exists():
+        raise LogError("is there already; give another folder", path=folder / recording.hand)
+    print(write_hand(recording, folder))
+
+
+@app.command()
 def recover(
     files: Annotated[
         list[Path],

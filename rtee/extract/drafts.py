@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -65,14 +65,16 @@ def draft(shape: Shape) -> Draft:
     return Draft(part, 0.0)
 
 
-def outer(shapes: Sequence[Shape], drafts: Sequence[Draft], link: Sequence[int]) -> tuple[int, ...]:
+def outer(
+    shapes: Sequence[Shape], drafts: Mapping[int, Draft], link: Sequence[int]
+) -> tuple[int, ...]:
     """Return those shapes of a link that the draft of no other one holds within itself.
 
     What lies within another convex part is never nearer to anything than that part.
 
     Args:
         shapes: All shapes.
-        drafts: Their drafts.
+        drafts: The drafts of the link's shapes, by their indices.
         link: The indices of the link's shapes.
     """
     kept = list(link)

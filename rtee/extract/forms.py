@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import coal
@@ -41,7 +41,7 @@ class Forms:
         shapes: Sequence[Shape],
         first: Sequence[int],
         second: Sequence[int],
-        forms: Sequence[coal.CollisionGeometry],
+        forms: Mapping[int, coal.CollisionGeometry],
         *,
         slack: float = 0.0,
     ) -> None:
@@ -52,8 +52,8 @@ class Forms:
             shapes: All shapes.
             first: Indices of those of the first link.
             second: Indices of those of the second link.
-            forms: What stands for each of all shapes: its convex part, its draft, or its geometry
-                as given.
+            forms: What stands for each of the shapes, by its index: its convex part, its draft, or
+                its geometry as given.
             slack: How much nearer than their forms the convex parts of the links can be [m].
         """
         self.slack = slack

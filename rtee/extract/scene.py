@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property
 from itertools import combinations
 from typing import Final
 
@@ -82,6 +81,7 @@ class Scene:
         self._convex: dict[int, Forms] = {}
         self._exact: dict[int, Forms] = {}
         self._searched = self._rough
+        self._drafts: dict[int, Draft] = {}
         self._widths: dict[int, float] = {}
         self._outers: dict[tuple[int, ...], tuple[int, ...]] = {}
         self._stacks: dict[tuple[tuple[int, bool], ...], FloatArray] = {}
@@ -397,24 +397,23 @@ class Scene:
         finally:
             self._searched = before
 
-    @cached_property
-    def _drafts(self) -> list[Draft]:
-        known: dict[int, Draft] = {}
-        for shape in self.shapes:
-            if id(shape.exact) not in known:
-                known[id(shape.exact)] = draft(shape)
-        return [known[id(shape.exact)] for shape in self.shapes]
+    def _draft(self, shape: int) -> Draft:
+        """Return the draft of a shape; shapes of the same mesh share it."""
+        exact = id(self.shapes[shape].exact)
+        if exact not in self._drafts:
+            self._drafts[exact] = draft(self.shapes[shape])
+        return self._drafts[exact]
 
     def _outer(self, link: tuple[int, ...]) -> tuple[int, ...]:
         """Return those shapes of a link that do not lie within another one."""
         if link not in self._outers:
-            self._outers[link] = outer(self.shapes, self._drafts, link)
+            self._outers[link] = outer(self.shapes, {i: self._draft(i) for i in link}, link)
         return self._outers[link]
 
     def _width(self, shape: int) -> float:
         """Return a lower bound on the width of a shape's convex part [m]."""
         if shape not in self._widths:
-            self._widths[shape] = least_width(self.shapes[shape], self._drafts[shape].form)
+            self._widths[shape] = least_width(self.shapes[shape], self._draft(shape).form)
         return self._widths[shape]
 
     def _searched_of(self, pair: LinkPair) -> Forms:
@@ -427,11 +426,11 @@ class Scene:
         """Return the forms of two links that searches measure; the convex ones if none differ."""
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
         ours, theirs = self._outer(first), self._outer(second)
-        slack = max(self._drafts[i].slack for i in ours)
-        slack += max(self._drafts[i].slack for i in theirs)
+        slack = max(self._draft(i).slack for i in ours)
+        slack += max(self._draft(i).slack for i in theirs)
         if slack == 0.0 and (ours, theirs) == (first, second):
             return self._convex_of(pair)
-        forms = [draft.form for draft in self._drafts]
+        forms = {i: self._draft(i).form for i in (*ours, *theirs)}
         return Forms((self._model, self._data), self.shapes, ours, theirs, forms, slack=slack)
 
     def _convex_of(self, pair: LinkPair) -> Forms:
@@ -448,7 +447,9 @@ class Scene:
 
     def _forms(self, pair: LinkPair, *, convex: bool) -> Forms:
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
-        forms = [shape.convex if convex else shape.exact for shape in self.shapes]
+        forms = {
+            i: self.shapes[i].convex if convex else self.shapes[i].exact for i in (*first, *second)
+        }
         return Forms((self._model, self._data), self.shapes, first, second, forms)
 
 

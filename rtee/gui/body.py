@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,34 +9,13 @@ import numpy as np
 import viser
 
 from rtee.gui.colours import Colour
+from rtee.hand.frames import quaternion, turn
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Urdf, UrdfGeometry, UrdfJoint
 from rtee.types import FloatArray
 
 _UNSEEN = 1e-4
-
-
-def quaternion(rpy: tuple[float, float, float]) -> FloatArray:
-    """Return the unit quaternion (w, x, y, z) of roll, pitch, yaw about fixed axes [rad]."""
-    (cr, cp, cy), (sr, sp, sy) = (
-        tuple(math.cos(0.5 * a) for a in rpy),
-        tuple(math.sin(0.5 * a) for a in rpy),
-    )
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
-
-
-def turn(axis: FloatArray, angle: float) -> FloatArray:
-    """Return the unit quaternion (w, x, y, z) of a turn by ``angle`` [rad] about a unit axis."""
-    half = 0.5 * angle
-    return np.concatenate(([math.cos(half)], math.sin(half) * axis))
 
 
 class HandBody:

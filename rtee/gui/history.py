@@ -12,7 +12,10 @@ from rtee.messages.state import State
 from rtee.types import FloatArray
 
 QUANTITIES: Final = ("position", "velocity", "effort", "current", "temperature")
-"""Measured per actuator; besides there are ``reference`` positions, and those of each ``joint``."""
+"""Measured per actuator; besides there are ``reference`` positions."""
+
+JOINT_QUANTITIES: Final = ("joint_position", "joint_velocity")
+"""What follows from that for all joints."""
 
 LONGEST: Final = 60.0
 """Longest time that can be shown [s]."""
@@ -41,21 +44,23 @@ class History:
         """
         self._capacity = int(LONGEST * rate)
         self._time = np.full(self._capacity, np.nan)
-        sizes = dict.fromkeys((*QUANTITIES, "reference"), actuators) | {"joint": joints}
+        sizes = dict.fromkeys((*QUANTITIES, "reference"), actuators)
+        sizes |= dict.fromkeys(JOINT_QUANTITIES, joints)
         self._values = {
             name: np.full((self._capacity, size), np.nan, dtype=np.float32)
             for name, size in sizes.items()
         }
         self._count = 0
 
-    def add(self, state: State) -> None:
-        """Take a state."""
+    def add(self, state: State, joint_velocity: FloatArray) -> None:
+        """Take a state, and the velocities of the joints that follow from it [rad/s | m/s]."""
         row = self._count % self._capacity
         self._time[row] = state.stamp
         for name in QUANTITIES:
             self._values[name][row] = getattr(state, name)
         self._values["reference"][row] = state.reference_position
-        self._values["joint"][row] = state.joint_position
+        self._values["joint_position"][row] = state.joint_position
+        self._values["joint_velocity"][row] = joint_velocity
         self._count += 1
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rtee.errors import LogError
-from rtee.gui.history import POINTS
+from rtee.gui.history import JOINT_QUANTITIES, POINTS
 from rtee.hand.model import Hand
 from rtee.log import Recording, Span, read
 from rtee.messages.state import State
@@ -123,9 +123,17 @@ class Playback:
             sent = self.recording.reference
             at = np.maximum(np.searchsorted(sent.t, states.t[rows], side="right") - 1, 0)
             return (time, *(sent.position[at, self._sent[c]] for c in columns))
-        if name == "joint":
-            position = self._hand.transmission.joints(states.position[rows][:, self._order])
-            return (time, *(position[:, c] for c in columns))
+        if name in JOINT_QUANTITIES:
+            transmission = self._hand.transmission
+            position, velocity = (
+                values[rows][:, self._order] for values in (states.position, states.velocity)
+            )
+            lines = (
+                transmission.joints(position)
+                if name == "joint_position"
+                else transmission.velocities(position, velocity)
+            )
+            return (time, *(lines[:, c] for c in columns))
         values = getattr(states, name)
         return (time, *(values[rows, self._order[c]] for c in columns))
 

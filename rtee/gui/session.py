@@ -189,7 +189,8 @@ class Session:
         if state.joint_names != self._hand.joint_names:
             state = self._in_order(state)
         self._state = state
-        self._plots.history.add(state)
+        speeds = self._hand.transmission.velocities(state.position, state.velocity)
+        self._plots.history.add(state, speeds)
 
     def _draw(self, now: float) -> None:
         state, playback = self._state, self._playback

@@ -1,4 +1,4 @@
-"""Where links are and how actuators move them, with NumPy alone."""
+"""Where links stand, by NumPy alone: forward kinematics for computers without Pinocchio."""
 
 from __future__ import annotations
 
@@ -8,33 +8,65 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtee.hand.model import Hand
+from rtee.hand.urdf import Triple
 from rtee.types import FloatArray
 
 
-def _rotation(axis: Sequence[float], angle: float) -> FloatArray:
-    """Return the rotation about a unit axis (Rodrigues' formula) ``(3, 3)``."""
+def rotation(axis: Sequence[float], angle: float) -> FloatArray:
+    """Return the rotation by ``angle`` [rad] about a unit axis ``(3, 3)`` (Rodrigues' formula)."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: FloatArray = (
+    matrix: FloatArray = (
         np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
     )
-    return rotation
+    return matrix
 
 
-def _pose(rotation: FloatArray, xyz: Sequence[float] | FloatArray) -> FloatArray:
+def homogeneous(turned: FloatArray, xyz: Sequence[float] | FloatArray) -> FloatArray:
+    """Return the transform ``(4, 4)`` with a rotation ``(3, 3)`` and a position [m]."""
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, xyz
+    pose[:3, :3], pose[:3, 3] = turned, xyz
     return pose
 
 
-def _origin(xyz: Sequence[float], rpy: Sequence[float]) -> FloatArray:
+def origin(xyz: Triple, rpy: Triple) -> FloatArray:
+    """Return the transform ``(4, 4)`` of a URDF ``origin``: position [m], then angles [rad]."""
     roll, pitch, yaw = rpy
-    rotation = (
-        _rotation((0.0, 0.0, 1.0), yaw)
-        @ _rotation((0.0, 1.0, 0.0), pitch)
-        @ _rotation((1.0, 0.0, 0.0), roll)
+    turned = (
+        rotation((0.0, 0.0, 1.0), yaw)
+        @ rotation((0.0, 1.0, 0.0), pitch)
+        @ rotation((1.0, 0.0, 0.0), roll)
     )
-    return _pose(rotation, xyz)
+    return homogeneous(turned, xyz)
+
+
+def quaternion(rpy: Triple) -> FloatArray:
+    """Return the unit quaternion (w, x, y, z) of roll, pitch, yaw about fixed axes [rad]."""
+    (cr, cp, cy), (sr, sp, sy) = (
+        tuple(math.cos(0.5 * a) for a in rpy),
+        tuple(math.sin(0.5 * a) for a in rpy),
+    )
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def turn(axis: FloatArray, angle: float) -> FloatArray:
+    """Return the unit quaternion (w, x, y, z) of a turn by ``angle`` [rad] about a unit axis."""
+    half = 0.5 * angle
+    return np.concatenate(([math.cos(half)], math.sin(half) * axis))
+
+
+def joint_motion(kind: str, axis: Triple, q: float) -> FloatArray:
+    """Return the transform ``(4, 4)`` that a joint makes at ``q`` [rad | m], in its own frame."""
+    if kind == "prismatic":
+        return homogeneous(np.eye(3), q * np.array(axis, dtype=np.float64))
+    return homogeneous(rotation(axis, q), np.zeros(3))
 
 
 def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -54,16 +86,13 @@ def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatAr
     pose = np.eye(4)
     axes: list[tuple[int, FloatArray, FloatArray, bool]] = []
     for joint in hand.urdf.path_to(link):
-        pose = pose @ _origin(joint.xyz, joint.rpy)
+        pose = pose @ origin(joint.xyz, joint.rpy)
         if not joint.moving:
             continue
         row, turning = rows[joint.name], joint.kind != "prismatic"
         axis = np.array(joint.axis, dtype=np.float64)
         axes.append((row, pose[:3, :3] @ axis, pose[:3, 3].copy(), turning))
-        if turning:
-            pose = pose @ _pose(_rotation(joint.axis, float(q[row])), np.zeros(3))
-        else:
-            pose = pose @ _pose(np.eye(3), float(q[row]) * axis)
+        pose = pose @ joint_motion(joint.kind, joint.axis, float(q[row]))
     jacobian = np.zeros((6, len(hand.actuators)))
     for row, axis, where, turning in axes:
         column = np.zeros(6)
@@ -73,3 +102,68 @@ def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatAr
             column[:3] = axis
         jacobian += np.outer(column, slope[row])
     return pose, jacobian
+
+
+class JointFrames:
+    """Where the child links of joints stand in their parent links.
+
+    The moving joints change: a hinge turns its link, a slider shifts it. Both are linear in a few
+    numbers per joint, so that all joints are computed at once.
+
+    Args:
+        hand: The hand.
+
+    Attributes:
+        moving: Parent and child link of every moving joint, in the order of ``hand.joints``.
+        fixed: Parent and child link of every fixed joint.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        joints = hand.urdf.joints
+        driven = [joints[name] for name in hand.joint_names]
+        still = [joint for joint in joints.values() if not joint.moving]
+        self.moving = tuple((joint.parent, joint.child) for joint in driven)
+        self.fixed = tuple((joint.parent, joint.child) for joint in still)
+        self._fixed = (
+            np.array([joint.xyz for joint in still]).reshape(-1, 3),
+            _last_first(np.array([quaternion(joint.rpy) for joint in still]).reshape(-1, 4)),
+        )
+        begin = np.array([quaternion(joint.rpy) for joint in driven]).reshape(-1, 4)
+        axes = np.array([joint.axis for joint in driven]).reshape(-1, 3)
+        slides = np.array([joint.kind == "prismatic" for joint in driven], dtype=bool)
+        self._half = np.where(slides, 0.0, 0.5)
+        # The quaternion product of how the joint stands and a turn by q about its axis is
+        # cos(q/2) · begin + sin(q/2) · (begin × axis).
+        self._begin = _last_first(begin)
+        self._across = _last_first(_times_axis(begin, axes))
+        self._xyz = np.array([joint.xyz for joint in driven]).reshape(-1, 3)
+        along = [origin(joint.xyz, joint.rpy)[:3, :3] @ np.array(joint.axis) for joint in driven]
+        self._along = np.where(slides[:, None], np.array(along).reshape(-1, 3), 0.0)
+
+    def at(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return where the links of the moving joints stand.
+
+        Args:
+            q: Joint positions ``(m,)`` [rad | m].
+
+        Returns:
+            Positions ``(m, 3)`` [m] and unit quaternions (x, y, z, w) ``(m, 4)``.
+        """
+        half = self._half * q
+        turned = np.cos(half)[:, None] * self._begin + np.sin(half)[:, None] * self._across
+        return self._xyz + q[:, None] * self._along, turned
+
+    def still(self) -> tuple[FloatArray, FloatArray]:
+        """Return where the links of the fixed joints stand, as `at` does."""
+        return self._fixed
+
+
+def _last_first(wxyz: FloatArray) -> FloatArray:
+    """Return quaternions (w, x, y, z) as (x, y, z, w)."""
+    return np.ascontiguousarray(np.roll(wxyz, -1, axis=1))
+
+
+def _times_axis(wxyz: FloatArray, axes: FloatArray) -> FloatArray:
+    """Return the products ``(n, 4)`` of quaternions (w, x, y, z) and pure ones (0, axis)."""
+    w, v = wxyz[:, :1], wxyz[:, 1:]
+    return np.hstack([-np.sum(v * axes, axis=1, keepdims=True), w * axes + np.cross(v, axes)])

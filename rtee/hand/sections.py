@@ -181,6 +181,11 @@ class Log(Section):
     0: nothing."""
     decimation: Annotated[int, Field(ge=1)] = 1
     """Record every n-th tick; only recordings of every tick can be computed anew."""
+    tf_rate: NotNegative = 50.0
+    """Rate of the links' transforms on ``/tf``, from which Foxglove and RViz show the moving hand
+    [Hz]; 0: none."""
+    meshes: bool = True
+    """Attach the hand's meshes to recordings and put them into ``/robot_description``."""
 
 
 class Remote(Section):

@@ -82,6 +82,10 @@ def _value(coupling: Coupling, q: float) -> float:
     return coupling.value(q) if math.isfinite(q) else math.nan
 
 
+def _slope(coupling: Coupling, q: float) -> float:
+    return coupling.dual(q)[1] if math.isfinite(q) else math.nan
+
+
 class Transmission:
     """The map from actuator positions ``u`` to joint positions ``q``.
 
@@ -151,19 +155,21 @@ class Transmission:
         """Return joint velocities.
 
         Args:
-            u: Actuator positions ``(n,)`` [rad | m]; ``NaN``: not measured.
-            rates: Actuator velocities ``(n,)`` [rad/s | m/s]; ``NaN``: not measured.
+            u: Actuator positions ``(n,)`` or ``(k, n)`` [rad | m]; ``NaN``: not measured.
+            rates: Actuator velocities of the same shape [rad/s | m/s]; ``NaN``: not measured.
 
         Returns:
-            Joint velocities ``(m,)`` [rad/s | m/s]; ``NaN`` as in `joints`.
+            Joint velocities ``(m,)`` or ``(k, m)`` [rad/s | m/s]; ``NaN`` as in `joints`.
         """
-        v: FloatArray = rates[self._follows] * self._factor
+        v: FloatArray = rates[..., self._follows] * self._factor
         if self._still.size:
-            v[self._still] = 0.0
+            v[..., self._still] = 0.0
         for row, actuator, coupling in self._curved:
-            q = float(u[actuator])
-            slope = coupling.dual(q)[1] if math.isfinite(q) else math.nan
-            v[row] = slope * rates[actuator]
+            if u.ndim == 1:
+                v[row] = _slope(coupling, float(u[actuator])) * rates[actuator]
+            else:
+                slopes = [_slope(coupling, q) for q in u[:, actuator].tolist()]
+                v[:, row] = np.array(slopes) * rates[:, actuator]
         return v
 
     def jacobian(self, u: FloatArray) -> FloatArray:

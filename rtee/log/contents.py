@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import PurePosixPath
 
 from mcap.records import Attachment, Channel, Schema
 
+from rtee.hand.carried import MEDIA_TYPES, CarriedMeshes, with_addresses
+from rtee.hand.frames import JointFrames
 from rtee.hand.model import Hand
 from rtee.log.chunks import ChunkBuilder, PackedChunk
 from rtee.log.mcapfile import Preamble
@@ -16,7 +19,8 @@ from rtee.log.rotation import METADATA
 from rtee.loop.settings import LoopSettings
 from rtee.messages.convert import encode_string
 from rtee.messages.schema import message_type
-from rtee.messages.topics import ROBOT_DESCRIPTION, TYPES, log_topic
+from rtee.messages.topics import LATCHED, ROBOT_DESCRIPTION, TF_STATIC, TYPES, URDF, log_topic
+from rtee.messages.transforms import TransformsEncoder
 from rtee.types import ActuatorSpec
 
 FORMAT = "1"
@@ -28,6 +32,9 @@ CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES,
 REPLAY = "replay.json"
 """Name of the attachment with what the references can be computed anew from."""
 
+MESHES = "meshes"
+"""Name of the metadata record that tells which attachment is the mesh of which address."""
+
 _LATCHED = (
     "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline: {sec: 0, nsec: 0}\n"
     "  lifespan: {sec: 0, nsec: 0}\n  liveliness: 1\n"
@@ -38,6 +45,7 @@ _MEDIA_TYPES = {
     ".srdf": "application/xml",
     ".yaml": "application/yaml",
     ".json": "application/json",
+    **MEDIA_TYPES,
 }
 
 
@@ -71,12 +79,37 @@ class Contents:
         rate: Rate of its loop [Hz].
         attachments: Files to attach, by name: hand.yaml, SRDF, actions. The URDF is always there.
         metadata: Further metadata.
+        meshes: The hand's meshes, to be carried along.
     """
 
     hand: Hand
     rate: float
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
+    meshes: CarriedMeshes = field(default_factory=lambda: CarriedMeshes({}, {}))
+
+    @cached_property
+    def _descriptions(self) -> Mapping[str, bytes]:
+        """The hand for viewers, by topic: with its meshes inside, and with the paths of theirs."""
+        text, found = self.hand.urdf.text, self.meshes.meshes
+        inside = {address: url for address, mesh in found.items() if (url := mesh.data_url)}
+        paths = {address: mesh.path.as_uri() for address, mesh in found.items()}
+        return {
+            ROBOT_DESCRIPTION: encode_string(with_addresses(text, inside)),
+            URDF: encode_string(with_addresses(text, paths)),
+        }
+
+    @cached_property
+    def _files(self) -> Mapping[str, bytes]:
+        return {
+            f"{self.hand.name}.urdf": self.hand.urdf.text.encode(),
+            **self.attachments,
+            **{name: mesh.data for name, mesh in self.meshes.files.items()},
+        }
+
+    def prepare(self) -> None:
+        """Make ready what takes long, before anything runs that must not wait for it."""
+        _ = self._descriptions, self._files
 
     def _values(self, **more: str) -> dict[str, str]:
         return {
@@ -107,15 +140,17 @@ class Contents:
                 id=CHANNELS[topic],
                 topic=log_topic(self.hand.name, topic),
                 message_encoding="cdr",
-                metadata={"offered_qos_profiles": _LATCHED if topic == ROBOT_DESCRIPTION else ""},
+                metadata={"offered_qos_profiles": _LATCHED if topic in LATCHED else ""},
                 schema_id=names.index(kind) + 1,
             )
             for topic, kind in TYPES.items()
         ]
-        files = {f"{self.hand.name}.urdf": self.hand.urdf.text.encode(), **self.attachments}
+        metadata = {METADATA: self._values(**more)}
+        if self.meshes.meshes:
+            metadata[MESHES] = {old: mesh.name for old, mesh in self.meshes.meshes.items()}
         return Preamble(
             library=library_name(),
-            metadata={METADATA: self._values(**more)},
+            metadata=metadata,
             attachments=[
                 Attachment(
                     create_time=wall_ns,
@@ -124,7 +159,7 @@ class Contents:
                     media_type=_MEDIA_TYPES.get(PurePosixPath(name).suffix, "text/plain"),
                     data=data,
                 )
-                for name, data in files.items()
+                for name, data in self._files.items()
             ],
             schemas=schemas,
             channels=channels,
@@ -133,8 +168,12 @@ class Contents:
     def description(self, wall_ns: int) -> PackedChunk:
         """Return the chunk with the robot's description, the first one of every file."""
         builder = ChunkBuilder(level=9)
-        text = encode_string(self.hand.urdf.text)
-        builder.add(CHANNELS[ROBOT_DESCRIPTION], 0, wall_ns, text)
+        for topic, text in self._descriptions.items():
+            builder.add(CHANNELS[topic], 0, wall_ns, text)
+        frames = JointFrames(self.hand)
+        if frames.fixed:
+            encoder = TransformsEncoder(*zip(*frames.fixed, strict=True))
+            builder.add(CHANNELS[TF_STATIC], 0, wall_ns, encoder.encode(wall_ns, *frames.still()))
         chunk = builder.pack()
         assert chunk is not None  # noqa: S101 - narrows the type
         return chunk

@@ -114,7 +114,7 @@ class McapFile:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._size = 0
         try:
-            self._append(begin)
+            self._append(*begin)
             if sync:
                 _sync_folder(path.parent)
         except OSError:
@@ -145,19 +145,21 @@ class McapFile:
         except FileNotFoundError:
             return False
 
-    def _begin(self) -> bytes:
-        data = bytearray(
-            MAGIC + record_bytes(Header(profile=PROFILE, library=self._preamble.library))
-        )
+    def _begin(self) -> list[bytes]:
+        """Return what a file begins with, in parts: some attachments are large."""
+        header = record_bytes(Header(profile=PROFILE, library=self._preamble.library))
+        parts = [MAGIC, header]
+        offset = len(MAGIC) + len(header)
         for name, values in self._preamble.metadata.items():
             record = record_bytes(Metadata(name=name, metadata=dict(values)))
-            self._indexes.append(MetadataIndex(offset=len(data), length=len(record), name=name))
-            data += record
+            self._indexes.append(MetadataIndex(offset=offset, length=len(record), name=name))
+            parts.append(record)
+            offset += len(record)
         for attachment in self._preamble.attachments:
             record = record_bytes(attachment)
             self._indexes.append(
                 AttachmentIndex(
-                    offset=len(data),
+                    offset=offset,
                     length=len(record),
                     log_time=attachment.log_time,
                     create_time=attachment.create_time,
@@ -166,10 +168,10 @@ class McapFile:
                     media_type=attachment.media_type,
                 )
             )
-            data += record
-        for definition in (*self._preamble.schemas, *self._preamble.channels):
-            data += record_bytes(definition)
-        return bytes(data)
+            parts.append(record)
+            offset += len(record)
+        parts += map(record_bytes, (*self._preamble.schemas, *self._preamble.channels))
+        return parts
 
     def _append(self, *parts: bytes | memoryview) -> None:
         """Write all parts or nothing."""

@@ -8,7 +8,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rtee.errors import LogError
-from rtee.hand.files import make_folder, write_atomically
+from rtee.hand.carried import FOLDER, with_addresses
+from rtee.hand.files import write_all
 from rtee.hand.names import check_name
 from rtee.log.contents import REPLAY, Replayable
 from rtee.log.plain import from_json
@@ -59,7 +60,8 @@ def fingers(recording: Recording) -> dict[str, tuple[str, ...]]:
 def write_hand(recording: Recording, folder: Path) -> Path:
     """Write the hand of a recording as a folder that `rtee run` takes.
 
-    Only what is needed to show it is written: a hand.yaml, the URDF and SRDF, the actions.
+    Only what is needed to show it is written: a hand.yaml, the URDF with its meshes, the SRDF, the
+    actions. The URDF names its meshes by their absolute paths, as RViz needs them.
 
     Args:
         recording: The recording.
@@ -75,26 +77,42 @@ def write_hand(recording: Recording, folder: Path) -> Path:
     if not recording.urdf:
         raise LogError("holds no URDF", path=recording.paths[0])
     name = check_name(recording.hand, "hand", path=recording.paths[0])
-    home = make_folder(folder / name)
-    write_atomically(home / "hand.urdf", recording.urdf)
+    home = folder.absolute() / name
+    meshes = _meshes(recording, home)
+    addresses = {address: path.as_uri() for address, (path, _) in meshes.items()}
+    files: dict[Path, str | bytes] = dict(meshes.values())
+    files |= _actions(recording.attachments, home)
+    files[home / "hand.urdf"] = with_addresses(recording.urdf, addresses)
     lines = [f"name: {name}", "urdf: hand.urdf"]
     srdf = next(
         (data for file, data in recording.attachments.items() if file.endswith(".srdf")), None
     )
     if srdf is not None:
-        write_atomically(home / "hand.srdf", srdf)
+        files[home / "hand.srdf"] = srdf
         lines.append("srdf: hand.srdf")
-    write_atomically(home / "hand.yaml", "\n".join(lines) + "\n")
-    _write_actions(recording.attachments, home)
+    files[home / "hand.yaml"] = "\n".join(lines) + "\n"
+    write_all(files)
     return home
 
 
-def _write_actions(attachments: Mapping[str, bytes], home: Path) -> None:
-    """Write the attached actions; names that leave their folder are passed over."""
+def _meshes(recording: Recording, home: Path) -> dict[str, tuple[Path, bytes]]:
+    """Return the attached meshes: address in the URDF to where each goes, and its content."""
+    found: dict[str, tuple[Path, bytes]] = {}
+    for address, name in recording.meshes.items():
+        data = recording.attachments.get(name)
+        folder, _, file = name.partition("/")
+        if data is not None and folder == FOLDER:
+            found[address] = home / FOLDER / check_name(file, "mesh"), data
+    return found
+
+
+def _actions(attachments: Mapping[str, bytes], home: Path) -> dict[Path, bytes]:
+    """Return the attached actions; names that leave their folder are passed over."""
+    found: dict[Path, bytes] = {}
     for file, data in attachments.items():
         parts = PurePosixPath(file).parts
         if len(parts) != 3 or parts[0] != "actions" or not parts[2].endswith(".yaml"):
             continue
         kind = check_name(parts[1], "folder of actions")
-        target = make_folder(home / "actions" / kind)
-        write_atomically(target / check_name(parts[2], "file of actions"), data)
+        found[home / "actions" / kind / check_name(parts[2], "file of actions")] = data
+    return found

@@ -12,6 +12,7 @@ from rtee.errors import LogError, MessageError
 from rtee.log import rows
 from rtee.log.ahead import chunks_ahead
 from rtee.log.chunks import MESSAGE
+from rtee.log.contents import MESHES
 from rtee.log.plans import plan_of
 from rtee.log.recording import ActuatorSeries, Channel, Entry, JointSeries, Recording
 from rtee.log.rotation import parts_of, recordings
@@ -46,14 +47,15 @@ def read(
     Args:
         path: A file, several files of one hand, or a folder: its newest recording with all parts.
         series: With a file, read all parts of its recording.
-        only: Names of topics to read, such as ``reference``; all unless given.
+        only: Names of topics to read, such as ``reference``; all unless given. What is recorded
+            for viewers alone, the transforms, is not kept: it follows from the joint states.
 
     Raises:
         LogError: if a file cannot be opened, is no MCAP file or holds no recording of a hand.
     """
     paths = paths_of(path, series=series)
     surveys = [survey(each) for each in paths]
-    wanted = set(topics.TYPES) if only is None else set(only)
+    wanted = set(topics.TYPES) - topics.FOR_VIEWERS if only is None else set(only)
     unknown = wanted - set(topics.TYPES)
     if unknown:
         raise LogError(f"there are no topics {sorted(unknown)}; there are {sorted(topics.TYPES)}")
@@ -190,11 +192,14 @@ class _Collector:
             goal = by_id.get(fields["goal_id"], Goal(fields["action"], goal_id=fields["goal_id"]))
             return plan_of(fields, goal, names)
 
-        descriptions = self._messages[topics.ROBOT_DESCRIPTION]
-
         def entries(name: str, make: Callable[[Fields], T]) -> list[Entry[T]]:
             return self._entries(name, make, start)
 
+        attachments = {
+            name: bytes(attachment.data)
+            for each in reversed(self._surveys)
+            for name, attachment in each.attachments.items()
+        }
         recording = Recording(
             paths=tuple(each.path for each in self._surveys),
             hand=self._hand,
@@ -202,11 +207,7 @@ class _Collector:
             end=end,
             finished=all(each.finished for each in self._surveys),
             metadata=self._surveys[0].values,
-            attachments={
-                name: bytes(attachment.data)
-                for each in reversed(self._surveys)
-                for name, attachment in each.attachments.items()
-            },
+            attachments=attachments,
             joint_states=joint_states,
             actuator_states=actuator_states,
             reference=reference,
@@ -219,7 +220,8 @@ class _Collector:
             device_status=entries(topics.DEVICE_STATUS, convert.device_status_of),
             loop_statistics=entries(topics.LOOP_STATISTICS, convert.loop_statistics_of),
             channels=_channels_of(self._messages[topics.CHANNELS], start),
-            urdf=str(descriptions[0][2]["data"]) if descriptions else "",
+            urdf=self._urdf(attachments),
+            meshes=self._surveys[0].metadata.get(MESHES, {}),
         )
         skipped = sum(table.skipped for table in self._rows.values())
         if self._damaged:
@@ -228,6 +230,14 @@ class _Collector:
             self._notes.append(f"{skipped} messages with other joints are left out")
         object.__setattr__(recording, "notes", tuple(self._notes))
         return recording
+
+    def _urdf(self, attachments: Mapping[str, bytes]) -> str:
+        """Return the URDF: the one attached, since the one told may have its meshes inside."""
+        attached = attachments.get(f"{self._hand}.urdf")
+        if attached is not None:
+            return attached.decode("utf-8", "replace")
+        descriptions = self._messages[topics.ROBOT_DESCRIPTION]
+        return str(descriptions[0][2]["data"]) if descriptions else ""
 
     def _series(self, name: str, start: int) -> JointSeries:
         table = self._rows[name]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import os
 import queue
@@ -13,6 +14,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from rtee.errors import LogError
+from rtee.hand.carried import CarriedMeshes, carried_meshes
 from rtee.hand.model import Hand
 from rtee.log.contents import REPLAY, Contents, Replayable
 from rtee.log.plain import to_json
@@ -31,6 +33,8 @@ from rtee.types import (
     LoopStatistics,
     Result,
 )
+
+log = logging.getLogger(__name__)
 
 _YIELD: Final = 50e-6
 _LEAST_QUEUE: Final = 200
@@ -85,7 +89,11 @@ class Recorder:
         if loop is not None:
             files[REPLAY] = to_json(Replayable(loop, hand.actuators)).encode()
         more = {"decimation": str(settings.decimation), **(metadata or {})}
-        contents = Contents(hand, rate, files, more)
+        meshes = carried_meshes(hand) if settings.meshes else CarriedMeshes({}, {})
+        for address, why in meshes.left_out.items():
+            log.warning("the mesh '%s' is not in the recording: %s", address, why)
+        contents = Contents(hand, rate, files, more, meshes)
+        contents.prepare()
         self._writer = LogWriter(contents, settings, notify)
         self._writer.dropped = lambda: self._dropped
         self._queue: queue.SimpleQueue[Work] = queue.SimpleQueue()

@@ -177,7 +177,8 @@ class Recording:
         device_status: Device status, about once a second.
         loop_statistics: Loop statistics, about once a second.
         channels: Further measured channels by name.
-        urdf: The robot's description.
+        urdf: The URDF as it was read.
+        meshes: Address of a mesh in the URDF to the name of its attachment.
         notes: What is wrong with the files, one sentence each.
     """
 
@@ -201,6 +202,7 @@ class Recording:
     loop_statistics: Sequence[Entry[LoopStatistics]] = ()
     channels: Mapping[str, Channel] = field(default_factory=dict)
     urdf: str = ""
+    meshes: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property

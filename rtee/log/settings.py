@@ -24,6 +24,8 @@ class RecorderSettings:
         queue_time: Ticks that may wait for the writer, as time [s]; more are dropped and counted.
         sync: Flush every chunk to the disk, so that it also survives a power cut.
         level: Level of zstd compression.
+        tf_rate: Transforms of the links for viewers are recorded at this rate [Hz]; 0: none.
+        meshes: Carry the hand's meshes along, so that viewers show it anywhere.
     """
 
     directory: Path = Path("logs")
@@ -38,6 +40,8 @@ class RecorderSettings:
     queue_time: float = 5.0
     sync: bool = True
     level: int = 3
+    tf_rate: float = 50.0
+    meshes: bool = True
 
     @property
     def part_size(self) -> float:

@@ -18,6 +18,7 @@ from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
 from rtee.log.tickblock import TickChannels, TickEncoder
+from rtee.log.transforms import LinkTransforms
 from rtee.loop.observer import TickRecord
 from rtee.loop.plan import Plan
 from rtee.messages import convert, encode_goal, topics
@@ -34,6 +35,7 @@ from rtee.messages.topics import (
     PLANS,
     REFERENCE,
     RESULTS,
+    TF,
 )
 from rtee.types import (
     Command,
@@ -97,6 +99,7 @@ class LogWriter:
             hand.transmission,
             TickChannels(CHANNELS[JOINT_STATES], CHANNELS[ACTUATOR_STATES], CHANNELS[REFERENCE]),
         )
+        self._transforms = LinkTransforms(hand, contents.rate, settings)
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
         self._due: float | None = None
         # Those of hands in one process write their chunks by turns.
@@ -149,6 +152,8 @@ class LogWriter:
         self._builder.add_block(wall, self._encoder.encode(record, wall))
         if record.extras:
             self._add_extras(record, wall)
+        if self._transforms.due(record.tick):
+            self._add(TF, wall, self._transforms.encode(record.position, wall))
         self._begun()
 
     def _add_extras(self, record: TickRecord, wall: int) -> None:

@@ -32,6 +32,34 @@ float64[] position           # [rad | m]
 float64[] velocity           # [rad/s | m/s]
 float64[] effort             # [N.m | N]
 """,
+    "geometry_msgs/msg/Vector3": """\
+# A position or a direction.
+float64 x                    # [m]
+float64 y
+float64 z
+""",
+    "geometry_msgs/msg/Quaternion": """\
+# An orientation, as a unit quaternion.
+float64 x
+float64 y
+float64 z
+float64 w
+""",
+    "geometry_msgs/msg/Transform": """\
+# Where one frame stands in another.
+geometry_msgs/Vector3 translation
+geometry_msgs/Quaternion rotation
+""",
+    "geometry_msgs/msg/TransformStamped": """\
+# Where a link's frame stands in its parent's; header.frame_id is the parent.
+std_msgs/Header header
+string child_frame_id        # the link
+geometry_msgs/Transform transform
+""",
+    "tf2_msgs/msg/TFMessage": """\
+# Transforms of several frames.
+geometry_msgs/TransformStamped[] transforms
+""",
     "rtee_msgs/msg/ActuatorState": """\
 # What the actuators measured in a tick, as the executor was given it.
 std_msgs/Header header

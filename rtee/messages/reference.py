@@ -30,7 +30,13 @@ In Python, `rtee.messages.message_type("rtee_msgs/Goal")` encodes and decodes an
 
 <!-- Made by `python -m rtee.messages.reference`; a test keeps it current. -->
 """
-_CONSTANT = ("std_msgs/msg/", "sensor_msgs/msg/", "builtin_interfaces/msg/")
+_CONSTANT = (
+    "std_msgs/msg/",
+    "sensor_msgs/msg/",
+    "geometry_msgs/msg/",
+    "tf2_msgs/msg/",
+    "builtin_interfaces/msg/",
+)
 
 
 def _cell(text: str) -> str:

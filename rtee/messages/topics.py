@@ -19,6 +19,9 @@ COMMANDS = "commands"
 DEVICE_STATUS = "device_status"
 LOOP_STATISTICS = "loop_statistics"
 ROBOT_DESCRIPTION = "robot_description"
+URDF = "urdf"
+TF = "tf"
+TF_STATIC = "tf_static"
 
 TYPES: dict[str, str] = {
     JOINT_STATES: "sensor_msgs/msg/JointState",
@@ -34,8 +37,17 @@ TYPES: dict[str, str] = {
     DEVICE_STATUS: "rtee_msgs/msg/DeviceStatus",
     LOOP_STATISTICS: "rtee_msgs/msg/LoopStatistics",
     ROBOT_DESCRIPTION: "std_msgs/msg/String",
+    URDF: "std_msgs/msg/String",
+    TF: "tf2_msgs/msg/TFMessage",
+    TF_STATIC: "tf2_msgs/msg/TFMessage",
 }
 """Name of a topic to the type of its messages."""
+
+FOR_VIEWERS = frozenset({URDF, TF, TF_STATIC})
+"""Topics that follow from others and are recorded for other software alone."""
+
+LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC})
+"""Topics whose last message holds until the next one: it is kept for whoever comes later."""
 
 PUBLISHED = frozenset(
     {
@@ -55,12 +67,16 @@ PREFIX = "rtee"
 """First part of every key on the network."""
 
 
+_FIXED = frozenset({ROBOT_DESCRIPTION, TF, TF_STATIC})
+
+
 def log_topic(hand: str, name: str) -> str:
     """Return a topic's full name in a recording.
 
-    The robot's description is ``/robot_description``, where viewers look for it, whatever the hand.
+    The robot's description and the transforms stand where viewers look for them, whatever the hand:
+    ``/robot_description``, ``/tf`` and ``/tf_static``.
     """
-    return f"/{name}" if name == ROBOT_DESCRIPTION else f"/{hand}/{name}"
+    return f"/{name}" if name in _FIXED else f"/{hand}/{name}"
 
 
 def network_key(hand: str, name: str) -> str:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import anyio
+import numpy as np
 import pytest
 import viser
 from remote.serving import make_hand, make_library, serving
@@ -18,7 +21,10 @@ from rtee.actions.types import ActionKind, PrimitiveKind
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.app import App
 from rtee.gui.panels.plots import PlotsPanel
+from rtee.gui.panels.table import TablePanel
 from rtee.hand.load import load_hand
+from rtee.hand.model import Hand
+from rtee.messages.state import State
 
 pytestmark = pytest.mark.anyio
 
@@ -146,3 +152,72 @@ def test_what_is_not_measured_leaves_the_other_lines_their_scale(
         assert lines
         assert [line.get("auto") for line in lines] == [False] * len(lines)
         assert [end.get("auto", True) for end in (low, high)] == [True, True]
+
+
+def test_joints_have_plots_of_their_own_with_their_units(
+    server: viser.ViserServer, tmp_path: Path
+) -> None:
+    hand = make_hand(tmp_path)
+    panel = PlotsPanel(server.gui, hand)
+    panel.draw()
+    assert set(panel._plots) == {"position", "velocity", "effort"}
+    panel._chosen_joints[-1].value = True
+    for box in panel._chosen:
+        box.value = False
+    panel._changed()
+    state = _measured(hand, 0.25, 0.5)
+    panel.history.add(state, hand.transmission.velocities(state.position, state.velocity))
+    panel.draw()
+    assert set(panel._plots) == {"joint_position", "joint_velocity"}
+    titles = [plot.title for plot in panel._plots.values()]
+    assert titles == ["joint position [rad | m]", "joint velocity [rad/s | m/s]"]
+    values = [plot.data[1][-1] for plot in panel._plots.values()]
+    assert values == pytest.approx(
+        [
+            hand.transmission.joints(state.position)[-1],
+            hand.transmission.velocities(state.position, state.velocity)[-1],
+        ],
+        rel=1e-6,
+    )
+
+
+def test_the_table_tells_how_fast_every_joint_moves(
+    server: viser.ViserServer, tmp_path: Path
+) -> None:
+    hand = make_hand(tmp_path)
+    panel = TablePanel(server.gui, hand)
+    state = _measured(hand, 0.25, 0.5)
+    panel.show_state(state)
+    shown = panel._joints.content
+    assert "vel [rad/s | m/s]" in shown
+    speeds = hand.transmission.velocities(state.position, state.velocity)
+    rows = re.findall(r"<tr><td>.*?</tr>", shown)
+    assert [re.findall(r">([^<>]*)</td>", row)[2] for row in rows] == [f"{v:.2f}" for v in speeds]
+    lost = dataclasses.replace(state, velocity=np.full(len(hand.actuators), np.nan))
+    panel.show_state(lost)
+    assert panel._joints.content.count("<td") == shown.count("<td")
+    assert "nan" not in panel._joints.content
+
+
+def _measured(hand: Hand, position: float, velocity: float) -> State:
+    n = len(hand.actuators)
+    at, zeros = np.full(n, position), np.zeros(n)
+    return State(
+        tick=0,
+        stamp=1.0,
+        wall_ns=0,
+        names=hand.actuator_names,
+        position=at,
+        velocity=np.full(n, velocity),
+        effort=zeros,
+        current=zeros,
+        temperature=zeros,
+        grasped=np.zeros(n, dtype=np.int8),
+        fresh=np.ones(n, dtype=bool),
+        reference_position=at,
+        reference_velocity=zeros,
+        reference_effort=zeros,
+        joint_names=hand.joint_names,
+        joint_position=hand.transmission.joints(at),
+        channels={},
+    )

@@ -158,7 +158,7 @@ def test_history_keeps_the_newest_and_thins() -> None:
     assert [len(line) for line in history.window("position", (0, 1), 10.0)] == [0, 0, 0]
     size = history._values["position"].nbytes
     for i in range(7000):
-        history.add(_state(0.01 * i, float(i)))
+        history.add(_state(0.01 * i, float(i)), np.full(3, 2.0 * i))
     time, first = history.window("position", (0,), LONGEST)
     assert POINTS // 2 <= len(time) <= POINTS
     assert time[-1] <= 0.0
@@ -166,16 +166,18 @@ def test_history_keeps_the_newest_and_thins() -> None:
     assert first[0] >= 999.0, "what is older has been overwritten"
     assert history._values["position"].nbytes == size
     _, reference = history.window("reference", (1,), 1.0)
-    _, joint = history.window("joint", (2,), 1.0)
+    _, joint = history.window("joint_position", (2,), 1.0)
     assert np.array_equal(reference, joint + 1.0)
+    _, speed = history.window("joint_velocity", (2,), 1.0)
+    assert np.array_equal(speed, 2.0 * joint)
 
 
 def test_thinning_keeps_the_same_points_as_time_goes_on() -> None:
     history = History(1, 1, rate=100.0)
     for i in range(1000):
-        history.add(_state(0.01 * i, float(i), 1, 1))
+        history.add(_state(0.01 * i, float(i), 1, 1), np.zeros(1))
     before = set(history.window("position", (0,), 9.0)[1].tolist())
-    history.add(_state(10.0, 1000.0, 1, 1))
+    history.add(_state(10.0, 1000.0, 1, 1), np.zeros(1))
     after = set(history.window("position", (0,), 9.0)[1].tolist())
     assert len(after - before) <= 1
 

@@ -62,15 +62,20 @@ def test_the_state_is_that_of_the_time(playback: Playback, hand: Hand) -> None:
     assert last.reference_position[0] == pytest.approx(last.position[0], abs=0.02)
 
 
-def test_lines_end_at_the_present(playback: Playback) -> None:
+def test_lines_end_at_the_present(playback: Playback, hand: Hand) -> None:
     playback.time = 0.5 * playback.duration
     time, position = playback.window("position", (0,), 10.0)
     assert time[-1] <= 0.0
     assert time[0] >= -10.0
     states = playback.recording.actuator_states
     assert set(position.tolist()) <= set(states.position[:, 0].tolist())
-    for name in ("reference", "joint", "effort"):
+    for name in ("reference", "joint_position", "joint_velocity", "effort"):
         assert len(playback.window(name, (0,), 10.0)[1]) == len(time)
+    _, velocity = playback.window("velocity", (0,), 10.0)
+    assert np.abs(velocity).max() > 0.0
+    for joint, slope in enumerate(hand.transmission.jacobian(hand.rest)[:, 0]):
+        _, along = playback.window("joint_velocity", (joint,), 10.0)
+        assert np.allclose(along, slope * velocity)
 
 
 def test_actions_and_marks_are_on_the_line(playback: Playback) -> None:

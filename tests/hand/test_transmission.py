@@ -200,3 +200,5 @@ def test_an_actuator_that_is_not_measured_leaves_the_joints_of_others_alone(
         np.testing.assert_array_equal(
             transmission.velocities(holed, slowed), np.where(follows, np.nan, moving)
         )
+        both = transmission.velocities(np.stack([holed, u]), np.stack([slowed, rates]))
+        np.testing.assert_array_equal(both, [np.where(follows, np.nan, moving), moving])

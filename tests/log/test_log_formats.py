@@ -29,6 +29,8 @@ TOPICS = {
     "/claw/device_status": 1,
     "/claw/loop_statistics": 1,
     "/robot_description": 1,
+    "/claw/urdf": 1,
+    "/tf": 100,
 }
 
 

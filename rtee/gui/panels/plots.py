@@ -1,4 +1,4 @@
-"""Live plots of position, reference, velocity, effort, current and temperature."""
+"""Live plots of what is measured of the actuators, of their references, and of all joints."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ import viser
 from viser import uplot
 
 from rtee.gui.colours import line_colour, line_dash
-from rtee.gui.history import LONGEST, QUANTITIES, History, Source, nice_range
+from rtee.gui.history import (
+    JOINT_QUANTITIES,
+    LONGEST,
+    QUANTITIES,
+    History,
+    Source,
+    nice_range,
+)
 from rtee.gui.labels import short_names, units
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
@@ -21,10 +28,30 @@ _LEAST = {
     "effort": 0.1,
     "current": 0.05,
     "temperature": 5.0,
+    "joint_position": 0.1,
+    "joint_velocity": 0.1,
 }
+_SHOWN = frozenset({"position", "velocity", "effort", *JOINT_QUANTITIES})
+"""Quantities shown at first; those of the joints as soon as one is chosen."""
+
 _FOLD = 6
 _HEIGHT = 140
 _SMALL = "10px system-ui, sans-serif"
+
+
+def _said(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _units(actuators: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
+    """Return the unit of each quantity for actuators and joints of these kinds."""
+    found = {}
+    for names, kinds in ((QUANTITIES, set(actuators)), (JOINT_QUANTITIES, set(joints))):
+        slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
+        for name in names:
+            quantity = name.removeprefix("joint_")
+            found[name] = units(quantity, slides=slides, turns=turns)
+    return found
 
 
 class PlotsPanel:
@@ -33,9 +60,7 @@ class PlotsPanel:
     def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
         """Put the panel where the GUI builds now."""
         self._gui = gui
-        kinds = {actuator.kind for actuator in hand.actuators}
-        slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
-        self._units = {name: units(name, slides=slides, turns=turns) for name in QUANTITIES}
+        self._units = _units([a.kind for a in hand.actuators], [j.kind for j in hand.joints])
         self._names = short_names(hand.actuator_names)
         self._joints = short_names(hand.joint_names)
         self.history = History(len(self._names), len(self._joints))
@@ -49,9 +74,9 @@ class PlotsPanel:
         with gui.add_folder("Quantities", expand_by_default=False):
             self._quantities = {
                 name: gui.add_checkbox(
-                    f"{name} [{unit}]",
-                    name in ("position", "effort"),
-                    hint=f"Plot the {name} [{unit}] of what is chosen below",
+                    f"{_said(name)} [{unit}]",
+                    name in _SHOWN,
+                    hint=f"Plot the {_said(name)} [{unit}] of what is chosen below",
                 )
                 for name, unit in self._units.items()
             }
@@ -102,8 +127,9 @@ class PlotsPanel:
         self._legend.content = self._legend_html(columns, joints)
         with self._folder:
             for name, box in self._quantities.items():
-                if box.value and (columns or (joints and name == "position")):
-                    self._plots[name] = self._add_plot(name, columns, joints)
+                chosen = joints if name in JOINT_QUANTITIES else columns
+                if box.value and chosen:
+                    self._plots[name] = self._add_plot(name, chosen)
 
     def _legend_html(self, columns: Sequence[int], joints: Sequence[int]) -> str:
         said = [(self._names[i], line_colour(i), line_dash(i)) for i in columns]
@@ -116,15 +142,13 @@ class PlotsPanel:
             f"{escape(name)}</span>"
             for name, colour, dash in said
         )
-        hint = "thin:&nbsp;reference" if columns else "choose actuators below"
+        hint = "thin:&nbsp;reference" if columns else "choose actuators or joints below"
         return (
             f'<div style="font-size:0.75em;line-height:1.5;padding:0.4em 0.75em 0">{items}'
             f'<span style="color:#7a7f87">{hint}</span></div>'
         )
 
-    def _add_plot(
-        self, name: str, columns: Sequence[int], joints: Sequence[int]
-    ) -> viser.GuiUplotHandle:
+    def _add_plot(self, name: str, columns: Sequence[int]) -> viser.GuiUplotHandle:
         series = [uplot.Series(label="t [s]")]
 
         def add(number: int, label: str, width: float, alpha: float = 1.0) -> None:
@@ -139,19 +163,21 @@ class PlotsPanel:
                 )
             )
 
-        for index in columns:
-            add(index, self._names[index], 1.75)
+        if name in JOINT_QUANTITIES:
+            for index in columns:
+                add(len(self._names) + index, self._joints[index], 1.25)
+        else:
+            for index in columns:
+                add(index, self._names[index], 1.75)
         if name == "position":
             for index in columns:
                 add(index, f"{self._names[index]} reference", 0.75, 0.7)
-            for index in joints:
-                add(len(self._names) + index, self._joints[index], 1.25)
         # Changing a plot's scales would make it anew; unseen lines keep its range as it should be.
         series += [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]
         return self._gui.add_uplot(
             self._data(name),
             tuple(series),
-            title=f"{name} [{self._units[name]}]",
+            title=f"{_said(name)} [{self._units[name]}]",
             scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
             axes=(
                 uplot.Axis(font=_SMALL, size=28, space=50),
@@ -164,11 +190,10 @@ class PlotsPanel:
 
     def _data(self, name: str) -> tuple[FloatArray, ...]:
         length = float(self._window.value)
-        columns = self._columns
+        columns = self._joint_columns if name in JOINT_QUANTITIES else self._columns
         data = self._source.window(name, columns, length)
         if name == "position":
             data += self._source.window("reference", columns, length)[1:]
-            data += self._source.window("joint", self._joint_columns, length)[1:]
         ends = nice_range(data[1:], _LEAST[name])
         return (*data, *(np.full(len(data[0]), end) for end in ends))
 

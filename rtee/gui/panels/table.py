@@ -16,6 +16,7 @@ from rtee.remote.views import HandStatus
 _STYLE = "font-size:0.75em;border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums"
 
 
+_HEAD = "text-align:right;padding-left:0.6em;vertical-align:bottom"
 _NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
 
 
@@ -27,8 +28,8 @@ def _number(value: float, digits: int = 3) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return an HTML table; cells after the first are numbers."""
-    cells = "".join(f'<th style="{_NUMBER}">{h}</th>' for h in head[1:])
-    lines = [f'<tr><th style="text-align:left">{head[0]}</th>{cells}</tr>']
+    cells = "".join(f'<th style="{_HEAD}">{h}</th>' for h in head[1:])
+    lines = [f'<tr><th style="{_HEAD};text-align:left;padding-left:0">{head[0]}</th>{cells}</tr>']
     for row in rows:
         numbers = "".join(f'<td style="{_NUMBER}">{cell}</td>' for cell in row[1:])
         lines.append(f"<tr><td>{escape(row[0])}</td>{numbers}</tr>")
@@ -53,6 +54,7 @@ class TablePanel:
         kinds = {joint.kind for joint in hand.joints}
         slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
         self._joint_unit = units("position", slides=slides, turns=turns)
+        self._joint_speed = units("velocity", slides=slides, turns=turns)
         with gui.add_folder("Actuators"):
             self._actuators = gui.add_html("")
         with gui.add_folder("Joints", expand_by_default=len(hand.joints) <= 24):
@@ -77,16 +79,19 @@ class TablePanel:
         head = (f"actuator [{self._unit}]", "pos", "ref", f"effort [{self._force}]", "°C")
         self._actuators.content = table(head, rows)
         by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
+        speeds = self._hand.transmission.velocities(state.position, state.velocity)
         rows = [
             [
                 self._joint_names[i],
                 _number(float(by_name.get(joint.name, math.nan))),
+                _number(float(speeds[i]), 2),
                 _number(joint.lower),
                 _number(joint.upper),
             ]
             for i, joint in enumerate(self._hand.joints)
         ]
-        self._joints.content = table((f"joint [{self._joint_unit}]", "pos", "min", "max"), rows)
+        head = (f"joint [{self._joint_unit}]", "pos", f"vel [{self._joint_speed}]", "min", "max")
+        self._joints.content = table(head, rows)
 
     def show_status(self, status: HandStatus) -> None:
         """Show the loop's clock and the buses' counters."""

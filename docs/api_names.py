@@ -1,0 +1,131 @@
+"""The list of public names in ``docs/reference/api/index.md``, made from the pages beside it.
+
+``python docs/api_names.py`` writes it anew; a test keeps it current.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+PAGES = Path(__file__).parent / "reference" / "api"
+INDEX = PAGES / "index.md"
+MARK = "<!-- Made by `python docs/api_names.py`; a test keeps it current. -->"
+
+_DIRECTIVE = re.compile(r"^::: (\S+)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Name:
+    """A public name.
+
+    Attributes:
+        page: The page that documents it.
+        path: Where it is imported from, with its name.
+        summary: The first line of what is said about it.
+    """
+
+    page: str
+    path: str
+    summary: str
+
+    @property
+    def row(self) -> str:
+        """Its row in the list."""
+        name = self.path.rpartition(".")[2]
+        said = self.summary.replace("|", "\\|")
+        return (
+            f"| [`{name}`]({self.page}#{self.path}) | `{self.path.rpartition('.')[0]}` | {said} |"
+        )
+
+
+def resolved(path: str) -> object:
+    """Return what a dotted path names.
+
+    Raises:
+        AttributeError: There is no such thing.
+    """
+    parts = path.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError as error:
+            if not path.startswith(str(error.name)):
+                raise
+            continue
+        for part in parts[count:]:
+            found = getattr(found, part)
+        return found
+    raise AttributeError(path)
+
+
+def public_members(module: object) -> list[str]:
+    """Return the public classes and functions of a module; of a package, what it exports."""
+    exported = getattr(module, "__all__", None)
+    if exported is not None:
+        return sorted(exported)
+    own = getattr(module, "__name__", "")
+    return [
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_")
+        and (inspect.isclass(value) or inspect.isfunction(value))
+        and value.__module__ == own
+    ]
+
+
+def _summary(path: str) -> str:
+    found = resolved(path)
+    if inspect.isclass(found) or inspect.isroutine(found):
+        text = inspect.getdoc(found) or ""
+    else:
+        text = _said_below(path)
+    return " ".join(text.split("\n\n")[0].split())
+
+
+def _said_below(path: str) -> str:
+    """Return the string below the assignment of a constant."""
+    module, _, name = path.rpartition(".")
+    body = ast.parse(inspect.getsource(importlib.import_module(module))).body
+    for statement, after in pairwise(body):
+        targets = getattr(statement, "targets", [getattr(statement, "target", None)])
+        names = [target.id for target in targets if isinstance(target, ast.Name)]
+        if name in names and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            return str(after.value.value)
+    return ""
+
+
+def public_names() -> Iterator[Name]:
+    """Yield the public names, page by page in the order of the navigation."""
+    for page in sorted(PAGES.glob("*.md")):
+        for path in _DIRECTIVE.findall(page.read_text()):
+            found = resolved(path)
+            members = public_members(found) if inspect.ismodule(found) else [""]
+            for member in members:
+                whole = f"{path}.{member}" if member else path
+                yield Name(page.name, whole, _summary(whole))
+
+
+def listed() -> str:
+    """Return the list as Markdown."""
+    rows = [
+        name.row for name in sorted(public_names(), key=lambda n: n.path.rpartition(".")[2].lower())
+    ]
+    return "\n".join(["| name | from | |", "| --- | --- | --- |", *rows]) + "\n"
+
+
+def page() -> str:
+    """Return the page with the list made anew."""
+    head, mark, _ = INDEX.read_text().partition(MARK)
+    assert mark, f"{INDEX} has lost its mark"
+    return f"{head}{MARK}\n\n{listed()}"
+
+
+if __name__ == "__main__":
+    INDEX.write_text(page())

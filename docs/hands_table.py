@@ -1,0 +1,155 @@
+"""The tables of hands and their devices in ``docs/hands/index.md``, made from ``config/``.
+
+``python docs/hands_table.py`` writes them anew; a test keeps them current. What a device measures
+and accepts is what its driver says once it has connected to the device's emulator.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import anyio
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.registry import find_driver
+from rtee.prepare import PreparedHand, RunOptions, prepare
+from rtee.types import Capabilities
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "hands" / "index.md"
+BEGIN = "<!-- Made by `python docs/hands_table.py`; a test keeps it current. -->"
+END = "<!-- End of what is made. -->"
+
+_QUANTITIES = ("position", "velocity", "effort", "current", "temperature", "pressure", "grasped")
+_LIMITS = ("position", "max_effort", "max_velocity")
+_BUSES = {
+    "SerialBus": "serial",
+    "ModbusBus": "Modbus",
+    "CanBus": "CAN",
+    "CanopenBus": "CANopen",
+    "DynamixelBus": "Dynamixel",
+    "EthercatBus": "EtherCAT",
+    "ZmqBus": "ZeroMQ",
+}
+_FEW = 3
+"""With at most so many fingers and fewer actuators, it is called a gripper."""
+
+
+@dataclass(frozen=True)
+class Connected:
+    """A device of a hand as its driver knows it once connected to the emulator.
+
+    Attributes:
+        driver: The driver's name.
+        bus: What it hangs on.
+        capabilities: What it measures and accepts.
+    """
+
+    driver: str
+    bus: str
+    capabilities: Capabilities
+
+
+def hands() -> list[PreparedHand]:
+    """Return the hands in ``config/`` with their devices, those with most fingers first."""
+    folders = sorted(path.parent for path in (ROOT / "config").glob("*/hand.yaml"))
+    found = [prepare(str(folder), RunOptions(emulated=True)) for folder in folders]
+    return sorted(found, key=lambda one: (-len(one.hand.fingers), one.hand.name))
+
+
+async def _connected(one: PreparedHand) -> list[Connected]:
+    found = []
+    async with BusPool(wire_time=False) as pool:
+        for device in one.devices:
+            driver = find_driver(device.spec.driver)(device.spec, pool)
+            try:
+                await driver.configure()
+                (bus,) = pool.buses
+                words = _BUSES[type(bus).__name__]
+                found.append(Connected(device.spec.driver, words, driver.capabilities))
+            finally:
+                await driver.close()
+    return found
+
+
+def connected(one: PreparedHand) -> list[Connected]:
+    """Connect to the emulators of a hand's devices."""
+    return anyio.run(_connected, one)
+
+
+def kind_of(one: PreparedHand) -> str:
+    """Return what kind of hand it is, in words."""
+    hand = one.hand
+    fingers, actuators = len(hand.fingers), len(hand.actuators)
+    word = "gripper" if fingers <= _FEW and actuators < fingers else "hand"
+    how = "coupled" if len(hand.joints) > actuators else "every joint driven"
+    return f"{word}, {how}"
+
+
+def _named(one: PreparedHand) -> str:
+    return f"[{one.config.title}]({one.hand.name}.md)"
+
+
+def _of_hands(found: list[PreparedHand]) -> list[str]:
+    rows = [
+        "| hand | name | kind | fingers | actuators | joints | primitives |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for one in found:
+        hand = one.hand
+        numbers = (hand.fingers, hand.actuators, hand.joints, one.library.all("primitive"))
+        counts = " | ".join(str(len(each)) for each in numbers)
+        rows.append(f"| {_named(one)} | `{hand.name}` | {kind_of(one)} | {counts} |")
+    return rows
+
+
+def _of_devices(found: list[PreparedHand]) -> list[str]:
+    rows = [
+        "| hand | driver | bus | measures | accepts | exchanges at best [Hz] | loop [Hz] | homes |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for one in found:
+        for device in connected(one):
+            can = device.capabilities
+            best = "the loop's" if math.isinf(can.best_rate) else f"{can.best_rate:.0f}"
+            cells = (
+                _named(one),
+                f"[`{device.driver}`](../devices/{device.driver}.md)",
+                device.bus,
+                ", ".join(name for name in _QUANTITIES if name in can.measures),
+                ", ".join(name for name in _LIMITS if name in can.accepts),
+                best,
+                f"{one.config.loop.rate:g}",
+                "yes" if can.homing else "",
+            )
+            rows.append(f"| {' | '.join(cells)} |")
+    return rows
+
+
+def tables() -> str:
+    """Return both tables as Markdown."""
+    found = hands()
+    return "\n".join([*_of_hands(found), "", *_between(), "", *_of_devices(found)])
+
+
+def _between() -> list[str]:
+    return [
+        "Coupled: fewer actuators than joints; springs, tendons or linkages move the others.",
+        "",
+        "And their devices, as their drivers find them:",
+    ]
+
+
+def page() -> str:
+    """Return the page with its tables made anew."""
+    head, begin, rest = PAGE.read_text().partition(BEGIN)
+    _, end, tail = rest.partition(END)
+    assert begin, f"{PAGE} has lost its marks"
+    assert end, f"{PAGE} has lost its marks"
+    return f"{head}{BEGIN}\n\n{tables()}\n\n{END}{tail}"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())

@@ -1,0 +1,152 @@
+"""The meshes of a hand as data, to be carried along where the files themselves are not."""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from rtee.errors import ModelError
+from rtee.hand.files import read_bytes
+from rtee.hand.meshes import resolve_mesh
+from rtee.hand.model import Hand
+from rtee.hand.names import safe_name
+from rtee.hand.urdf import Urdf, UrdfGeometry
+
+FOLDER: Final = "meshes"
+"""Folder in the names of carried meshes."""
+
+LARGEST: Final = 48_000_000
+"""All meshes together may take this much as text in a description, each as often as it is named
+[bytes]: no message may be longer than 64 MB."""
+
+_AS_TEXT: Final = 4 / 3
+"""Characters of base64 per byte."""
+
+MEDIA_TYPES: Final[Mapping[str, str]] = {
+    ".stl": "model/stl",
+    ".dae": "model/vnd.collada+xml",
+    ".obj": "model/obj",
+    ".glb": "model/gltf-binary",
+    ".gltf": "model/gltf+json",
+}
+"""Ending of a mesh's file to its media type, by which viewers tell what is in a data URL."""
+
+_MESH = re.compile(r"""(<(?:\w+:)?mesh\b[^<>]*?\bfilename\s*=\s*)(["'])(.*?)\2""", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class CarriedMesh:
+    """A mesh as data.
+
+    Attributes:
+        name: A name of its own, such as ``meshes/palm.stl``.
+        path: The file it was read from, absolute.
+        data: Its content.
+    """
+
+    name: str
+    path: Path
+    data: bytes
+
+    @property
+    def media_type(self) -> str:
+        """Its media type; that of unknown data if viewers do not know its format."""
+        return MEDIA_TYPES.get(PurePosixPath(self.name).suffix, "application/octet-stream")
+
+    @property
+    def data_url(self) -> str | None:
+        """Its content as an address; ``None`` if viewers do not know its format."""
+        if PurePosixPath(self.name).suffix not in MEDIA_TYPES:
+            return None
+        return f"data:{self.media_type};base64,{base64.b64encode(self.data).decode()}"
+
+
+@dataclass(frozen=True, slots=True)
+class CarriedMeshes:
+    """The meshes of a hand.
+
+    Attributes:
+        meshes: Address in the URDF to the mesh; two addresses may lead to the same one.
+        left_out: Address in the URDF to why its mesh is not carried.
+    """
+
+    meshes: Mapping[str, CarriedMesh]
+    left_out: Mapping[str, str]
+
+    @property
+    def files(self) -> dict[str, CarriedMesh]:
+        """The meshes by their names, each once."""
+        return {mesh.name: mesh for mesh in self.meshes.values()}
+
+
+def carried_meshes(hand: Hand, largest: int = LARGEST) -> CarriedMeshes:
+    """Read the meshes of a hand, those that are seen first.
+
+    Args:
+        hand: The hand.
+        largest: All together may take this much as text in a description [bytes]; what is beyond
+            is left out.
+    """
+    times = Counter(shape.mesh for shape in _shapes(hand.urdf))
+    meshes: dict[str, CarriedMesh] = {}
+    left_out: dict[str, str] = {}
+    by_path: dict[Path, CarriedMesh] = {}
+    names: set[str] = set()
+    room = float(largest)
+    for address in times:
+        try:
+            path = resolve_mesh(address, hand.urdf.path, hand.package_dirs).resolve()
+            mesh = by_path.get(path)
+            if mesh is None:
+                data = read_bytes(path, "mesh", ModelError)
+                mesh = CarriedMesh(_name(path, names), path, data)
+            size = _AS_TEXT * times[address] * len(mesh.data)
+            if size > room:
+                left_out[address] = f"the meshes take more than {largest / 1e6:g} MB"
+                continue
+            room -= size
+            by_path[path] = mesh
+        except ModelError as error:
+            left_out[address] = str(error)
+            continue
+        meshes[address] = mesh
+    return CarriedMeshes(meshes, left_out)
+
+
+def _shapes(urdf: Urdf) -> Iterator[UrdfGeometry]:
+    links = urdf.links.values()
+    for shapes in (*(link.visuals for link in links), *(link.collisions for link in links)):
+        yield from (shape for shape in shapes if shape.kind == "mesh")
+
+
+def _name(path: Path, taken: set[str]) -> str:
+    """Return a name that no other mesh has, and take it."""
+    stem, suffix = safe_name(path.stem, "mesh"), path.suffix.lower()
+    number = 1
+    name = f"{FOLDER}/{stem}{suffix}"
+    while name in taken:
+        number += 1
+        name = f"{FOLDER}/{stem}_{number}{suffix}"
+    taken.add(name)
+    return name
+
+
+def with_addresses(text: str, addresses: Mapping[str, str]) -> str:
+    """Return the text of a URDF with other addresses of meshes.
+
+    Args:
+        text: The URDF.
+        addresses: Old address to new one; others stay.
+    """
+
+    def replaced(match: re.Match[str]) -> str:
+        new = addresses.get(html.unescape(match[3]).strip())
+        return match[0] if new is None else f'{match[1]}"{html.escape(new)}"'
+
+    return _MESH.sub(replaced, text)

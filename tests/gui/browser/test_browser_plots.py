@@ -1,0 +1,60 @@
+"""Plots and tables of actuators and joints in the browser."""
+
+from __future__ import annotations
+
+import threading
+
+from rtee.remote.blocking import BlockingHand
+
+from .marks import in_a_browser
+from .window import Window
+
+pytestmark = in_a_browser
+
+FOLLOWING = "left_inner_knuckle_joint"
+"""A joint of the gripper that follows its actuator."""
+
+
+def _joint_row(window: Window) -> list[str]:
+    """Return what the table of joints says of that joint."""
+    row = window.page.locator("tr:visible", has_text=FOLLOWING).first
+    return row.locator("td").all_inner_texts()
+
+
+def test_velocities_and_joints_have_plots(window: Window, other: BlockingHand) -> None:
+    other.open()
+    window.tab("Plots")
+    for title in ("position [rad]", "velocity [rad/s]", "effort"):
+        window.says(title)
+    panel = window.folder("Joints", unfold=True)
+    before = window.page.locator(".uplot:visible").count()
+    window.field(FOLLOWING, panel).click()
+    window.says("joint position [rad]")
+    window.says("joint velocity [rad/s]")
+    assert window.page.locator(".uplot:visible").count() == before + 2
+    window.field(FOLLOWING, panel).click()
+    window.page.get_by_text("joint velocity [rad/s]").locator("visible=true").wait_for(
+        state="detached"
+    )
+
+
+def test_the_table_tells_how_fast_joints_move(window: Window, other: BlockingHand) -> None:
+    other.open()
+    window.tab("Joints")
+    window.says("vel [rad/s]")
+    window.until(lambda: _joint_row(window)[2] == "0.00")
+    over = threading.Event()
+
+    def move() -> None:
+        while not over.is_set():
+            other.do("PinchTight", "finger_1", "finger_2")
+            other.open()
+
+    mover = threading.Thread(target=move)
+    mover.start()
+    try:
+        window.until(lambda: abs(float(_joint_row(window)[2])) > 0.1)
+    finally:
+        over.set()
+        mover.join()
+    window.tab("Plots")
