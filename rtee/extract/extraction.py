@@ -102,6 +102,7 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
 
 
 def _look(inspector: Inspector, task: _Look) -> Sight | None:
+    inspector.scene.forget()  # which process does what does not matter
     i, j, rank = task
     fingers = inspector.scene.hand.fingers
     search = pinch_search(inspector, fingers[i], fingers[j], rank)
@@ -109,6 +110,7 @@ def _look(inspector: Inspector, task: _Look) -> Sight | None:
 
 
 def _finish(inspector: Inspector, task: _Finish | _Group) -> Found | None:
+    inspector.scene.forget()
     fingers = inspector.scene.hand.fingers
     if len(task) == 4:
         i, j, rank, sight = task

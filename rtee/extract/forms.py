@@ -32,6 +32,8 @@ class Forms:
     Attributes:
         couples: Indices of the couples' shapes in the scene.
         slack: How much nearer than their forms the convex parts of the links can be [m].
+        remembers: Whether Coal keeps the last direction in which it looked for a vertex of a hull,
+            which moves the next result by some 10 nm; only forms that are new have none.
         results: Coal's last distance result of every couple.
     """
 
@@ -61,10 +63,11 @@ class Forms:
         self._robot, self._joints = robot
         self._model = pin.GeometryModel()
         number = {}
-        self._guided = False
+        self._guided = self.remembers = False
         for i in (*first, *second):
             shape, form = shapes[i], forms[i]
             self._guided |= isinstance(form, coal.BVHModelBase)
+            self.remembers |= isinstance(form, coal.ConvexBase)
             placed = pin.GeometryObject(str(i), shape.body, shape.placement, form)
             number[i] = self._model.addGeometryObject(placed)
         for i, j in self.couples:

@@ -284,7 +284,16 @@ class Scene:
 
     def witness(self, pair: LinkPair) -> Witness:
         """Return where two links' convex parts are closest or deepest in each other."""
-        return _witness(pair, self._convex_of(pair), self._stamp)
+        forms = self._convex_of(pair)
+        if forms.remembers:
+            forms = self._forms(pair, convex=True)
+        return _witness(pair, forms, self._stamp)
+
+    def forget(self) -> None:
+        """Measure from now on as if nothing had been measured before."""
+        for known in (self._rough, self._convex):
+            for number in [number for number, forms in known.items() if forms.remembers]:
+                del known[number]
 
     def touching(self, pair: LinkPair, *, surfaces: bool = True) -> bool:
         """Return whether two links touch: their geometry as given, meshes not convexified.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -50,17 +50,9 @@ class Space:
 
     def posture(self, y: FloatArray) -> FloatArray:
         """Return the actuator positions ``(n,)`` [rad | m] at coordinates ``(k,)``."""
-        spread, offset = self._map
-        u: FloatArray = spread.dot(y) + offset
+        u = self.base.copy()
+        u[self.index] = self.lower + y * self.extent
         return u
-
-    @cached_property
-    def _map(self) -> tuple[FloatArray, FloatArray]:
-        """The posture as a linear function: a matrix ``(n, k)`` and an offset ``(n,)``."""
-        spread, offset = np.zeros((len(self.base), self.size)), self.base.copy()
-        spread[self.index, np.arange(self.size)] = self.extent
-        offset[self.index] = self.lower
-        return spread, offset
 
     def coordinates(self, u: FloatArray) -> FloatArray:
         """Return the coordinates ``(k,)`` of a posture, clamped into the box."""

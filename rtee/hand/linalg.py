@@ -42,9 +42,9 @@ def product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def turned(points: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return points ``(k, 3)`` turned by a rotation ``(3, 3)``."""
+    """Return points ``(..., 3)`` turned by a rotation ``(3, 3)``."""
     x, y, z = rotation.T
-    result: FloatArray = points[:, :1] * x + points[:, 1:2] * y + points[:, 2:3] * z
+    result: FloatArray = points[..., :1] * x + points[..., 1:2] * y + points[..., 2:3] * z
     return result
 
 

@@ -31,7 +31,7 @@ def test_a_post_thinner_than_a_step_blocks_the_way(tmp_path: Path) -> None:
     blocked = watch(inspector).along(np.array([1.0, 0.0]))
     assert blocked is not None
     assert blocked.pair.links == ("posts", "ball")
-    assert blocked.at == pytest.approx(0.49, abs=1e-3)
+    assert blocked.at == pytest.approx(0.489, abs=1e-3)  # 1 mm of clearance before it
 
 
 def test_the_first_of_several_collisions_is_reported(tmp_path: Path) -> None:

@@ -107,8 +107,10 @@ def test_the_deepest_clear_pose_comes_before_the_deepest(tmp_path: Path) -> None
     first, *rest = found.evidence
     assert first.clear
     assert first.path_clear
-    # The arm, 1 mm thick to each side and 10 mm off, meets the post's face at 11.5 mm.
-    assert found.posture.position["left_x"] == pytest.approx(0.0205, abs=1e-4)
+    # The arm, 1 mm thick to each side and 10 mm off, comes to 1 mm from the post's face, which
+    # is at 11.5 mm.
+    assert found.posture.position["left_x"] == pytest.approx(0.0195, abs=1e-4)
+    assert first.clearance == pytest.approx(0.001, abs=1e-4)
     assert first.depth < max(e.depth for e in rest)
     worst = max(rest, key=lambda e: e.depth)
     assert worst.colliding == (("arm", "post"),)
@@ -180,7 +182,9 @@ def test_stored_postures_hold_what_their_evidence_says(tmp_path: Path) -> None:
             u = np.array([posture.position[name] for name in hand.actuator_names])
             inspector.scene.place(u)
             assert inspector.scene.touching(tips)
-            assert -inspector.scene.distance(tips) == pytest.approx(evidence.depth, abs=1e-8)
+            assert -inspector.scene.witness(tips).distance == pytest.approx(
+                evidence.depth, abs=1e-8
+            )
             assert (u >= hand.lower).all()
             assert (u <= hand.upper).all()
             for name in set(hand.actuator_names) - set(posture.involved):

@@ -126,7 +126,7 @@ def test_stored_postures_touch_and_are_clear_as_their_evidence_says(
             u = np.array([posture.position[name] for name in hand.actuator_names])
             scene.place(u)
             assert scene.touching(tips)
-            assert -scene.distance(tips) == pytest.approx(evidence.depth, abs=1e-8)
+            assert -scene.witness(tips).distance == pytest.approx(evidence.depth, abs=1e-8)
             involved = {*first.actuators, *second.actuators}
             assert set(posture.involved) == involved
             for spec in hand.actuators:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, cast
 
 import numpy as np
@@ -53,6 +54,9 @@ class Valleys:
     def value(self, y: FloatArray) -> float:
         return self(y)[0]
 
+    def fine(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
 
 @pytest.mark.parametrize(("rounds", "depth"), [(0, -3.0), (1, -4.0)])
 def test_a_sum_is_as_deep_as_the_deepest_of_its_terms_that_were_found(
@@ -65,7 +69,7 @@ def test_a_sum_is_as_deep_as_the_deepest_of_its_terms_that_were_found(
         y[block] = valleys.deep[block]
         starts.append(y + 0.02)
     effort = Effort(screened=1, starts=0, rounds=rounds)
-    found = minima(cast("Any", valleys), starts, effort, BLOCKS)
+    found = minima(cast("Any", valleys), starts, effort, BLOCKS).polished
     assert found[0].value == pytest.approx(depth, abs=1e-3)
 
 
@@ -89,5 +93,5 @@ def test_a_valley_that_no_start_met_is_found_from_the_deepest_minimum(
     start = valleys.flat.copy()
     start[BLOCKS[0]] = valleys.deep[BLOCKS[0]]
     effort = Effort(screened=1, starts=0, places=places)
-    found = minima(cast("Any", valleys), [start + 0.02], effort, BLOCKS)
+    found = minima(cast("Any", valleys), [start + 0.02], effort, BLOCKS).polished
     assert found[0].value == pytest.approx(depth, abs=1e-3)

@@ -98,14 +98,6 @@ def test_every_shape_of_a_real_hand_lies_in_its_convex_part(real_hand: Hand) -> 
             assert result.min_distance < 1e-6
 
 
-def test_a_convex_part_is_nowhere_narrower_than_its_least_width(real_hand: Hand) -> None:
-    directions = np.random.default_rng(0).normal(size=(300, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    for shape in HandGeometry(real_hand).shapes:
-        assert shape.least_width > 0.0
-        assert np.ptp(shape.points @ directions.T, axis=0).min() > shape.least_width
-
-
 def test_a_mesh_that_is_not_in_metres_at_all_is_refused(tmp_path: Path) -> None:
     far = np.array([[[0, 0, 0], [2000, 0, 0], [0, 1, 1]]])
     path = write_stl(tmp_path / "far.stl", far)

@@ -1,0 +1,88 @@
+"""What stands in for finely meshed links while a search explores."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import coal
+import numpy as np
+import pytest
+
+from rtee.extract.drafts import SLACK, draft, least_width, outer
+from rtee.extract.scene import Scene
+from rtee.hand.geometry import HandGeometry
+from rtee.hand.load import load_model
+from rtee.hand.model import Hand
+
+
+@pytest.fixture(scope="module")
+def leap(shared: Path) -> Hand:
+    folder = shared / "more_hands" / "leap_right"
+    return load_model(folder / "leap_right.urdf", folder / "leap_right.srdf")
+
+
+def test_a_convex_part_is_nowhere_narrower_than_its_least_width(real_hand: Hand) -> None:
+    directions = np.random.default_rng(0).normal(size=(300, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for shape in HandGeometry(real_hand).shapes:
+        width = least_width(shape, draft(shape).form)
+        assert width > 0.0
+        assert np.ptp(shape.points @ directions.T, axis=0).min() > width
+
+
+def test_a_draft_lies_within_its_hull_and_its_hull_within_the_slack(leap: Hand) -> None:
+    directions = np.random.default_rng(0).normal(size=(500, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    simplified = 0
+    for shape in HandGeometry(leap).shapes:
+        found = draft(shape)
+        if found.slack == 0.0:
+            assert found.form is shape.convex
+            continue
+        simplified += 1
+        assert found.slack <= SLACK
+        assert found.form.num_points < shape.convex.num_points / 10
+        full = (np.array(shape.convex.points()) @ directions.T).max(axis=0)
+        rough = (np.array(found.form.points()) @ directions.T).max(axis=0)
+        assert (rough <= full + 1e-12).all()
+        assert (full <= rough + found.slack + 1e-12).all()
+    assert simplified == 4
+
+
+def test_distances_of_drafts_bound_those_of_the_full_convex_parts(leap: Hand) -> None:
+    scene = Scene(leap)
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        scene.place(random.uniform(leap.lower, leap.upper))
+        for pair in scene.tips.values():
+            rough, least = scene.distance(pair), scene.at_least(pair)
+            with scene.fine():
+                full = scene.distance(pair)
+            assert full == scene.witness(pair).distance
+            assert full <= rough + 1e-6
+            assert full >= least - 1e-6
+
+
+def test_shapes_within_another_one_of_their_link_are_left_out(leap: Hand) -> None:
+    shapes = HandGeometry(leap).shapes
+    links = dict.fromkeys(shape.link for shape in shapes)
+    for link in links:
+        indices = [i for i, shape in enumerate(shapes) if shape.link == link]
+        kept = outer(shapes, {i: draft(shapes[i]) for i in indices}, indices)
+        assert kept
+        for i in set(indices) - set(kept):
+            at = coal.Transform3s(shapes[i].placement.rotation, shapes[i].placement.translation)
+            within = [
+                k
+                for k in kept
+                if coal.distance(
+                    shapes[i].convex,
+                    at,
+                    shapes[k].convex,
+                    coal.Transform3s(shapes[k].placement.rotation, shapes[k].placement.translation),
+                    coal.DistanceRequest(),
+                    coal.DistanceResult(),
+                )
+                < 0.0
+            ]
+            assert within
