@@ -23,12 +23,12 @@ def gui(
     """Open the hand in the browser: prints the address."""
     import anyio
 
-    from rtee.errors import ConfigError
+    from rtee.errors import MissingExtra
     from rtee.gui.priority import stand_back
 
     stand_back()  # before numpy and the network start threads of their own
     try:
         from rtee.gui.app import serve
     except ImportError as error:
-        raise ConfigError(f"the GUI needs the extra 'gui' ({error}); install rtee[gui]") from error
+        raise MissingExtra("the GUI", "gui") from error
     anyio.run(lambda: serve(hand, host=host, port=port, endpoint=endpoint))
