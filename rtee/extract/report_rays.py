@@ -164,7 +164,7 @@ class NumpyScene:
         across = _cross(toward, second)
         determinant = _dot(first, across)
         usable = np.abs(determinant) > _PARALLEL
-        inverse: Floats = 1 / np.where(usable, determinant, np.float32(1))
+        inverse: Floats = (1 / np.where(usable, determinant, 1)).astype(np.float32)
         begin = origins[:, ray] - self._origin[:, triangle]
         u: Floats = _dot(begin, across) * inverse
         over = _cross(begin, first)

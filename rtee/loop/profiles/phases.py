@@ -1,7 +1,7 @@
 """Motion of one actuator in phases of constant jerk, from any state to rest.
 
-All formulas need sums, products, quotients and square roots only. IEEE 754 rounds these the same way
-everywhere, so a motion comes out with the same bits on every computer.
+All formulas need sums, products, quotients and square roots only. IEEE 754 rounds these the same
+way everywhere, so a motion comes out with the same bits on every computer.
 """
 
 from __future__ import annotations
