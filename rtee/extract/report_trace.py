@@ -77,12 +77,12 @@ def check_pictures() -> None:
         import PIL.Image  # noqa: F401
     except ImportError:
         raise MissingExtra("a picture", "plot") from None
-    if not _embree():
-        _tell_once()
+    if not embree():
+        tell_once()
 
 
 @cache
-def _embree() -> bool:
+def embree() -> bool:
     """Return whether Embree is there; on ARM it has no package."""
     try:
         import embreex.rtcore_scene  # noqa: F401
@@ -92,7 +92,8 @@ def _embree() -> bool:
 
 
 @cache
-def _tell_once() -> None:
+def tell_once() -> None:
+    """Say that pictures take long."""
     log.warning(
         "embreex is not installed: pictures are traced in numpy, which takes some seconds each"
     )
@@ -103,7 +104,7 @@ class Tracer:
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
-        kind = EmbreeScene if _embree() else NumpyScene
+        kind = EmbreeScene if embree() else NumpyScene
         self._scene: Scene = kind(surface.corners)
 
     def cast(self, origin: FloatArray, directions: FloatArray) -> Hits:
