@@ -177,7 +177,9 @@ def test_rays_hit_the_nearest_of_all_triangles() -> None:
     a, b, c = np.moveaxis(corners, 1, 0)
     sides = np.stack([b - a, c - a], axis=2)[None].repeat(200, axis=0)
     system = np.concatenate([sides, -directions[:, None, :, None].repeat(300, axis=1)], axis=3)
-    u, v, depth = np.moveaxis(np.linalg.solve(system, (origins[:, None] - a)[..., None]), 2, 0)[..., 0]
+    u, v, depth = np.moveaxis(np.linalg.solve(system, (origins[:, None] - a)[..., None]), 2, 0)[
+        ..., 0
+    ]
     depth[(u < 0) | (v < 0) | (u + v > 1) | (depth < 0)] = np.inf
     scene = NumpyScene(corners)
     found = scene.first(origins, directions)
@@ -185,9 +187,7 @@ def test_rays_hit_the_nearest_of_all_triangles() -> None:
     assert 20 < hit.sum() < 200
     np.testing.assert_array_equal(found.face, np.where(hit, depth.argmin(axis=1), -1))
     np.testing.assert_allclose(found.depth[hit], depth.min(axis=1)[hit], rtol=1e-4)
-    np.testing.assert_array_equal(
-        scene.blocked(origins, directions, 0.8), depth.min(axis=1) < 0.8
-    )
+    np.testing.assert_array_equal(scene.blocked(origins, directions, 0.8), depth.min(axis=1) < 0.8)
 
 
 def test_the_camera_sees_all_points_and_no_more() -> None:

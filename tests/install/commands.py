@@ -68,6 +68,7 @@ OFFLINE = (
     Case("new-driver my_gripper", "my_gripper/driver.py"),
     Case("scan", "port"),
     Case("doctor", "processors"),
+    Case("doctor --files pc", "pc/rtee@.service"),
     Case("doctor robotiq_2f_85", "/dev/ttyUSB0", 1),
     Case("locate robotiq_2f_85 --emulated --yes --times 1", ""),
     Case("calibrate robotiq_2f_85 --emulated --yes --out calibration.yaml", ""),

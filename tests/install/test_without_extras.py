@@ -147,6 +147,8 @@ def test_every_command_without_extras(tmp_path: Path, home: Path) -> None:
     assert {"pytest", "viser", "mujoco", "matplotlib", "PIL"} <= set(hidden)
     with Shell(hidden, tmp_path, home) as shell:
         shell.check(OFFLINE)
+        service = (tmp_path / "pc" / "rtee@.service").read_text()
+        assert f"ExecStart={Path(sys.executable).parent}/rtee run" in service
         with shell.lasting("run claw", "network"):
             shell.check(ONLINE)
         shell.check(RECORDED)
