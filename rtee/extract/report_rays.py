@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,8 +23,11 @@ _BITS: Final = 10
 _TINY: Final = np.float32(1e-20)
 """Instead of a component of a direction that is zero, by which one cannot divide."""
 
-_PARALLEL: Final = np.float32(1e-18)
-"""Determinants [m²] below this belong to triangles that are seen from the edge, or have no area."""
+_PARALLEL: Final = 1e-18
+"""Triangles smaller than this have no area [m²]: a side of theirs is a rounding error long."""
+
+_GAP: Final = np.float32(1e-6)
+"""By this share of its sides a triangle is larger, so that rounding leaves no gaps between two."""
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -70,9 +74,7 @@ class NumpyScene:
         ).astype(np.int64)
         # Coordinates come first: numpy is several times faster along long axes.
         ordered = corners[self._faces].astype(np.float32).transpose(1, 2, 0)
-        self._origin: Floats = np.ascontiguousarray(ordered[0])
-        self._first: Floats = np.ascontiguousarray(ordered[1] - ordered[0])
-        self._second: Floats = np.ascontiguousarray(ordered[2] - ordered[0])
+        self._own = _own_coordinates(corners[self._faces])
         by_leaf = ordered.reshape(3, 3, leaves, _LEAF)
         low, high = by_leaf.min(axis=(0, 3)), by_leaf.max(axis=(0, 3))
         levels = [(low, high)]
@@ -80,7 +82,7 @@ class NumpyScene:
             low = np.minimum(low[:, ::2], low[:, 1::2])
             high = np.maximum(high[:, ::2], high[:, 1::2])
             levels.append((low, high))
-        self._levels = levels[::-1]
+        self._levels = [((low + high) / 2, (high - low) / 2) for low, high in levels[::-1]]
 
     def first(self, origins: FloatArray, directions: FloatArray) -> FirstHits:
         """Return what rays hit first.
@@ -99,19 +101,13 @@ class NumpyScene:
         for start in range(0, n, _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
             begin, toward = _rows(origins[part]), _rows(directions[part])
-            ray, leaf = self._leaves(begin, toward, np.float32(np.inf))
-            for k in range(_LEAF):
-                triangle = leaf * _LEAF + k
-                depth, u, v = self._meet(begin, toward, ray, triangle)
-                hit = np.flatnonzero(np.isfinite(depth))
-                # Of several triangles that one ray hits, the nearest is written last.
-                hit = hit[np.argsort(-depth[hit], kind="stable")]
-                which = ray[hit] + start
-                nearer = depth[hit] < found.depth[which]
-                hit, which = hit[nearer], which[nearer]
-                found.face[which] = self._faces[triangle[hit]]
-                found.u[which], found.v[which] = u[hit], v[hit]
-                found.depth[which] = depth[hit]
+            ray, triangle, depth, u, v = self._hits(begin, toward, np.float32(np.inf))
+            # Of several triangles that one ray hits, the nearest is written last.
+            order = np.argsort(-depth, kind="stable")
+            which = ray[order] + start
+            found.face[which] = self._faces[triangle[order]]
+            found.u[which], found.v[which] = u[order], v[order]
+            found.depth[which] = depth[order]
         return found
 
     def blocked(
@@ -122,12 +118,7 @@ class NumpyScene:
         for start in range(0, len(directions), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
             begin, toward = _rows(origins[part]), _rows(directions[part])
-            ray, leaf = self._leaves(begin, toward, np.float32(reach))
-            for k in range(_LEAF):
-                left = ~found[ray + start]
-                ray, leaf = ray[left], leaf[left]
-                depth = self._meet(begin, toward, ray, leaf * _LEAF + k)[0]
-                found[ray[depth <= reach] + start] = True
+            found[self._hits(begin, toward, np.float32(reach))[0] + start] = True
         return found
 
     def _leaves(
@@ -137,41 +128,80 @@ class NumpyScene:
         inverse = 1 / np.where(np.abs(directions) < _TINY, _TINY, directions)
         ray = np.arange(directions.shape[1])
         node = np.zeros(len(ray), dtype=np.int64)
-        for low, high in self._levels:
+        for centre, half in self._levels:
             enter, leave = np.zeros(len(ray), dtype=np.float32), np.full(len(ray), reach)
             for axis in range(3):
-                begin, slope = origins[axis][ray], inverse[axis][ray]
-                one = (low[axis][node] - begin) * slope
-                other = (high[axis][node] - begin) * slope
-                np.maximum(enter, np.minimum(one, other), out=enter)
-                np.minimum(leave, np.maximum(one, other), out=leave)
-            through = leave >= enter
-            ray, node = ray[through], node[through]
-            if low.shape[1] < 1 << self._depth:
+                slope = inverse[axis].take(ray)
+                middle = (centre[axis].take(node) - origins[axis].take(ray)) * slope
+                size = half[axis].take(node) * np.abs(slope)
+                np.maximum(enter, middle - size, out=enter)
+                np.minimum(leave, middle + size, out=leave)
+            through = np.flatnonzero(leave >= enter)
+            ray, node = ray.take(through), node.take(through)
+            if centre.shape[1] < 1 << self._depth:
                 ray, node = np.repeat(ray, 2), np.repeat(node * 2, 2)
                 node[1::2] += 1
         return ray, node
 
-    def _meet(
-        self, origins: Floats, directions: Floats, ray: Indices, triangle: Indices
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return distance and barycentric coordinates where rays meet triangles, or infinity.
+    def _hits(
+        self, origins: Floats, directions: Floats, reach: np.float32
+    ) -> tuple[Indices, Indices, Floats, Floats, Floats]:
+        """Return which rays hit which triangles, at which distance and barycentric coordinates.
 
-        Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.
+        A triangle's own coordinates make that two products of vectors (Baldwin and Weber, "Fast
+        Ray-Triangle Intersections by Coordinate Transformation", 2016), of which the first, with
+        the distance from its plane, leaves few rays for the second.
         """
-        toward = directions[:, ray]
-        first, second = self._first[:, triangle], self._second[:, triangle]
-        across = _cross(toward, second)
-        determinant = _dot(first, across)
-        usable = np.abs(determinant) > _PARALLEL
-        inverse: Floats = (1 / np.where(usable, determinant, 1)).astype(np.float32)
-        begin = origins[:, ray] - self._origin[:, triangle]
-        u: Floats = _dot(begin, across) * inverse
-        over = _cross(begin, first)
-        v: Floats = _dot(toward, over) * inverse
-        depth: Floats = _dot(second, over) * inverse
-        hit = usable & (u >= 0) & (v >= 0) & (u + v <= 1) & (depth > 0)
-        return np.where(hit, depth, np.float32(np.inf)), u, v
+        ray, leaf = self._leaves(origins, directions, reach)
+        ray = np.repeat(ray, _LEAF)
+        triangle = (leaf[:, None] * _LEAF + np.arange(_LEAF)).ravel()
+        begin = [row.take(ray) for row in origins]
+        toward = [row.take(ray) for row in directions]
+        height, fall = self._along(2, triangle, begin), -self._along(2, triangle, toward, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):  # seen from the edge, or no area
+            depth = height / fall
+        some = np.flatnonzero((depth > 0) & (depth <= reach))
+        ray, triangle, depth = ray.take(some), triangle.take(some), depth.take(some)
+        at = [
+            one.take(some) + depth * way.take(some) for one, way in zip(begin, toward, strict=True)
+        ]
+        u, v = self._along(0, triangle, at), self._along(1, triangle, at)
+        hit = np.flatnonzero((u >= -_GAP) & (v >= -_GAP) & (u + v <= 1 + _GAP))
+        return ray.take(hit), triangle.take(hit), depth.take(hit), u.take(hit), v.take(hit)
+
+    def _along(
+        self, row: int, triangle: Indices, vectors: Sequence[Floats], offset: float = 1.0
+    ) -> Floats:
+        """Return one of the triangles' own coordinates of points, or of directions (offset 0)."""
+        x, y, z, constant = self._own[row]
+        result: Floats = x.take(triangle) * vectors[0]
+        result += y.take(triangle) * vectors[1]
+        result += z.take(triangle) * vectors[2]
+        if offset:
+            result += constant.take(triangle)
+        return result
+
+
+def _own_coordinates(corners: FloatArray) -> Floats:
+    """Return what gives the triangles' own coordinates of a point ``(3, 4, t)``.
+
+    They are the barycentric coordinates of the second and third corner, and the distance from the
+    plane [m]; each is x, y and z of the point times the first three numbers, and the fourth added.
+    """
+    origin = corners[:, 0]
+    first, second = corners[:, 1] - origin, corners[:, 2] - origin
+    normal = np.cross(first, second)
+    area = np.linalg.norm(normal, axis=1)
+    flat = area < _PARALLEL
+    area[flat] = 1.0
+    normal /= area[:, None]
+    rows = np.stack([np.cross(second, normal), np.cross(normal, first), normal], axis=1)
+    rows[:, :2] /= area[:, None, None]
+    rows[flat] = 0.0
+    constant = -np.einsum("tij,tj->ti", rows, origin)
+    return np.ascontiguousarray(
+        np.concatenate([rows, constant[..., None]], axis=2).transpose(1, 2, 0), dtype=np.float32
+    )
 
 
 def _morton_order(points: FloatArray) -> Indices:
@@ -184,19 +214,6 @@ def _morton_order(points: FloatArray) -> Indices:
         for axis in range(3):
             code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
     return np.argsort(code, kind="stable")
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    result: Floats = np.empty_like(a)
-    result[0] = a[1] * b[2] - a[2] * b[1]
-    result[1] = a[2] * b[0] - a[0] * b[2]
-    result[2] = a[0] * b[1] - a[1] * b[0]
-    return result
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    result: Floats = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return result
 
 
 def _rows(values: FloatArray) -> Floats:
