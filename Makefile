@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint types layers docs bench format clean
+.PHONY: demo test wheels lint types layers docs bench format clean
 
 # The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.
 .venv/.ready: pyproject.toml constraints.txt
@@ -21,6 +21,10 @@ demo: .venv/.ready
 # that a test may fail when the computer is busy: it is run once more, and named in the summary.
 test: lint types layers
 	$(BIN)/python -m pytest -n 2 --reruns 1 --rerun-show-tracebacks -r fEsR
+
+# The wheel as a user gets it: in an empty environment of each Python there is, and on ARM.
+wheels: .venv/.ready
+	RTEE_WHEELS=1 $(BIN)/python -m pytest -v tests/install
 
 lint: .venv/.ready
 	$(BIN)/ruff format --check .

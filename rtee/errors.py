@@ -5,6 +5,7 @@ The tree::
     RteeError                      something rtee can say in one sentence
     ├── UserError                  a mistake in what the user gave: exit status 2
     │   ├── ConfigError            hand.yaml, options, command line
+    │   │   └── MissingExtra       something that needs an extra that is not installed
     │   ├── ModelError             URDF, SRDF, meshes
     │   │   ├── ExpressionError    a non-linear mimic expression
     │   │   └── UnknownJoint · UnknownActuator · UnknownFinger · UnknownLink
@@ -107,6 +108,24 @@ class ConfigError(UserError, ValueError):
     ) -> None:
         super().__init__(message, path=path, line=line)
         self.key = key
+
+
+class MissingExtra(ConfigError):
+    """Something was asked for that needs an extra of rtee that is not installed.
+
+    Attributes:
+        extra: The extra, as it stands in brackets after the package's name.
+    """
+
+    def __init__(self, what: str, extra: str) -> None:
+        """Say what needs which extra, and how to install it.
+
+        Args:
+            what: What needs it, singular, as the beginning of a sentence: ``the GUI``.
+            extra: Name of the extra.
+        """
+        super().__init__(f"{what} needs the extra '{extra}': pip install \"rtee[{extra}]\"")
+        self.extra = extra
 
 
 class ModelError(UserError, ValueError):

@@ -20,7 +20,7 @@ from rtee.hand.config import HandConfig
 from rtee.hand.model import Hand
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
-from rtee.loop.configure import realtime_settings
+from rtee.loop.configure import profile_words, realtime_settings
 from rtee.loop.ending import Signals, companion, receive_signals, wait_for_end
 from rtee.loop.handloop import HandLoop
 from rtee.loop.realtime import (
@@ -89,6 +89,7 @@ async def run_hands(
     for hand in prepared:
         for warning in hand.warnings():
             log.warning("%s: %s", hand.hand.name, warning)
+    _tell_profiles(prepared)
     realtime = _realtime(prepared, options)
     collector = Collector()
     async with AsyncExitStack() as stack:
@@ -104,6 +105,7 @@ async def run_hands(
                 server.recording = partial(_path_of, one.recorder)
                 server.recording_trouble = partial(_trouble_of, one.recorder)
                 server.recorder = one.recorder
+                server.profile = profile_words(one.prepared.config, one.prepared.settings)
                 one.server = await stack.enter_async_context(server)
             say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
         cpus = affinity()
@@ -119,6 +121,17 @@ async def run_hands(
             for line in _summary(running):
                 say(line)
     return 0
+
+
+def _tell_profiles(prepared: Sequence[PreparedHand]) -> None:
+    """Say once which hands move by another profile than configured, and why."""
+    hands: dict[str, list[str]] = {}
+    for one in prepared:
+        if one.settings.profile.kind != one.config.profile.kind:
+            words = profile_words(one.config, one.settings)
+            hands.setdefault(words, []).append(one.hand.name)
+    for words, names in hands.items():
+        log.warning("%s: profile %s", ", ".join(names), words)
 
 
 def _realtime(prepared: Sequence[PreparedHand], options: RunOptions) -> RealtimeSettings:
@@ -149,7 +162,10 @@ async def _open(
         rate=prepared.settings.rate,
         loop=prepared.settings,
         attachments=prepared.attachments(),
-        metadata={"drivers": " ".join(device.spec.driver for device in prepared.devices)},
+        metadata={
+            "drivers": " ".join(device.spec.driver for device in prepared.devices),
+            "profile": str(prepared.settings.profile.kind),
+        },
         notify=notify,
     )
     tally = Tally()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from rtee.buses.bus import Bus
 from rtee.buses.worker import Worker
-from rtee.errors import BusBroken, BusTimeout, ConfigError, RteeError
+from rtee.errors import BusBroken, BusTimeout, MissingExtra, RteeError
 
 T = TypeVar("T")
 
@@ -79,7 +79,7 @@ class PysoemRing(Ring):
         try:
             import pysoem
         except ImportError as error:
-            raise ConfigError("EtherCAT needs pysoem; install it with 'rtee[ethercat]'") from error
+            raise MissingExtra("EtherCAT", "ethercat") from error
         self._soem: Any = pysoem
         self._interface = interface
         self._master: Any = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -35,10 +36,23 @@ def doctor(
     emulated: Annotated[
         bool, typer.Option("--emulated", help="Ask emulators instead of the real devices.")
     ] = False,
+    files: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Only write the files for a robot PC: udev rule, limits, service."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check this computer and a hand's devices; each line is ok, or says what to type."""
     import asyncio
+
+    if files is not None:
+        from rtee.drivers.diagnosis.files import write_files
+
+        for path in write_files(files):
+            print(path)
+        return
 
     from rtee.buses.pool import BusPool
     from rtee.cli._devices import devices_of

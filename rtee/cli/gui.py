@@ -23,7 +23,7 @@ def gui(
     """Open the hand in the browser: prints the address."""
     import anyio
 
-    from rtee.errors import ConfigError
+    from rtee.errors import MissingExtra
     from rtee.gui.priority import stand_back
 
     stand_back()  # before numpy and the network start threads of their own
@@ -32,7 +32,7 @@ def gui(
     try:
         from rtee.gui.app import serve
     except ImportError as error:
-        raise ConfigError(f"the GUI needs the extra 'gui' ({error}); install rtee[gui]") from error
+        raise MissingExtra("the GUI", "gui") from error
     if hand is not None or endpoint is not None:
         anyio.run(_look, hand, endpoint)
     elif not hands_running():

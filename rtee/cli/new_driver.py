@@ -22,4 +22,4 @@ def new_driver(
 
     for path in write_package(name, folder):
         print(path)
-    print(f"now: cd {folder / name} && pip install -e . && pytest")
+    print(f"now: cd {folder / name} && pip install -e '.[test]' && pytest")

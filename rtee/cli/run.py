@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,14 @@ def _complete_driver(incomplete: str) -> list[str]:
 def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     if not gui:
         return ()
+    try:
+        found = importlib.util.find_spec("viser")  # importing it takes a second
+    except ImportError:
+        found = None
+    if found is None:
+        from rtee.errors import MissingExtra
+
+        raise MissingExtra("the GUI", "gui")
     # A hand given by its folder has a name of its own; the GUI then shows the first that runs.
     shown = [] if Path(hands[0]).exists() else [hands[0]]
     return ((sys.executable, "-m", "rtee", "gui", *shown),)

@@ -47,6 +47,7 @@ def _show(found: HandStatus) -> None:
     print(f"held by:  {found.holder or 'nobody'}")
     recording = (found.recording, found.recording_trouble)
     print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
+    print(f"profile:  {found.profile}")
     rows, said = [], []
     for one in found.devices:
         what = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else one.message

@@ -80,14 +80,12 @@ def try_(
 
     Exit status 1 when a single trial loses its object.
     """
-    from rtee.errors import ConfigError
+    from rtee.errors import ConfigError, MissingExtra
 
     try:
         import mujoco  # noqa: F401
     except ImportError:
-        raise ConfigError(
-            "trials need the extra 'sim'; install it by: pip install 'rtee[sim]'"
-        ) from None
+        raise MissingExtra("a trial", "sim") from None
     from rtee.trials.sweep import OBJECTS, bench, mass_of
     from rtee.trials.trial import Trial
 

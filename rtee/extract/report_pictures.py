@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from rtee.errors import ConfigError
 from rtee.extract.report_camera import Camera, fitted, view
 from rtee.extract.report_image import (
     Contact,
@@ -21,7 +20,7 @@ from rtee.extract.report_image import (
 )
 from rtee.extract.report_mesh import HandSurface, Surface
 from rtee.extract.report_render import Look, Painter
-from rtee.extract.report_trace import Tracer
+from rtee.extract.report_trace import Tracer, check_pictures
 from rtee.hand.colours import PALM, finger_colours, finger_of_link
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
@@ -64,7 +63,7 @@ def render(
         A PNG file.
 
     Raises:
-        ConfigError: The extra ``plot`` is not installed.
+        MissingExtra: The extra ``plot`` is not installed.
         ModelError: A mesh cannot be read.
     """
     studio = Studio(hand, size, [u])
@@ -92,10 +91,10 @@ class Studio:
             postures: Postures that must fit into the picture, besides rest.
 
         Raises:
-            ConfigError: The extra ``plot`` is not installed.
+            MissingExtra: The extra ``plot`` is not installed.
             ModelError: A mesh cannot be read.
         """
-        _check_extra()
+        check_pictures()
         self.hand = hand
         self.size = size
         self._lock = threading.Lock()
@@ -250,16 +249,6 @@ class Studio:
         tilted = side + 0.25 * self._back
         tilted = tilted - 0.3 * (tilted @ normal) * normal
         return tilted / np.linalg.norm(tilted)
-
-
-def _check_extra() -> None:
-    try:
-        import embreex.rtcore_scene  # noqa: F401
-        import PIL.Image  # noqa: F401
-    except ImportError:
-        raise ConfigError(
-            "pictures need the extra 'plot'; install it by: pip install 'rtee[plot]'"
-        ) from None
 
 
 def _blocked_share(

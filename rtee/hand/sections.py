@@ -60,9 +60,10 @@ class LimitsSection(Section):
 class Profile(Section):
     """How references move between set-points."""
 
-    kind: Literal["jerk_limited", "filter", "step"] = "jerk_limited"
+    kind: Literal["jerk_limited", "s_curve", "filter", "step"] = "jerk_limited"
     """``jerk_limited``: within velocity, acceleration and jerk limits, all actuators arriving
-    together; ``filter``: critically damped second order after a
+    together, by ruckig; ``s_curve``: the same without ruckig, and what ``jerk_limited`` means where
+    that is not installed; ``filter``: critically damped second order after a
     smoothed target; ``step``: at once."""
     bandwidth: Positive = 2.0
     """Bandwidth of ``filter`` [Hz]."""

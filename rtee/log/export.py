@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rtee.errors import LogError
+from rtee.errors import LogError, MissingExtra
 from rtee.log.recording import Recording
 from rtee.log.sink import reason
 from rtee.log.tables import Table, tables
@@ -100,7 +100,7 @@ def _parquet() -> Any:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        raise LogError("Parquet needs pyarrow: pip install 'rtee[plot]'") from None
+        raise MissingExtra("export to Parquet", "plot") from None
     return pyarrow
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rtee.errors import LogError
+from rtee.errors import MissingExtra
 from rtee.log.export import replacing
 from rtee.log.figure import Figure, Line
 from rtee.log.labels import MARK_COLOUR
@@ -22,13 +22,14 @@ def write_html(figure: Figure, path: Path) -> None:
     """Write a plot as a page that needs nothing else, no network either.
 
     Raises:
-        LogError: if Plotly is missing or the file cannot be written.
+        MissingExtra: if Plotly is missing.
+        LogError: if the file cannot be written.
     """
     try:
         import plotly.graph_objects as go
         from plotly.subplots import make_subplots
     except ImportError:
-        raise LogError("a page needs Plotly: pip install 'rtee[plot]'") from None
+        raise MissingExtra("a plot as page", "plot") from None
     count = len(figure.rows)
     drawing = make_subplots(
         rows=count,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rtee.errors import LogError
+from rtee.errors import MissingExtra
 from rtee.log.export import replacing
 from rtee.log.figure import Figure, Row
 from rtee.log.labels import MARK_COLOUR
@@ -20,13 +20,14 @@ def write_png(figure: Figure, path: Path) -> None:
     """Draw a plot into a PNG file.
 
     Raises:
-        LogError: if Matplotlib is missing or the file cannot be written.
+        MissingExtra: if Matplotlib is missing.
+        LogError: if the file cannot be written.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure as Drawing
     except ImportError:
-        raise LogError("a PNG needs Matplotlib: pip install 'rtee[plot]'") from None
+        raise MissingExtra("a plot as PNG", "plot") from None
     head = 0.8 + _LANE_HEIGHT * figure.lanes
     height = head + _ROW_HEIGHT * len(figure.rows) + 0.5
     drawing = Drawing(figsize=(_WIDTH, height), dpi=_DPI)

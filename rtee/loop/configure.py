@@ -19,6 +19,7 @@ from rtee.loop.settings import (
     SafetySettings,
     StallSettings,
     ThermalSettings,
+    usual_profile,
 )
 from rtee.types import DeviceSpec
 
@@ -47,7 +48,7 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
     return LoopSettings(
         rate=loop.rate if rate is None else rate,
         goal_timeout=loop.goal_timeout,
-        profile=ProfileSettings(ProfileKind(config.profile.kind), config.profile.bandwidth),
+        profile=ProfileSettings(_profile_kind(config), config.profile.bandwidth),
         stall=StallSettings(loop.stall.time, loop.stall.speed),
         grasp=GraspSettings(loop.grasp.effort, loop.grasp.holding_effort, loop.grasp.holding_after),
         safety=SafetySettings(
@@ -67,6 +68,19 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
             thermal.ambient,
         ),
     )
+
+
+def _profile_kind(config: HandConfig) -> ProfileKind:
+    kind = ProfileKind(config.profile.kind)
+    return usual_profile() if kind is ProfileKind.JERK_LIMITED else kind
+
+
+def profile_words(config: HandConfig, settings: LoopSettings) -> str:
+    """Return which profile moves a hand's references, and why if it is another than configured."""
+    kind = settings.profile.kind
+    if kind == config.profile.kind:
+        return str(kind)
+    return f"{kind} instead of {config.profile.kind}: ruckig is not installed"
 
 
 def realtime_settings(config: HandConfig, *, enabled: bool = False) -> RealtimeSettings:

@@ -21,8 +21,20 @@ class ProfileKind(StrEnum):
     """How the reference gets from one set-point to the next."""
 
     JERK_LIMITED = "jerk_limited"
+    """By ruckig."""
+    S_CURVE = "s_curve"
+    """Under the same limits, without ruckig."""
     FILTER = "filter"
     STEP = "step"
+
+
+def usual_profile() -> ProfileKind:
+    """Return the default profile: ``s_curve`` where ruckig is not installed."""
+    try:
+        import ruckig  # noqa: F401
+    except ImportError:
+        return ProfileKind.S_CURVE
+    return ProfileKind.JERK_LIMITED
 
 
 class Behaviour(StrEnum):
@@ -47,7 +59,7 @@ class ProfileSettings:
         bandwidth: Bandwidth of the `ProfileKind.FILTER` profile [Hz].
     """
 
-    kind: ProfileKind = ProfileKind.JERK_LIMITED
+    kind: ProfileKind = field(default_factory=usual_profile)
     bandwidth: float = 2.0
 
 

@@ -212,6 +212,7 @@ string recording_trouble     # what it has lost and why, or empty
 float64 holding_effort       # effort kept on what is held, as a fraction of the effort limit
 rtee_msgs/LoopStatistics statistics
 rtee_msgs/DeviceStatus[] devices
+string profile               # how references move, and why if not as in hand.yaml
 """,
 }
 """Full name of a message to its definition."""

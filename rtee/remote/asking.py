@@ -116,6 +116,7 @@ class Asking:
             "holding_effort": self._server.loop.controller.holding_effort,
             "statistics": loop_statistics_fields(statistics),
             "devices": [device_status_fields(status) for status in statuses],
+            "profile": self._server.profile,
         }
 
     def _info(self, fields: Fields) -> Fields:

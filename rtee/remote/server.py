@@ -107,6 +107,7 @@ class Server(Observer):
         recording: Returns the path of the recording under way, or an empty string.
         recording_trouble: Returns what it has lost and why, in words, or an empty string.
         recorder: Starts, stops and marks recordings, if there is one.
+        profile: How the references move, in words.
     """
 
     def __init__(self, loop: HandLoop, hand: Hand, config: Configured) -> None:
@@ -115,6 +116,7 @@ class Server(Observer):
         self.recording: Callable[[], str] = lambda: ""
         self.recording_trouble: Callable[[], str] = lambda: ""
         self.recorder: Recording | None = None
+        self.profile = str(loop.settings.profile.kind)
         self.latest: TickRecord | None = None
         self.endpoint = ""
         self._settings = config.remote

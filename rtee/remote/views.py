@@ -46,6 +46,7 @@ class HandStatus:
         holding_effort: Effort kept on what is held, as a fraction of the effort limit.
         statistics: The loop's clock.
         devices: The devices.
+        profile: How references move, and why if not as in hand.yaml.
     """
 
     hand: str
@@ -57,6 +58,7 @@ class HandStatus:
     holding_effort: float
     statistics: LoopStatistics
     devices: tuple[DeviceStatus, ...]
+    profile: str = ""
 
 
 class CollectedStates:
@@ -183,6 +185,7 @@ class View:
             holding_effort=reply["holding_effort"],
             statistics=loop_statistics_of(reply["statistics"]),
             devices=tuple(device_status_of(device) for device in reply["devices"]),
+            profile=reply["profile"],
         )
 
     async def ready(

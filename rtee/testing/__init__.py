@@ -14,8 +14,28 @@ Describe the device by a `DeviceCase` and derive from `DriverContract`::
         )
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rtee.errors import MissingExtra
 from rtee.testing.case import DeviceCase, actuator, cycles
-from rtee.testing.contract import DriverContract
 from rtee.testing.session import Session, open_files
 
+if TYPE_CHECKING:
+    from rtee.testing.contract import DriverContract
+
 __all__ = ["DeviceCase", "DriverContract", "Session", "actuator", "cycles", "open_files"]
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when first used: it needs pytest, which writing a skeleton and fuzzing do not.
+    if name == "DriverContract":
+        try:
+            from rtee.testing.contract import DriverContract
+        except ModuleNotFoundError as error:
+            if error.name != "pytest":
+                raise
+            raise MissingExtra("the contract suite", "test") from None
+        return DriverContract
+    raise AttributeError(f"module 'rtee.testing' has no attribute '{name}'")

@@ -12,12 +12,11 @@ import numpy as np
 
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import TABLE
-from rtee.errors import ConfigError
 from rtee.extract.report_camera import fitted, view
 from rtee.extract.report_image import linear, picture_file
 from rtee.extract.report_mesh import HandSurface, Surface, smooth_normals
 from rtee.extract.report_render import Look, Painter
-from rtee.extract.report_trace import Tracer
+from rtee.extract.report_trace import Tracer, check_pictures
 from rtee.hand.colours import PALM, finger_colours, finger_of_link
 from rtee.hand.files import write_atomically
 from rtee.hand.geometry import HandGeometry
@@ -58,15 +57,9 @@ class Camera:
             size: Width and height [pixels].
 
         Raises:
-            ConfigError: The extra ``plot`` is not installed.
+            MissingExtra: The extra ``plot`` is not installed.
         """
-        try:
-            import embreex.rtcore_scene  # noqa: F401
-            import PIL.Image  # noqa: F401
-        except ImportError:
-            raise ConfigError(
-                "pictures need the extra 'plot'; install it by: pip install 'rtee[plot]'"
-            ) from None
+        check_pictures()
         self.simulation = simulation
         self._hand = hand
         self._surface = HandSurface(HandGeometry(hand, visual=True))

@@ -17,7 +17,7 @@ from typing import Any
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Primitive
-from rtee.errors import ConfigError, RteeError
+from rtee.errors import ConfigError, MissingExtra, RteeError
 from rtee.hand.config import HandConfig
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
@@ -171,14 +171,13 @@ def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Genera
         address: Address of the cluster's scheduler.
 
     Raises:
-        ConfigError: if Dask is missing or the scheduler does not answer.
+        MissingExtra: if Dask is missing.
+        ConfigError: if the scheduler does not answer.
     """
     try:
         distributed: Any = importlib.import_module("distributed")
     except ImportError:
-        raise ConfigError(
-            "a cluster needs the extra 'sweep'; install it by: pip install 'rtee[sweep]'"
-        ) from None
+        raise MissingExtra("a sweep on a cluster", "sweep") from None
     try:
         client = distributed.Client(address, timeout=10)
     except (OSError, ValueError) as error:

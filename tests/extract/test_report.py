@@ -21,12 +21,14 @@ from rtee.actions.types import (
     Step,
     Timed,
 )
-from rtee.errors import ConfigError
+from rtee.errors import MissingExtra
+from rtee.extract import report_trace
 from rtee.extract.extraction import Extraction
 from rtee.extract.report import make_report
 from rtee.extract.report_camera import farthest, fitted, view
 from rtee.extract.report_mesh import smooth_normals
 from rtee.extract.report_pictures import Studio, render
+from rtee.extract.report_rays import NumpyScene
 from rtee.extract.report_trials import Tried
 from rtee.hand.colours import PALETTE, finger_colours, finger_of_link
 from rtee.hand.geometry import HandGeometry
@@ -35,7 +37,6 @@ from rtee.hand.model import Hand
 from rtee.hand.tessellation import box, sphere
 
 Image = pytest.importorskip("PIL.Image")
-pytest.importorskip("embreex")
 
 URDF = """<robot name="claw">
   <link name="palm"><collision><geometry><box size="0.08 0.03 0.02"/></geometry></collision></link>
@@ -140,9 +141,56 @@ def test_a_close_up_covers_neither_the_contact_nor_more_than_need_be(
 def test_without_the_extra_it_says_what_to_install(
     hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
-    with pytest.raises(ConfigError, match=r"pip install 'rtee\[plot\]'"):
+    monkeypatch.setitem(sys.modules, "PIL.Image", None)
+    with pytest.raises(MissingExtra, match=r'extra \'plot\': pip install "rtee\[plot\]"'):
         render(hand, hand.rest)
+
+
+def test_without_embree_it_is_told_and_the_picture_is_the_same(
+    hand: Hand, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("embreex")
+    wanted = pixels(render(hand, hand.rest, (120, 100)))
+    monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
+    report_trace.embree.cache_clear()
+    report_trace.tell_once.cache_clear()
+    try:
+        found = [pixels(render(hand, hand.rest, (120, 100))) for _ in range(2)]
+    finally:
+        report_trace.embree.cache_clear()
+    assert [record.message for record in caplog.records if "embreex" in record.message] == [
+        "embreex is not installed: pictures are traced in numpy, which takes some seconds each"
+    ]
+    assert (found[0] == found[1]).all()
+    # Rays along an edge may fall to either side.
+    assert (np.abs(found[0] - wanted).max(axis=2) > 8).mean() < 0.002
+
+
+def test_rays_hit_the_nearest_of_all_triangles() -> None:
+    rng = np.random.default_rng(7)
+    corners = rng.normal(size=(300, 1, 3)) + 0.2 * rng.normal(size=(300, 3, 3))
+    directions = rng.normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions[:3] = np.eye(3)  # along the axes, where a box has no slope
+    origins = 0.3 * rng.normal(size=(200, 3))
+    # Every ray against every triangle, as a system of linear equations.
+    a, b, c = np.moveaxis(corners, 1, 0)
+    sides = np.stack([b - a, c - a], axis=2)[None].repeat(200, axis=0)
+    system = np.concatenate([sides, -directions[:, None, :, None].repeat(300, axis=1)], axis=3)
+    u, v, depth = np.moveaxis(np.linalg.solve(system, (origins[:, None] - a)[..., None]), 2, 0)[
+        ..., 0
+    ]
+    depth[(u < 0) | (v < 0) | (u + v > 1) | (depth < 0)] = np.inf
+    # A triangle is a little larger than it is: leave out rays that pass this near to a side.
+    near = ((np.abs(np.stack([u, v, 1 - u - v])) < 1e-3).any(axis=0)).any(axis=1)
+    depth, origins, directions = depth[~near], origins[~near], directions[~near]
+    scene = NumpyScene(corners)
+    found = scene.first(origins, directions)
+    hit = np.isfinite(depth).any(axis=1)
+    assert 20 < hit.sum() < len(hit)
+    np.testing.assert_array_equal(found.face, np.where(hit, depth.argmin(axis=1), -1))
+    np.testing.assert_allclose(found.depth[hit], depth.min(axis=1)[hit], rtol=1e-4)
+    np.testing.assert_array_equal(scene.blocked(origins, directions, 0.8), depth.min(axis=1) < 0.8)
 
 
 def test_the_camera_sees_all_points_and_no_more() -> None:

@@ -82,6 +82,8 @@ async def story(rig: Rig) -> None:
 async def test_references_come_out_again(
     small: Hand, tmp_path: Path, profile: ProfileKind, rate: float
 ) -> None:
+    if profile is ProfileKind.JERK_LIMITED:
+        pytest.importorskip("ruckig")
     chosen = LoopSettings(rate=rate, profile=ProfileSettings(profile))
     async with recording(small, tmp_path, chosen, objects={"index": 0.6}) as rig:
         await story(rig)

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import rtee
 from log.samples import BEGIN, RATE, Log, recorded, settings, tick
 from rtee.cli.log import app
-from rtee.errors import LogError
+from rtee.errors import LogError, MissingExtra
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Recording, read
@@ -303,10 +303,10 @@ def test_what_is_not_installed_is_said(
     for name in ("pyarrow", "pyarrow.parquet", "plotly", "matplotlib.figure"):
         monkeypatch.setitem(sys.modules, name, None)
     out = tmp_path / "out"
-    with pytest.raises(LogError, match=r"pip install 'rtee\[plot\]'"):
+    with pytest.raises(MissingExtra, match=r'pip install "rtee\[plot\]"'):
         run("export", story, out, "--format", "parquet")
     for more in ((), ("--no-html",)):
-        with pytest.raises(LogError, match=r"pip install 'rtee\[plot\]'"):
+        with pytest.raises(MissingExtra, match=r'pip install "rtee\[plot\]"'):
             run("plot", story, "--out", out, *more)
     assert not list(tmp_path.glob("out*"))
 

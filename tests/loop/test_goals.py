@@ -211,6 +211,8 @@ async def test_a_tighter_tolerance_takes_longer(hand: Hand) -> None:
 
 @pytest.mark.parametrize("kind", list(ProfileKind))
 async def test_every_profile_reaches(hand: Hand, kind: ProfileKind) -> None:
+    if kind is ProfileKind.JERK_LIMITED:
+        pytest.importorskip("ruckig")
     async with running(hand, LoopSettings(rate=200.0, profile=ProfileSettings(kind))) as rig:
         result = await rig.do("fist")
         assert result.reached

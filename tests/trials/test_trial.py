@@ -148,8 +148,7 @@ def test_all_actions_meet_all_objects() -> None:
 
 
 def test_a_trial_is_recorded_and_pictured(tmp_path: Path) -> None:
-    pytest.importorskip("embreex")
-    from PIL import Image
+    Image = pytest.importorskip("PIL.Image")
 
     from rtee.log import read
 

@@ -149,5 +149,5 @@ def _latency(path: Path, root: Path) -> Check | None:
     return warning(
         "latency timer",
         f"{timer} ms: every answer waits for so long",
-        f"echo 1 | sudo tee {file}   # the udev rule in deploy/ makes it last",
+        f"echo 1 | sudo tee {file}   # the udev rule of `rtee doctor --files DIR` makes it last",
     )

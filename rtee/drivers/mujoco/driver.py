@@ -12,7 +12,7 @@ import anyio.to_thread
 from rtee.drivers.base import Driver
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.options import read_options
-from rtee.errors import CommandRejected, ConfigError, NotConnected
+from rtee.errors import CommandRejected, MissingExtra, NotConnected
 from rtee.hand.load import load_hand
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
@@ -68,9 +68,7 @@ class MujocoDriver(Driver):
         try:
             from rtee.drivers.mujoco.scene import make_simulation
         except ImportError as error:
-            raise ConfigError(
-                f"the mujoco driver needs the extra 'sim' ({error}); install rtee[sim]"
-            ) from error
+            raise MissingExtra("the driver 'mujoco'", "sim") from error
         hand = await anyio.to_thread.run_sync(load_hand, self.spec.folder or self.spec.hand)
         period = (self.spec.every or 1) / self.spec.rate
         names = [actuator.name for actuator in self.spec.actuators]

@@ -1,0 +1,116 @@
+"""A jerk-limited profile that needs no library: the default where ruckig is not installed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+
+from rtee.loop.motion import Limits
+from rtee.loop.profiles.base import Profile
+from rtee.loop.profiles.phases import Approach, Bounds, Motion, State, velocity_change
+
+_FINE = 0.1
+"""Actuators that start together arrive within this share of a period of each other."""
+
+
+class SCurve(Profile):
+    """Motion under jerk limits in phases of constant jerk: seven from rest, hence its name.
+
+    Actuators that start together arrive together: the slowest takes the time it needs, the others
+    are drawn out. A new target continues position, velocity and acceleration. An actuator that goes
+    on is not planned anew.
+
+    The position limits need no look: wherever a motion is interrupted, it can still stop before its
+    target, and no way to another target goes further out than that stop.
+    """
+
+    def __init__(self, limits: Limits, period: float) -> None:
+        super().__init__(limits, period)
+        n = self.size
+        self._acceleration = [0.0] * n
+        self._top = list(limits.velocity)
+        self._braking = [False] * n
+        self._time = [0.0] * n
+        self._motion: list[Motion | None] = [None] * n
+
+    def _seeded(self, positions: Collection[int]) -> None:
+        for index in positions:
+            self._forget(index)
+        self.moving = self._under_way()
+
+    def _forget(self, i: int) -> None:
+        self._acceleration[i] = 0.0
+        self._braking[i] = False
+        self._motion[i] = None
+
+    def _under_way(self) -> bool:
+        return any(motion is not None for motion in self._motion)
+
+    def go(
+        self,
+        targets: Mapping[int, float],
+        *,
+        brake: Collection[int] = (),
+        velocity: Mapping[int, float] | None = None,
+    ) -> None:
+        """See `Profile.go`."""
+        others = set()
+        for index, given in (velocity or {}).items():
+            top = min(given, self.limits.velocity[index])
+            if top != self._top[index]:
+                self._top[index] = top
+                others.add(index)
+        for index, target in targets.items():
+            self.target[index] = self.limits.clamp(index, target)
+            self._braking[index] = False
+        for index in brake:
+            self._braking[index] = True
+            self._stop(index)
+        self._together(targets)
+        for index in others.difference(targets, brake):
+            if not self._braking[index] and self._motion[index] is not None:
+                self._together((index,))
+        self.moving = self._under_way()
+
+    def _state(self, i: int) -> State:
+        return self.position[i], self.velocity[i], self._acceleration[i]
+
+    def _together(self, indices: Iterable[int]) -> None:
+        """Send actuators to their targets so that they arrive together."""
+        fine = _FINE * self.period
+        ways = {i: Approach(self._state(i), self.target[i], self._bounds(i), fine) for i in indices}
+        longest = max((way.duration for way in ways.values()), default=0.0)
+        for i, way in ways.items():
+            self._begin(i, way.motion(longest))
+
+    def _bounds(self, i: int) -> Bounds:
+        return Bounds(self._top[i], self.limits.acceleration[i], self.limits.jerk[i])
+
+    def _stop(self, i: int) -> None:
+        _, velocity, acceleration = state = self._state(i)
+        motion = Motion(state, velocity_change(velocity, acceleration, 0.0, self._bounds(i)))
+        self.target[i] = motion.end
+        self._begin(i, motion)
+
+    def _begin(self, i: int, motion: Motion) -> None:
+        self._time[i] = 0.0
+        self._motion[i] = motion
+
+    def advance(self) -> None:
+        """See `Profile.advance`."""
+        if not self.moving:
+            return
+        for i, motion in enumerate(self._motion):
+            if motion is None:
+                continue
+            time = self._time[i] = self._time[i] + self.period
+            if time < motion.duration:
+                self.position[i], self.velocity[i], self._acceleration[i] = motion.at(time)
+            else:
+                self._arrive(i)
+        self.moving = self._under_way()
+
+    def _arrive(self, i: int) -> None:
+        # The target itself, not what is left of it after rounding.
+        self.position[i] = self.target[i]
+        self.velocity[i] = 0.0
+        self._forget(i)

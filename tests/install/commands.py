@@ -1,0 +1,122 @@
+"""Every command of `rtee` as somebody without any extra tries it, and what comes of it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+URDF = """<robot name="claw">
+  <link name="palm"><collision><geometry><box size="0.08 0.03 0.02"/></geometry></collision></link>
+  {jaws}
+</robot>
+"""
+JAW = """<link name="{name}"><collision><origin xyz="0 0 0.03"/>
+    <geometry><box size="0.01 0.02 0.06"/></geometry></collision></link>
+  <joint name="{name}_joint" type="revolute"><parent link="palm"/><child link="{name}"/>
+    <origin xyz="{x} 0 0.01"/><axis xyz="0 {axis} 0"/>
+    <limit lower="0" upper="0.8" velocity="2" effort="5"/></joint>
+"""
+TRIG = """[left]:
+  PrimitiveType: 3
+  ActionName: trig
+  JointsInvolvedCount:
+    left_joint: 1
+    right_joint: 0
+  ActionState_1:
+    JointPos:
+      left_joint: [0.5]
+      right_joint: [0]
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command line, its exit status, and what it says, on either stream."""
+
+    line: str
+    says: str = ""
+    status: int = 0
+
+    @property
+    def words(self) -> list[str]:
+        return shlex.split(self.line)
+
+    @property
+    def command(self) -> str:
+        return self.words[0]
+
+
+def needs(line: str, extra: str) -> Case:
+    """A command that needs an extra; all say it in the same words."""
+    return Case(line, f"needs the extra '{extra}': pip install \"rtee[{extra}]\"", 2)
+
+
+OFFLINE = (
+    Case("--version", "rtee "),
+    Case("--help", "new-driver"),
+    Case("hands", "schunk_svh"),
+    Case("new claw --urdf claw.urdf", "claw.srdf"),
+    Case("extract claw --save", "PinchTight"),
+    needs("extract claw --report claw.html", "plot"),
+    Case("actions claw", "PinchTight"),
+    Case("compose half PinchTight:left,right*0.5 --hand claw", "half"),
+    Case("time twice half:after=0.1 PinchTight:left,right --hand claw", "twice"),
+    Case("generic point left_joint=0.2 --hand claw", "point"),
+    Case("import foreign --hand claw --out imported", "1 actions"),
+    Case("new-driver my_gripper", "my_gripper/driver.py"),
+    Case("scan", "port"),
+    Case("doctor", "processors"),
+    Case("doctor --files pc", "pc/rtee@.service"),
+    Case("doctor robotiq_2f_85", "/dev/ttyUSB0", 1),
+    Case("locate robotiq_2f_85 --emulated --yes --times 1", ""),
+    Case("calibrate robotiq_2f_85 --emulated --yes --out calibration.yaml", ""),
+    needs("try claw PinchTight left right", "sim"),
+    needs("run claw --driver mujoco --duration 0.1", "sim"),
+    needs("run heri_ii --driver heri_ethercat --duration 0.1", "ethercat"),
+    needs("run claw --gui --duration 0.1", "gui"),
+    Case("run robotiq_2f_85 --driver devices --emulated --duration 0.3 --no-log", "0 goals"),
+    Case("status", "no hand runs", 1),
+)
+"""Without a running hand."""
+
+ONLINE = (
+    Case("do PinchTight left right --intensity 0.3", "reached"),
+    Case("state --once", "left_joint"),
+    Case("status --json", '"profile": '),
+    Case("open", "reached"),
+    Case("stop", ""),
+    Case("recover", ""),
+    needs("gui claw", "gui"),
+)
+"""While `rtee run claw` runs."""
+
+RECORDED = (
+    Case("log info logs", "PinchTight"),
+    Case("log replay --check logs", "the same, bit for bit"),
+    Case("log export logs out --format csv", "out"),
+    needs("log export logs parquet --format parquet", "plot"),
+    needs("log plot logs", "plot"),
+)
+"""When it has ended."""
+
+LASTING = (Case("emulate robotiq_2f --link ./port", "port"),)
+"""Commands that go on until Ctrl-C."""
+
+Run = Callable[[list[str]], tuple[int, str]]
+
+
+def write_model(folder: Path) -> None:
+    """Write the model of a hand with two jaws, and an action of ROS End-Effector for it."""
+    jaws = JAW.format(name="left", x=-0.035, axis=1) + JAW.format(name="right", x=0.035, axis=-1)
+    (folder / "claw.urdf").write_text(URDF.format(jaws=jaws))
+    (folder / "foreign").mkdir()
+    (folder / "foreign" / "trig.yaml").write_text(TRIG)
+
+
+def wrong(case: Case, status: int, said: str) -> str:
+    """Return what is wrong with how a command went; nothing if it went as it should."""
+    if status == case.status and case.says in said and "Traceback" not in said:
+        return ""
+    return f"rtee {case.line}: status {status}, not {case.status} with '{case.says}':\n{said}"
