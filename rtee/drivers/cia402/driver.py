@@ -23,6 +23,7 @@ from rtee.errors import (
     BusError,
     BusTimeout,
     DeviceFault,
+    HandshakeError,
     RteeError,
 )
 
@@ -86,7 +87,16 @@ class Cia402Driver(Cia402Cycle):
             drive.booted = False
             await bus.send(cia301.nmt(NmtCommand.START, drive.id))
         self._operational = True
-        await self._first_answer()
+        try:
+            await self._first_answer()
+        except BusTimeout as error:
+            # They have answered SDO: supply, wiring and bit rate are right.
+            raise HandshakeError(
+                self.spec.name,
+                "process data after each SYNC",
+                f"{error.message}, though SDO is answered",
+                hint="its PDOs must support transmission type 1, and no other master may stop it",
+            ) from error
 
     def _set_up(self, drive: DriveLink) -> None:
         options = self.options

@@ -238,7 +238,8 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
         if answer is not None and len(answer) == 8:
             kind = int.from_bytes(answer[4:6], "little") if answer[0] & 0xE0 == 0x40 else 0
             name = "CiA 402 drive" if kind == 402 else "CANopen node"
-            found.append(Found("cia402" if kind == 402 else "", f"{name} {node}", where))
+            driver = "cia402" if kind == 402 else ""
+            found.append(Found(driver, f"{name} {node}", {**where, "id": node}))
         elif 0x700 + node in heard:
             found.append(Found("", f"CANopen node {node} (heartbeat only)", where))
     return found
