@@ -234,11 +234,12 @@ class Cia402Driver(Cia402Cycle):
                 if drive.state is State.FAULT:
                     raise self._fault(drive)
                 status = 0 if drive.status is None else drive.status.statusword
-                found = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
                 # At first it may still tell of a homing before this one.
-                if found and time.monotonic() > begun + _OLD_NEWS:
+                told = time.monotonic() > begun + _OLD_NEWS
+                found = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
+                failed = told and status & StatusBit.HOMING_ERROR
+                if told and found and not failed:
                     break
-                failed = started and status & StatusBit.FOLLOWING_ERROR
                 if failed or time.monotonic() > end:
                     raise DeviceFault(
                         self.spec.name,
