@@ -77,6 +77,7 @@ class DynamixelEmulator(Emulator, Grasps):
         made = self.properties
         self._all = [Servo(i, made.special.get(i, made.servo)) for i in made.ids]
         self._parser = InstructionParser()
+        self._told_rate = 0
         self.counts: dict[int, int] = {}
 
     @classmethod
@@ -159,6 +160,7 @@ class DynamixelEmulator(Emulator, Grasps):
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Take bytes from the host and return the answers."""
         self.step(now)
+        self._tell_rate()
         answers: list[bytes] = []
         for packet in self._parser.feed(data):
             if "silent" in self.faults:
@@ -168,6 +170,13 @@ class DynamixelEmulator(Emulator, Grasps):
                 servo.heard(now)
             answers += self._answers(packet, now)
         return answers + self._complaints(now)
+
+    def _tell_rate(self) -> None:
+        """Have the servos' memory name the rate of the line."""
+        if self.baudrate != self._told_rate and self.baudrate in table.BAUD_RATES:
+            self._told_rate = self.baudrate
+            for servo in self._all:
+                servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
 
     def _complaints(self, now: float) -> list[bytes]:
         """Return what servos say to instructions that were for them, but damaged on the way."""
