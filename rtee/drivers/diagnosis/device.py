@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from rtee.buses.patience import patiently
@@ -75,6 +76,8 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
         reasons = await check_address(address)
         if any(check.verdict is Verdict.WRONG for check in reasons):
             return reasons
+        busy = "end the other program that is connected; many devices serve one connection"
+        return [*reasons, *(replace(check, remedy=busy) for check in found)]
     return found
 
 

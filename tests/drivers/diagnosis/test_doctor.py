@@ -288,6 +288,16 @@ async def test_a_played_network_device_is_well() -> None:
             assert Verdict.WRONG not in {check.verdict for check in checks}, checks
 
 
+async def test_a_device_that_another_program_is_connected_to_is_named() -> None:
+    gripped = make_emulator("robotiq_2f", {"port": "tcp://"})
+    with SimulatedLine([gripped], tcp=True, scheme="tcp") as line:
+        async with BusPool() as other, BusPool() as pool:
+            await other.modbus(line.address, owner="other")
+            checks = await check_device(gripper(options={"port": line.address}), pool)
+    assert "accepts connections" in named(checks, "address").text
+    assert "end the other program that is connected" in wrong(checks).remedy
+
+
 async def test_a_network_device_that_is_not_there_is_named() -> None:
     with SimulatedLine([], tcp=True, scheme="tcp") as line:
         address = line.address
