@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, ClassVar, Self
 
 from rtee.errors import ConfigError, suggestion
@@ -29,6 +30,13 @@ class CanFrame:
     stamp: float = 0.0
 
 
+class Duplex(Enum):
+    """Whether host and device can send at the same time."""
+
+    HALF = "half"
+    FULL = "full"
+
+
 class Emulator(ABC):
     """Plays a device: takes what comes over the wire and says what the device would answer.
 
@@ -43,6 +51,7 @@ class Emulator(ABC):
         period: How often `step` wants to be called without traffic [s]; 0: only with traffic.
         baudrate: Rate of its line [baud], for programs that ask for none.
         BAUDRATES: Rates that its line can have [baud]; empty: any.
+        duplex: Of its line: half, as on a two-wire RS-485 or a single data wire, or full.
         faults: Faults injected at present.
     """
 
@@ -51,6 +60,7 @@ class Emulator(ABC):
     turnaround: float = 0.0
     period: float = 0.0
     baudrate: int = 115200
+    duplex: ClassVar[Duplex] = Duplex.HALF
 
     def __init__(self) -> None:
         self.faults: set[str] = set()

@@ -213,10 +213,16 @@ class ModbusBus(Bus):
             raise BusBroken(self.name, "no link")
         before = self.counters.bytes_received
         function = expected[1]
+        task = asyncio.current_task()
+        cancelled = 0 if task is None else task.cancelling()
         try:
             async with asyncio.timeout(share):
                 client.wanted = expected
                 response = await request(client)
+                if task is not None and task.cancelling() > cancelled:
+                    # pymodbus's asyncio.wait_for, before Python 3.12, keeps an answer that comes
+                    # together with a cancellation, and loses the cancellation.
+                    raise asyncio.CancelledError
         except TimeoutError:
             self.counters.timeouts += 1
             self.counters.checksum_errors += self.counters.bytes_received > before

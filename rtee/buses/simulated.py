@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from rtee.buses.emulator import Emulator
+from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
 from rtee.buses.simulated_ends import Pty, Tcp
@@ -188,9 +188,15 @@ class SimulatedLine(Simulation):
     ) -> None:
         super().__init__(name)
         self.strict = strict
-        baudrate = float(line.baudrate) if line is not None and scheme != "tcp" else None
-        bits = float(line.bits) if line is not None else 10.0
-        self.wire = Wire(emulators, baudrate=baudrate, bits=bits, faults=faults, timed=wire_time)
+        network = scheme == "tcp"
+        self.wire = Wire(
+            emulators,
+            baudrate=None if line is None or network else float(line.baudrate),
+            bits=10.0 if line is None else float(line.bits),
+            faults=faults,
+            timed=wire_time,
+            duplex=Duplex.FULL if network else None,
+        )
         self.emulators = self.wire.emulators
         self._end: Pty | Tcp = Tcp(host, port, scheme) if tcp else Pty(link)
         self._late = 0.0
@@ -241,7 +247,7 @@ class SimulatedLine(Simulation):
                     self.wire.spoken = self._end.rate() if self.strict else None
                     self.wire.receive(data, time.monotonic())
         data = b"".join(self.wire.step(time.monotonic()))
-        if data:
+        if data and self._end.heard:
             self._end.write(data)
 
     def _wait(self, timeout: float | None) -> list[int]:

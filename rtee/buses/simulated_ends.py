@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import shutil
 import socket
 import struct
 import tempfile
+import termios
 from pathlib import Path
 
 from rtee.errors import BusBroken
@@ -15,15 +17,24 @@ from rtee.errors import BusBroken
 _TCGETS2 = 0x802C542A
 _TERMIOS2 = struct.Struct("=4I20s2I")
 """Linux's termios2: flags, control characters, speed in, speed out."""
+_PIECE = 4096
+"""Bytes read from a pseudo-terminal at a time; what its kernel buffer usually holds."""
 
 
 class Pty:
-    """A pseudo-terminal, found by a symbolic link, whose host end is kept raw."""
+    """A pseudo-terminal, found by a symbolic link, whose host end is kept raw.
+
+    As on a real line, bytes that come while no program has it open are lost. The master tells that
+    by a hang-up that lasts, so it is watched for changes (edge-triggered) instead.
+    """
 
     def __init__(self, link: Path | str | None) -> None:
         self._folder: str | None = None
         self._link = Path(link) if link is not None else None
-        self._master = self._slave = -1
+        self._master = -1
+        self._name = ""
+        self._changes: select.epoll | None = None
+        self._deserted = True
 
     @property
     def open(self) -> bool:
@@ -35,22 +46,38 @@ class Pty:
         """Where the host finds it."""
         return "" if self._link is None else str(self._link)
 
+    @property
+    def heard(self) -> bool:
+        """Whether a program has it open."""
+        if self._deserted and self.open:
+            poll = select.poll()
+            poll.register(self._master, 0)
+            self._deserted = bool(poll.poll(0))  # a hang-up
+        return self.open and not self._deserted
+
     def plug(self) -> None:
         """Make it; raises `BusBroken`."""
         import pty
         import tty
 
-        self._master, self._slave = pty.openpty()
-        # The slave stays open here too: without any, the master would report a hang-up for ever.
-        tty.setraw(self._slave)
+        self._master, slave = pty.openpty()
+        try:
+            # Its settings last as long as the master: the host's end need not stay open here.
+            tty.setraw(slave)
+            self._name = os.ttyname(slave)
+        finally:
+            os.close(slave)
         os.set_blocking(self._master, False)
+        self._deserted = True
+        self._changes = select.epoll()
+        self._changes.register(self._master, select.EPOLLIN | select.EPOLLET)
         if self._link is None:
             self._folder = tempfile.mkdtemp(prefix="rtee-")
             self._link = Path(self._folder) / "port"
         if self._link.is_symlink():
             self._link.unlink()
         try:
-            self._link.symlink_to(os.ttyname(self._slave))
+            self._link.symlink_to(self._name)
         except OSError as error:
             self.unplug()
             raise BusBroken(str(self._link), f"cannot make this link: {error.strerror}") from error
@@ -59,10 +86,12 @@ class Pty:
         """Let it vanish."""
         if self._link is not None and self._link.is_symlink() and self.open:
             self._link.unlink()
-        for file in (self._slave, self._master):
-            if file >= 0:
-                os.close(file)
-        self._master = self._slave = -1
+        if self._changes is not None:
+            self._changes.close()
+            self._changes = None
+        if self._master >= 0:
+            os.close(self._master)
+            self._master = -1
 
     def dispose(self) -> None:
         """Leave nothing behind."""
@@ -72,17 +101,37 @@ class Pty:
 
     def files(self) -> list[int]:
         """What to wait for until it can be read."""
-        return [self._master] if self.open else []
+        return [self._changes.fileno()] if self._changes is not None else []
 
     def read(self, file: int) -> bytes | None:
         """Return what came, ``None`` where another host has connected or left."""
-        try:
-            return os.read(self._master, 4096)
-        except OSError:
+        if self._changes is None:
             return b""
+        self._changes.poll(0)
+        data = bytearray()
+        try:
+            while len(data) < _PIECE:
+                data += os.read(self._master, _PIECE)
+            self._changes.modify(self._master, select.EPOLLIN | select.EPOLLET)  # more to come
+        except BlockingIOError:
+            self._deserted = False
+        except OSError:
+            if data or not self._deserted:
+                self._desert()
+        return bytes(data)
+
+    def _desert(self) -> None:
+        """Lose what the program that has left did not read."""
+        self._deserted = True
+        with contextlib.suppress(OSError):
+            slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            try:
+                termios.tcflush(slave, termios.TCIFLUSH)
+            finally:
+                os.close(slave)
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the host, if there is one."""
+        """Send bytes to the host."""
         with contextlib.suppress(OSError):
             os.write(self._master, data)
 
@@ -91,7 +140,7 @@ class Pty:
         import fcntl
 
         try:
-            settings = fcntl.ioctl(self._slave, _TCGETS2, bytes(_TERMIOS2.size))
+            settings = fcntl.ioctl(self._master, _TCGETS2, bytes(_TERMIOS2.size))
         except OSError:
             return None
         return int(_TERMIOS2.unpack(settings)[-1])
@@ -114,6 +163,11 @@ class Tcp:
     def address(self) -> str:
         """Where the host finds it."""
         return f"{self._scheme}://{self._host}:{self._port}"
+
+    @property
+    def heard(self) -> bool:
+        """Whether a host is connected."""
+        return self._peer is not None
 
     def plug(self) -> None:
         """Make it; raises `BusBroken`."""

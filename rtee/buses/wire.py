@@ -6,16 +6,17 @@ import heapq
 import itertools
 from collections.abc import Sequence
 
-from rtee.buses.emulator import CanFrame, Emulator
+from rtee.buses.emulator import CanFrame, Duplex, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.timing import wire_time
 
 
 class Wire:
-    """A half-duplex line between a host and one or more emulated devices.
+    """A line between a host and one or more emulated devices.
 
-    A pty is infinitely fast; here a message occupies the line for as long as its bytes would, the
-    device answers after its turn-around, and two messages never overlap.
+    A pty is infinitely fast; here a message occupies the line for as long as its bytes would, and
+    the device answers after its turn-around. On a half-duplex line two messages never overlap; on
+    a full-duplex one the host's and the devices' pass each other.
 
     Attributes:
         emulators: The devices on the line; each hears everything.
@@ -26,8 +27,9 @@ class Wire:
         faults: What goes wrong.
         bytes_in: Bytes that came from the host.
         bytes_out: Bytes that went to the host.
-        busy: Time that messages and the devices' turn-around have taken so far [s]; with the
-            silence that the host keeps, it is what no program can do without.
+        busy: Time during which a message or a device's turn-around was under way so far [s]; with
+            the silence that the host keeps, it is what no program can do without that waits for
+            each answer.
     """
 
     def __init__(
@@ -38,9 +40,21 @@ class Wire:
         bits: float = 10.0,
         faults: Faults | None = None,
         timed: bool = True,
+        duplex: Duplex | None = None,
     ) -> None:
+        """Make an idle line.
+
+        Args:
+            emulators: The devices on it.
+            baudrate: Bits per second; ``None`` takes no time (a network).
+            bits: Bits on the line per byte.
+            faults: What goes wrong.
+            timed: Whether bytes and the devices' turn-around take their time.
+            duplex: Its duplex; by default that of the devices on it.
+        """
         self.emulators = list(emulators)
         self.timed = timed
+        self._duplex = duplex
         self.baudrate = baudrate if timed else None
         self.spoken: int | None = None
         self.bits = bits
@@ -48,20 +62,32 @@ class Wire:
         self.bytes_in = 0
         self.bytes_out = 0
         self.busy = 0.0
-        self._free = 0.0
+        self._inward = 0.0
+        self._outward = 0.0
+        self._counted = 0.0
         self._number = itertools.count()
         self._events: list[tuple[float, int, bool, bytes]] = []
         self._stepped = 0.0
 
+    @property
+    def duplex(self) -> Duplex:
+        """Whether both directions can be used at once; half where one of the devices needs it."""
+        if self._duplex is not None:
+            return self._duplex
+        full = self.emulators and all(e.duplex is Duplex.FULL for e in self.emulators)
+        return Duplex.FULL if full else Duplex.HALF
+
     def receive(self, data: bytes, now: float) -> None:
         """Take bytes from the host; the devices hear them when the last one has passed."""
         self.bytes_in += len(data)
-        taken = wire_time(len(data), self.baudrate, self.bits)
-        self.busy += taken
-        self._free = max(now, self._free) + taken
+        start = max(now, self._inward)
+        end = self._inward = start + wire_time(len(data), self.baudrate, self.bits)
+        if self.duplex is Duplex.HALF:
+            self._outward = end
+        self._count(start, end)
         pieces = self.faults.apply(data) if self.faults.requests else [(0.0, data)]
         for late, piece in pieces:
-            self._put(self._free + late, True, piece)
+            self._put(end + late, True, piece)
 
     def step(self, now: float) -> list[bytes]:
         """Let time pass up to ``now``; return what has reached the host."""
@@ -92,7 +118,7 @@ class Wire:
     def reset(self) -> None:
         """Forget everything that is under way: the line was cut."""
         self._events.clear()
-        self._free = 0.0
+        self._inward = self._outward = 0.0
         for emulator in self.emulators:
             emulator.line_reset()
 
@@ -101,14 +127,21 @@ class Wire:
         return min((e.period for e in self.emulators if e.period), default=0.0)
 
     def _answer(self, emulator: Emulator, answers: Sequence[bytes], when: float) -> None:
+        turnaround = emulator.turnaround if self.timed else 0.0
         for answer in answers:
-            turnaround = emulator.turnaround if self.timed else 0.0
-            since = max(when, self._free)
-            start = max(when + turnaround, self._free)
-            self._free = start + wire_time(len(answer), self.baudrate, self.bits)
-            self.busy += self._free - since
+            since = max(when, self._outward)
+            start = max(when + turnaround, self._outward)
+            end = self._outward = start + wire_time(len(answer), self.baudrate, self.bits)
+            if self.duplex is Duplex.HALF:
+                self._inward = end
+            self._count(since, end)
             for late, piece in self.faults.apply(answer):
-                self._put(self._free + late, False, piece)
+                self._put(end + late, False, piece)
+
+    def _count(self, start: float, end: float) -> None:
+        """Count a time as busy, as far as it is not counted yet."""
+        self.busy += max(0.0, end - max(start, self._counted))
+        self._counted = max(self._counted, end)
 
     def _put(self, when: float, inward: bool, data: bytes) -> None:
         heapq.heappush(self._events, (when, next(self._number), inward, data))

@@ -60,7 +60,11 @@ def emulate(
     ] = False,
     set_: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="A property of the emulated device."),
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A property of the emulated device, written as in YAML: unit=9, 'ids=[1, 2, 3]'.",
+        ),
     ] = None,
     object_: Annotated[
         str | None,

@@ -24,6 +24,13 @@ Duration = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e12)]
 """An amount above 0."""
 
+_FORMS = {
+    "tuple_type": "; a list is written [1, 2, 3]",
+    "dict_type": "; a mapping is written {name: value}",
+    "dataclass_type": "; a mapping is written {name: value}",
+}
+"""What to write where a value has the wrong form, by the kind of pydantic's error."""
+
 
 def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) -> P:
     """Return the properties of an emulated device from its driver's options.
@@ -48,6 +55,5 @@ def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) 
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(
-            f"property '{name}' of the emulated device: {first['msg'].lower()}"
-        ) from None
+        told = first["msg"].lower().replace("tuple", "list") + _FORMS.get(first["type"], "")
+        raise ConfigError(f"property '{name}' of the emulated device: {told}") from None

@@ -188,3 +188,16 @@ def test_another_master_agrees() -> None:
                 master.write_register(50, 1)
         finally:
             master.serial.close()
+
+
+async def test_a_cancellation_that_comes_together_with_the_answer_is_not_lost(
+    pool: BusPool, url: str
+) -> None:
+    bus = await bus_in(pool, url)
+    reading = asyncio.create_task(bus.read(9, 0, 2, deadline=5.0))
+    # The trace is told of an answer before the answer is handed to who waits for it.
+    bus.trace = lambda name, direction, data, stamp: direction == "rx" and reading.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await reading
+    bus.trace = None
+    assert await bus.read(9, 0, 2, deadline=1.0) == (0, 0)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import os
+import select
 import socket
 import threading
+import time
 from collections.abc import AsyncIterator
 
 import pytest
@@ -341,3 +343,39 @@ async def test_a_port_that_is_slow_to_close_holds_up_only_who_closes_it(
     await closing
     assert waited == [True], "the event loop went on meanwhile"
     assert await (await again).transact(frame_of(b"x"), StarParser(), 1.0) == b"X"
+
+
+def test_an_answer_that_nobody_read_is_lost_when_the_port_is_closed() -> None:
+    with SimulatedLine([Echo()]) as line:
+        first = os.open(line.address, os.O_RDWR | os.O_NOCTTY)
+        os.write(first, frame_of(b"old"))
+        assert select.select([first], [], [], 5.0)[0], "the answer has come"
+        os.close(first)
+        line.call(lambda: None)  # the line has had a turn since
+        second = os.open(line.address, os.O_RDWR | os.O_NOCTTY)
+        os.write(second, frame_of(b"new"))
+        assert read_to(second, b"#") == frame_of(b"NEW")
+        os.close(second)
+
+
+def test_an_answer_that_comes_while_nobody_listens_is_lost() -> None:
+    echo = Echo()
+    echo.turnaround = 0.05
+    with SimulatedLine([echo]) as line:
+        first = os.open(line.address, os.O_RDWR | os.O_NOCTTY)
+        os.write(first, frame_of(b"old"))
+        os.close(first)
+        while not echo.heard or line.call(line.wire.next_due) is not None:
+            time.sleep(0.005)
+        assert echo.heard == [b"old"], "what was sent arrives, though who sent it has left"
+        second = os.open(line.address, os.O_RDWR | os.O_NOCTTY)
+        os.write(second, frame_of(b"new"))
+        assert read_to(second, b"#") == frame_of(b"NEW")
+        os.close(second)
+
+
+def read_to(file: int, end: bytes) -> bytes:
+    found = b""
+    while not found.endswith(end) and select.select([file], [], [], 5.0)[0]:
+        found += os.read(file, 100)
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -96,6 +97,33 @@ def test_mistakes_are_named() -> None:
         Player("xbot2", link=Path("there"))
     with pytest.raises(ConfigError, match="no line at 115200 baud; possible: 921600"):
         Player("schunk_svh", baudrate=115200)
+
+
+def test_a_list_is_asked_for_in_the_form_it_is_written() -> None:
+    assert Player("dynamixel", {"ids": [1, 2]}).emulator.servos.keys() == {1, 2}  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match=r"should be a valid list; a list is written \[1, 2, 3\]"):
+        Player("dynamixel", {"ids": "1,2"})
+    with pytest.raises(ConfigError, match=r"a mapping is written \{name: value\}"):
+        Player("dynamixel", {"servo": 3})
+
+
+def test_clients_of_the_universal_controller_find_the_gripper_at_register_0() -> None:
+    """They write from register 0 and read input registers from 0, by Modbus TCP."""
+    from pymodbus.client import ModbusTcpClient
+
+    with Player("robotiq_2f", {"activation_time": 0.0}, tcp=0) as player:
+        host, _, port = player.address.partition("//")[2].partition(":")
+        client = ModbusTcpClient(host, port=int(port), timeout=5)
+        assert client.connect()
+        assert not client.write_registers(0, [0x0100, 0, 0], device_id=9).isError()
+        time.sleep(0.01)
+        assert client.read_input_registers(0, count=3, device_id=9).registers[0] == 0x3100
+        assert not client.write_registers(0, [0x0900, 0x0080, 0xFFFF], device_id=9).isError()
+        told = client.read_input_registers(0, count=3, device_id=9).registers
+        assert told[1] & 0xFF == 0x80, "the request is echoed"
+        assert client.read_holding_registers(0, count=2, device_id=9).registers == [0x0900, 0x0080]
+        assert client.read_holding_registers(0x07D0, count=3, device_id=9).registers[1] == told[1]
+        client.close()
 
 
 def test_a_zeromq_server_has_three_ports_side_by_side() -> None:

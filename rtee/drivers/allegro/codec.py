@@ -127,6 +127,16 @@ class HandInfo:
         return cls(hardware, firmware, handedness, temperature, Status(status & 0x07))
 
 
+def side_of(info: HandInfo, serial: str) -> str:
+    """Return ``left`` or ``right``: version 4 tells by its information, 5 by its serial number.
+
+    Empty where a version 5 tells neither.
+    """
+    if info.version == 4:
+        return "left" if info.handedness else "right"
+    return {"L": "left", "R": "right"}.get(serial[3:4], "")
+
+
 def pack_counts(values: Sequence[float]) -> bytes:
     """Return four joints' values as the hand's 16-bit counts, clamped into their range."""
     return _INT16.pack(*(min(max(int(v), -32768), 32767) for v in values))

@@ -117,13 +117,12 @@ class AllegroDriver(Driver):
             emulator=emulator_of(self.spec, AllegroEmulator),
         )
         link = self._link = AllegroLink(bus, options.hand, options.deadline)
-        info = await self._identify(link)
+        info, serial = await self._identify(link)
         version = info.version if options.version is None else options.version
         self.control = self._controller(version)
         link.listen(self._take)
         await link.tell_every(Periods(self._period(version)))
         await self._first_set()
-        serial = await link.serial()
         self.capabilities = replace(
             self.capabilities,
             best_rate=1000.0 / self._period(version),
@@ -134,7 +133,7 @@ class AllegroDriver(Driver):
             },
         )
 
-    async def _identify(self, link: AllegroLink) -> HandInfo:
+    async def _identify(self, link: AllegroLink) -> tuple[HandInfo, str]:
         options = self.options
         try:
             info = await link.info(patient=True)
@@ -152,10 +151,11 @@ class AllegroDriver(Driver):
                 f"version {info.version}",
                 hint="the scales of other versions are not known",
             )
-        side = "left" if info.handedness else "right"
-        if options.side is not None and info.version == 4 and side != options.side:
+        serial = await link.serial()
+        side = codec.side_of(info, serial)
+        if options.side is not None and side and side != options.side:
             raise HandshakeError(self.spec.name, f"a {options.side} hand", f"a {side} one")
-        return info
+        return info, serial
 
     async def _first_set(self) -> None:
         end = time.monotonic() + PATIENCE * self.options.deadline

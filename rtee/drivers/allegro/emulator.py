@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.drivers.allegro import codec
@@ -32,6 +32,13 @@ _STEP = 0.0005
 _MOST_STEPS = 400
 _STRONG = 0.7
 """Torque at which the vendor's programs clamp the flexing joints, about [N·m]."""
+_SERIALS = {
+    (4, False): "SAH040AR",
+    (4, True): "SAH040AL",
+    (5, False): "V5AR0001",
+    (5, True): "V5AL0001",
+}
+"""Serial numbers by version and whether it is a left hand."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +49,8 @@ class AllegroProperties:
         hand: Its number on the bus, 0 to 3.
         version: 4 or 5.
         left: Whether it is a left hand.
-        serial: Its serial number, eight characters.
+        serial: Its serial number, eight characters; by default one that tells its side, and of a
+            version 5 its type, where the vendor's program looks for them.
         torque_timeout: Torques count for so long [s]; 0: until the next.
         inertia: Of a joint [kg·m²].
         damping: Of a joint [N·m·s/rad].
@@ -53,9 +61,9 @@ class AllegroProperties:
     """
 
     hand: int = 0
-    version: int = 4
+    version: Literal[4, 5] = 4
     left: bool = False
-    serial: str = "SAH040AR"
+    serial: str = ""
     torque_timeout: Duration = 0.0
     inertia: Positive = 5e-4
     damping: float = 0.02
@@ -242,7 +250,8 @@ class AllegroEmulator(Emulator, Grasps):
             )
             return [self._frame(command, info.to_bytes())]
         if command == Command.SERIAL:
-            return [self._frame(command, made.serial.encode("ascii").ljust(8)[:8])]
+            serial = made.serial or _SERIALS[made.version, made.left]
+            return [self._frame(command, serial.encode("ascii", "replace").ljust(8)[:8])]
         finger = command - Command.FINGER_POSE
         return [self._pose(finger)] if 0 <= finger < FINGERS else []
 

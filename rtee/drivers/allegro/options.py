@@ -23,7 +23,7 @@ class AllegroOptions(DeviceOptions):
         interface: python-can interface.
         hand: The hand's number on the bus.
         version: 4 or 5; by default as the hand says.
-        side: ``left`` or ``right``; a version 4 hand of the other side is refused.
+        side: ``left`` or ``right``; a hand of the other side is refused.
         joints: Joint on the wire, 0 to 15, of each actuator; by default in their order.
         period: Period of the hand's position frames [ms]; by default 3 (version 4) or 2 (5).
         kp: Stiffness of the joints [N·m/rad].

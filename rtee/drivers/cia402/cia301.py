@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from typing import Self
 
 from rtee.buses.emulator import CanFrame
@@ -197,3 +197,33 @@ def emergency_name(code: int) -> str:
     if code >= 0xFF00:
         return "manufacturer's"
     return EMERGENCIES.get(code) or _CLASSES.get(code >> 12, "unknown")
+
+
+class ErrorRegister(IntFlag):
+    """Bits of the error register (object 1001h)."""
+
+    GENERIC = 1 << 0
+    CURRENT = 1 << 1
+    VOLTAGE = 1 << 2
+    TEMPERATURE = 1 << 3
+    COMMUNICATION = 1 << 4
+    PROFILE = 1 << 5
+
+
+_REGISTERS: dict[int, ErrorRegister] = {
+    0x2: ErrorRegister.CURRENT,
+    0x3: ErrorRegister.VOLTAGE,
+    0x4: ErrorRegister.TEMPERATURE,
+}
+
+
+def error_register(code: int) -> int:
+    """Return the error register that goes with an error code; 0 for none."""
+    if not code:
+        return 0
+    register = ErrorRegister.GENERIC | _REGISTERS.get(code >> 12, ErrorRegister(0))
+    if code >> 8 in (0x81, 0x82):
+        register |= ErrorRegister.COMMUNICATION
+    elif code >> 8 in (0x84, 0x85, 0x86):  # velocity, torque and position control
+        register |= ErrorRegister.PROFILE
+    return int(register)

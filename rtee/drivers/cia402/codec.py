@@ -26,6 +26,7 @@ class Object(IntEnum):
     ERROR_CODE = 0x603F
     CONTROLWORD = 0x6040
     STATUSWORD = 0x6041
+    HALT_OPTION = 0x605D
     MODE = 0x6060
     MODE_DISPLAY = 0x6061
     POSITION = 0x6064
@@ -43,6 +44,8 @@ class Object(IntEnum):
     GEAR_RATIO = 0x6091
     FEED_CONSTANT = 0x6092
     HOMING_METHOD = 0x6098
+    HOMING_SPEEDS = 0x6099
+    HOMING_ACCELERATION = 0x609A
     INTERPOLATION_TIME = 0x60C2
     SUPPORTED_MODES = 0x6502
 
@@ -92,6 +95,7 @@ class StatusBit(IntFlag):
     LIMIT = 1 << 11
     ACKNOWLEDGED = 1 << 12
     FOLLOWING_ERROR = 1 << 13
+    HOMING_ERROR = 1 << 13
 
 
 class Control(IntEnum):
@@ -107,6 +111,8 @@ class Control(IntEnum):
 
 NEW_SET_POINT = 0x10
 CHANGE_NOW = 0x20
+RELATIVE = 0x40
+HALT = 0x100
 HOMING_START = 0x10
 
 

@@ -23,6 +23,7 @@ from rtee.errors import (
     BusError,
     BusTimeout,
     DeviceFault,
+    HandshakeError,
     RteeError,
 )
 
@@ -86,7 +87,16 @@ class Cia402Driver(Cia402Cycle):
             drive.booted = False
             await bus.send(cia301.nmt(NmtCommand.START, drive.id))
         self._operational = True
-        await self._first_answer()
+        try:
+            await self._first_answer()
+        except BusTimeout as error:
+            # They have answered SDO: supply, wiring and bit rate are right.
+            raise HandshakeError(
+                self.spec.name,
+                "process data after each SYNC",
+                f"{error.message}, though SDO is answered",
+                hint="its PDOs must support transmission type 1, and no other master may stop it",
+            ) from error
 
     def _set_up(self, drive: DriveLink) -> None:
         options = self.options
@@ -224,11 +234,12 @@ class Cia402Driver(Cia402Cycle):
                 if drive.state is State.FAULT:
                     raise self._fault(drive)
                 status = 0 if drive.status is None else drive.status.statusword
-                found = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
                 # At first it may still tell of a homing before this one.
-                if found and time.monotonic() > begun + _OLD_NEWS:
+                told = time.monotonic() > begun + _OLD_NEWS
+                found = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
+                failed = told and status & StatusBit.HOMING_ERROR
+                if told and found and not failed:
                     break
-                failed = started and status & StatusBit.FOLLOWING_ERROR
                 if failed or time.monotonic() > end:
                     raise DeviceFault(
                         self.spec.name,

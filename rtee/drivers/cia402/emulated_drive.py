@@ -13,7 +13,17 @@ from rtee.buses.emulator import CanFrame
 from rtee.drivers.axis import Axis
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.cia301 import Abort, Emergency, NmtState
-from rtee.drivers.cia402.codec import Mode, Object, State, StatusBit
+from rtee.drivers.cia402.codec import (
+    HALT,
+    HOMING_START,
+    NEW_SET_POINT,
+    RELATIVE,
+    Mode,
+    Object,
+    State,
+    StatusBit,
+)
+from rtee.drivers.cia402.emulated_homing import METHODS, Leg, Method, way_home
 from rtee.drivers.cia402.node import Entry, Node
 from rtee.drivers.properties import Positive
 
@@ -27,6 +37,8 @@ _TRANSITIONS = {
     (State.ENABLED, 0x06): State.READY,
 }
 
+_LOST_HOST = 0x8130
+"""Error code: the host's heartbeat was lost."""
 RATED = 1000.0
 """The rated torque, in the unit of the drives' torques."""
 
@@ -49,10 +61,13 @@ class DriveProperties:
         start: Position at power-up [counts].
         lower: Mechanical stop [counts].
         upper: Mechanical stop [counts].
+        switches: Where homing meets the negative and the positive limit switch [counts], inside
+            the stops; only homing minds them.
         speed: Fastest speed [counts/s].
         closed: Where it is when its fingers are closed, and open at 0, for objects [counts].
         following_error: Error at which it faults in cyclic mode [counts]; 0: never.
         homed: Whether it knows its position at power-up.
+        homing_methods: Those it knows (object 6098h); any other ends in a homing error.
         sampled: Whether a SYNC's answer tells how the drive was ``before`` it took that SYNC's
             set-points, or ``after``.
     """
@@ -70,10 +85,12 @@ class DriveProperties:
     start: float = 0.0
     lower: float = -1e9
     upper: float = 1e9
+    switches: tuple[float, float] = (-10_000.0, 50_000.0)
     speed: Positive = 40_000.0
     closed: float = 40_000.0
     following_error: int = 0
     homed: bool = True
+    homing_methods: tuple[Method, ...] = METHODS
     sampled: Literal["before", "after"] = "before"
 
 
@@ -84,6 +101,7 @@ class Drive:
         node: Its CANopen side.
         axis: Its motor [counts]; effort in 0.1 % of the rated torque.
         state: Its state.
+        zero: Where its counter is at 0 [counts of the axis]; homing sets it.
         cause: Error code whose cause lasts: a reset brings it back; 0: none.
     """
 
@@ -103,10 +121,14 @@ class Drive:
         self.state = State.SWITCH_ON_DISABLED
         self.emergencies: list[Emergency] = []
         self.homed = properties.homed
+        self.zero = 0.0
         self.cause = 0
         self._control = 0
         self._acknowledged = False
-        self._homing = False
+        self._goal = properties.start
+        self._halted = False
+        self._legs: list[Leg] = []
+        self._homing_error = False
         self._describe()
         self.node.on_reset = self.reset
         self.node.on_silence = self._silence
@@ -148,7 +170,12 @@ class Drive:
             node.add(index, 0, "B", 2, writable=False)
             for subindex, value in enumerate(values, start=1):
                 node.add(index, subindex, "I", value)
+        node.add(Object.HALT_OPTION, 0, "h", 1)
         node.add(Object.HOMING_METHOD, 0, "b", 0)
+        node.add(Object.HOMING_SPEEDS, 0, "B", 2, writable=False)
+        node.add(Object.HOMING_SPEEDS, 1, "I", int(made.speed))
+        node.add(Object.HOMING_SPEEDS, 2, "I", max(1, int(made.speed / 10)))
+        node.add(Object.HOMING_ACCELERATION, 0, "I", 1_000_000)
         node.add(Object.INTERPOLATION_TIME, 0, "B", 2, writable=False)
         node.add(Object.INTERPOLATION_TIME, 1, "B", 1)
         node.add(Object.INTERPOLATION_TIME, 2, "b", -3)
@@ -160,7 +187,8 @@ class Drive:
         self.state = State.SWITCH_ON_DISABLED
         self.emergencies = []
         self._control = 0
-        self._acknowledged = self._homing = False
+        self._acknowledged = self._halted = self._homing_error = False
+        self._legs = []
         self.axis.enabled = False
         for index, value in (
             (Object.ERROR_CODE, 0), (Object.ERROR_REGISTER, 0), (Object.MODE, 0),
@@ -179,7 +207,7 @@ class Drive:
         if value and value not in self.properties.modes:
             return Abort.RANGE
         if value != self.node.get(Object.MODE_DISPLAY):
-            self.axis.target = self.axis.position
+            self._stay()
         self.node.set(Object.MODE_DISPLAY, value)
         return None
 
@@ -193,43 +221,103 @@ class Drive:
             self._become(State.SWITCH_ON_DISABLED)
         elif not word & 0x04:
             if self.state is State.ENABLED:
-                self.axis.target = self.axis.position
+                self._stay()
                 self._become(State.QUICK_STOP)
         else:
             found = _TRANSITIONS.get((self.state, word & 0x0F))
             if found is not None:
                 self._become(found)
         if self.state is State.ENABLED:
+            self._halt(bool(word & HALT))
             self._set_point(word, before)
         return None
 
     def _become(self, state: State) -> None:
-        if state is State.ENABLED and self.state is not State.ENABLED:
-            self.axis.target = self.axis.position
-            self._acknowledged = False
+        if (state is State.ENABLED) is not (self.state is State.ENABLED):
+            self._stay()
+            self._acknowledged = self._halted = False
         self.state = state
         self.axis.enabled = state in (State.ENABLED, State.QUICK_STOP)
 
+    def _stay(self) -> None:
+        """Want nothing but to be where it is; a homing under way is given up."""
+        self._legs = []
+        self._homing_error = False
+        self._aim(self.axis.position)
+
+    def _aim(self, goal: float) -> None:
+        """Go somewhere [counts of the axis], once no halt forbids it."""
+        self._goal = goal
+        if not self._halted:
+            self.axis.target = goal
+
+    def _halt(self, halted: bool) -> None:
+        """Stand still until the halt is over, then go on."""
+        if halted is not self._halted:
+            self._halted = halted
+            self.axis.target = self.axis.position if halted else self._goal
+
     def _set_point(self, word: int, before: int) -> None:
         mode = self.node.get(Object.MODE_DISPLAY)
-        rising = bool(word & 0x10) and not before & 0x10
+        rising = bool(word & NEW_SET_POINT) and not before & NEW_SET_POINT
         if mode == Mode.PROFILE_POSITION:
             if rising:
-                self.axis.target = float(self.node.get(Object.TARGET_POSITION, signed=True))
+                target = float(self.node.get(Object.TARGET_POSITION, signed=True))
+                # A relative target counts from the one before, not from where the axis is.
+                self._aim(target + (self._goal if word & RELATIVE else self.zero))
                 self._acknowledged = True
-            elif not word & 0x10:
+            elif not word & NEW_SET_POINT:
                 self._acknowledged = False
-        elif mode == Mode.HOMING and rising:
-            self._homing = True
-            self.axis.target = -1e9
+        elif mode == Mode.HOMING:
+            if rising:
+                self._begin_homing()
+            elif not word & HOMING_START and self._legs:
+                self._stay()
 
-    def fail(self, code: int, register: int = 0x01) -> None:
+    # --- homing ------------------------------------------------------------------------------
+
+    def _begin_homing(self) -> None:
+        method = self.node.get(Object.HOMING_METHOD, signed=True)
+        self._stay()
+        self.homed = False
+        self._homing_error = method not in self.properties.homing_methods
+        if not self._homing_error:
+            fast, slow = (float(max(1, self.node.get(Object.HOMING_SPEEDS, n))) for n in (1, 2))
+            switches = sorted(self.properties.switches)
+            self._legs = way_home(
+                method,
+                self.axis.position,
+                negative=Leg(max(self.axis.lower, switches[0]), fast),
+                positive=Leg(min(self.axis.upper, switches[1]), fast),
+                turn=max(1, self.properties.increments),
+                slow=slow,
+            )
+
+    def _search(self) -> None:
+        """End a leg of homing, or begin the next."""
+        axis, leg = self.axis, self._legs[0]
+        if axis.position == leg.end:
+            self._legs.pop(0)
+            if not self._legs:
+                self.zero = axis.position
+                self.homed = True
+            self._aim(self._legs[0].end if self._legs else axis.position)
+        elif not self._halted and axis.target == leg.end and axis.velocity == 0.0:
+            blocked = axis.position in (axis.lower, axis.upper)
+            if blocked:  # it stands at a stop, and what it looks for would be beyond
+                self._stay()
+                self._homing_error = True
+        else:
+            self._aim(leg.end)
+
+    def fail(self, code: int) -> None:
         """Go into fault, saying why."""
+        register = cia301.error_register(code)
         self.node.set(Object.ERROR_CODE, code)
         self.node.set(Object.ERROR_REGISTER, register)
         self.emergencies.append(Emergency(code, register))
         self.axis.enabled = False
-        self._homing = False
+        self._legs = []
         self.state = State.FAULT
 
     def _recover(self) -> None:
@@ -242,12 +330,12 @@ class Drive:
         self.state = State.SWITCH_ON_DISABLED
 
     def _silence(self) -> None:
-        self.emergencies.append(Emergency(0x8130, 0x11))
+        self.emergencies.append(Emergency(_LOST_HOST, cia301.error_register(_LOST_HOST)))
         self.node.state = NmtState.PRE_OPERATIONAL
         reaction = self.node.get(Object.ABORT_CONNECTION, signed=True)
         if reaction == 1:
             self.emergencies.pop()
-            self.fail(0x8130, 0x11)
+            self.fail(_LOST_HOST)
         elif reaction in (2, 3):
             self._become(State.SWITCH_ON_DISABLED)
 
@@ -258,12 +346,12 @@ class Drive:
         if self.state is not State.ENABLED:
             return
         if self.node.get(Object.MODE_DISPLAY) == Mode.CYCLIC_POSITION:
-            target = float(self.node.get(Object.TARGET_POSITION, signed=True))
+            target = float(self.node.get(Object.TARGET_POSITION, signed=True)) + self.zero
             allowed = self.properties.following_error
-            if allowed and abs(target - self.axis.position) > allowed:
-                self.fail(0x8611, 0x21)
+            if allowed and not self._halted and abs(target - self.axis.position) > allowed:
+                self.fail(0x8611)
                 return
-            self.axis.target = target
+            self._aim(target)
 
     def step(self, now: float) -> list[CanFrame]:
         """Let time pass; return what the drive says unasked."""
@@ -271,13 +359,13 @@ class Drive:
         limit = node.get(Object.MAX_TORQUE)
         axis.max_effort = float(limit)
         profile = node.get(Object.MODE_DISPLAY) == Mode.PROFILE_POSITION
-        speed = node.get(Object.PROFILE_VELOCITY) if profile else self.properties.speed
-        axis.max_velocity = min(float(speed), self.properties.speed)
+        speed = float(node.get(Object.PROFILE_VELOCITY)) if profile else self.properties.speed
+        if self._legs:
+            speed = self._legs[0].speed
+        axis.max_velocity = min(speed, self.properties.speed)
         axis.step(now)
-        if self._homing and axis.velocity == 0.0 and axis.position <= axis.lower:
-            self._homing = False
-            self.homed = True
-            axis.target = axis.position
+        if self._legs:
+            self._search()
         self._tell()
         frames = node.step(now)
         if not node.inhibited:
@@ -289,15 +377,19 @@ class Drive:
         axis, node = self.axis, self.node
         word = self.state.value[1] | StatusBit.VOLTAGE | StatusBit.REMOTE
         mode = node.get(Object.MODE_DISPLAY)
+        stands = axis.velocity == 0.0
         if mode == Mode.HOMING:
-            word |= StatusBit.ACKNOWLEDGED if self.homed and not self._homing else 0
-            word |= StatusBit.REACHED if not self._homing else 0
+            under_way = bool(self._legs) and not self._halted
+            word |= StatusBit.REACHED if not under_way and stands else 0
+            word |= StatusBit.ACKNOWLEDGED if self.homed else 0
+            word |= StatusBit.HOMING_ERROR if self._homing_error else 0
         else:
-            word |= StatusBit.REACHED if axis.position == axis.target else 0
+            reached = stands if self._halted else axis.position == self._goal
+            word |= StatusBit.REACHED if reached else 0
             cyclic = mode == Mode.CYCLIC_POSITION and self.state is State.ENABLED
             word |= StatusBit.ACKNOWLEDGED if self._acknowledged or cyclic else 0
         node.set(Object.STATUSWORD, word)
-        node.set(Object.POSITION, round(axis.position))
+        node.set(Object.POSITION, round(axis.position - self.zero))
         node.set(Object.VELOCITY, round(axis.velocity))
         node.set(Object.TORQUE, round(axis.effort))
         node.set(Object.CURRENT, round(axis.effort))

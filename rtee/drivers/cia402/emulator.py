@@ -49,6 +49,8 @@ class Cia402Emulator(Emulator, Grasps):
         self._booted = False
         for drive in self.drives.values():
             drive.homed = self.properties.homed
+            if not drive.homed:
+                drive.zero = 0.0
 
     def inject(self, fault: str) -> None:
         """Put a fault into the first drive (drive faults) or all (the rest)."""

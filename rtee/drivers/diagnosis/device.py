@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from rtee.buses.patience import patiently
@@ -11,23 +12,43 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 from rtee.drivers.diagnosis.port import check_address
+from rtee.drivers.diagnosis.probes import can
 from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
 from rtee.drivers.registry import find_driver
 from rtee.errors import BusBusy, DeviceFault, DriverError, HandshakeError, NotConnected, RteeError
 from rtee.types import ActuatorState, DeviceSpec
 
+_CAN_RATE = 1_000_000
+"""Of a device's CAN bus whose bit rate is no option [bit/s]."""
+
 
 def address_of(options: Mapping[str, Any]) -> str | None:
-    """Return the address in a driver's options, if it has one that can be looked at."""
+    """Return the tty or network address in a driver's options, if it has one."""
     if options.get("port"):
         return str(options["port"])
-    if options.get("host"):
-        return f"tcp://{options['host']}"
+    host = options.get("host")
+    # On a CAN bus "host" is a number: the node id of this program.
+    return f"tcp://{host}" if isinstance(host, str) and host else None
+
+
+def _search(options: Mapping[str, Any]) -> Plan | None:
+    """Return how to look for whoever is there instead, if there is a way."""
+    address = address_of(options)
+    if address is not None:
+        network = address.startswith("tcp://")
+        return Plan(address, probes=network_probes() if network else serial_probes())
+    if {"channel", "interface"} <= options.keys():
+        # An Allegro Hand's bus has one bit rate, so it is no option.
+        probe = can(str(options["interface"]), int(options.get("bitrate", _CAN_RATE)))
+        return Plan(str(options["channel"]), probes=(probe,))
     return None
 
 
 async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) -> list[Check]:
     """Return what was found about a device, up to the first obstacle; nothing moves by it.
+
+    A network address is not tried before the driver connects: many devices serve one connection
+    and need a moment until they take the next.
 
     Args:
         spec: The device.
@@ -39,17 +60,30 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
     """
     driver = find_driver(spec.driver, source=spec.source)(spec, pool)
     options = _options(driver, spec)
-    address = address_of(options)
+    address = None if spec.emulated else address_of(options)
+    network = address is not None and "://" in address
     found: list[Check] = []
-    if address is not None and not spec.emulated:
+    if address is not None and not network:
         found += await check_address(address)
         if any(check.verdict is Verdict.WRONG for check in found):
             return found
+    plan = None if spec.emulated or not search else _search(options)
     try:
-        found += await _connected(driver, pool, None if spec.emulated else address, search)
+        found += await _connected(driver, pool, plan)
     finally:
         await driver.close()
+    if address is not None and network and _unreached(found):
+        reasons = await check_address(address)
+        if any(check.verdict is Verdict.WRONG for check in reasons):
+            return reasons
+        busy = "end the other program that is connected; many devices serve one connection"
+        return [*reasons, *(replace(check, remedy=busy) for check in found)]
     return found
+
+
+def _unreached(found: list[Check]) -> bool:
+    """Return whether the driver could not even open its bus."""
+    return any(check.verdict is Verdict.WRONG and check.subject == "bus" for check in found)
 
 
 def _options(driver: Driver, spec: DeviceSpec) -> dict[str, Any]:
@@ -58,15 +92,13 @@ def _options(driver: Driver, spec: DeviceSpec) -> dict[str, Any]:
     return dict(spec.options) if model is None else model(**spec.options).model_dump()
 
 
-async def _connected(
-    driver: Driver, pool: BusPool, address: str | None, search: bool
-) -> list[Check]:
+async def _connected(driver: Driver, pool: BusPool, plan: Plan | None) -> list[Check]:
     try:
         await driver.configure()
     except HandshakeError as error:
         return [wrong("identity", error.message, error.hint or "is it the right device?")]
     except NotConnected as error:
-        text = await _elsewhere(driver, pool, address) if address and search else ""
+        text = await _elsewhere(driver, pool, plan) if plan is not None else ""
         return [wrong("answer", error.message, text or error.hint or "is its supply on?")]
     except BusBusy as error:
         return [wrong("bus", error.message, "end the other program")]
@@ -99,16 +131,22 @@ async def _fit(driver: Driver) -> Check:
     return ok("fault", "none")
 
 
-async def _elsewhere(driver: Driver, pool: BusPool, address: str) -> str:
-    """Look for whoever answers at the address, and say how to reach him."""
+async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
+    """Look for whoever answers where a device does not, and say how to reach him."""
     await driver.close()
-    questions = network_probes() if address.startswith("tcp://") else serial_probes()
-    results = await scan([Plan(address, probes=questions)], pool)
-    if not results[0].found:
-        return "nobody answers there at any rate: check the supply and the wiring"
-    one = results[0].found[0]
-    settings = ", ".join(f"{k}: {v}" for k, v in one.options.items() if k != "port")
-    return f"there is {one.what}; set driver: {one.driver or '?'}, {settings or 'as it is'}"
+    [result] = await scan([plan], pool)
+    if result.problem:
+        return ""
+    if not result.found:
+        where = " at this bit rate" if plan.probes[0].name == "CAN" else ""
+        where = where or ("" if "://" in plan.address else " at any rate")
+        return f"nobody answers there{where}: check the supply and the wiring"
+    names = ", ".join(one.what for one in result.found)
+    one = result.found[0]
+    settings = ", ".join(
+        f"{k}: {v}" for k, v in one.options.items() if k not in ("port", "channel", "interface")
+    )
+    return f"there is {names}; set driver: {one.driver or '?'}, {settings or 'as it is'}"
 
 
 def _identity(driver: Driver) -> Check:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import getpass
 import grp
@@ -45,6 +46,8 @@ async def _network(address: str) -> Check:
         text = f"{host} refuses port {port}" if refused else f"{host} cannot be reached: {error}"
         return wrong("address", text, f"ping {host}   # and is it the right port?")
     writer.close()
+    with contextlib.suppress(OSError):
+        await writer.wait_closed()
     return ok("address", f"{host} accepts connections at port {port}")
 
 

@@ -19,6 +19,8 @@ from rtee.errors import BusError, BusTimeout, FrameError
 _HAND_INFO = 7
 """Bytes in which an Allegro Hand tells what it is."""
 
+_NOBODYS_UNIT = 213
+"""A Modbus number that is no device's of those known: who answers to it answers to all."""
 _OWNER = "scan"
 _ANSWER = 0.04
 
@@ -94,7 +96,21 @@ async def _slaves(
             found.append(Found(one.driver, f"{one.what}, {line}", options))
         elif one is not None:
             found.append(one)
-    return found
+    if bus.rtu or len(found) < 2 or await _slave(bus, address, _NOBODYS_UNIT) is None:
+        return found
+    return [_any_unit(found)]
+
+
+def _any_unit(found: Sequence[Found]) -> Found:
+    """Return the one device that answers to every unit, with the unit that its driver asks."""
+    from rtee.drivers.registry import find_driver
+
+    first = found[0]
+    model = find_driver(first.driver).Options if first.driver else None
+    usual = None if model is None else model.model_fields["unit"].default
+    one = next((f for f in found if f.options["unit"] == usual), first)
+    what = one.what.partition(", unit ")[0]
+    return Found(one.driver, f"{what}, any unit", one.options)
 
 
 async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
@@ -173,19 +189,31 @@ def softhand(devices: Sequence[int]) -> Probe:
 
 
 def dynamixel(baudrate: int) -> Probe:
-    """Return a probe for Dynamixel servos at one rate."""
-    from rtee.drivers.dynamixel.table import model_of
+    """Return a probe for Dynamixel servos at one rate.
+
+    A line that carries every rate alike, such as a played one, has servos answer at all of them;
+    they are then found at the rate that they tell.
+    """
+    from rtee.drivers.dynamixel.codec import ALERT
+    from rtee.drivers.dynamixel.table import BAUD_RATE, BAUD_RATES, model_of
+
+    def told(bus: DynamixelBus, number: int) -> int:
+        value, result, error = bus.packets.read1ByteTxRx(bus.port, number, BAUD_RATE.address)
+        heard = result == 0 and not error & ~ALERT and value < len(BAUD_RATES)
+        return BAUD_RATES[value] if heard else baudrate
+
+    def everybody(bus: DynamixelBus) -> list[tuple[int, int, int, int]]:
+        data, _ = bus.packets.broadcastPing(bus.port)
+        return [(n, *data[n], told(bus, n)) for n in sorted(data)]
 
     async def listen(bus: DynamixelBus, address: str) -> list[Found]:
-        data, _ = await bus.run(lambda: bus.packets.broadcastPing(bus.port), 3.0)
-        options = {"port": address, "baudrate": baudrate}
         return [
             Found(
                 "dynamixel",
-                f"{model_of(model).name}, id {number}, firmware {firmware}, {baudrate} baud",
-                {**options, "id": number},
+                f"{model_of(model).name}, id {number}, firmware {firmware}, {rate} baud",
+                {"port": address, "baudrate": rate, "id": number},
             )
-            for number, (model, firmware) in sorted(data.items())
+            for number, model, firmware, rate in await bus.run(lambda: everybody(bus), 3.0)
         ]
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
@@ -238,7 +266,8 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
         if answer is not None and len(answer) == 8:
             kind = int.from_bytes(answer[4:6], "little") if answer[0] & 0xE0 == 0x40 else 0
             name = "CiA 402 drive" if kind == 402 else "CANopen node"
-            found.append(Found("cia402" if kind == 402 else "", f"{name} {node}", where))
+            driver = "cia402" if kind == 402 else ""
+            found.append(Found(driver, f"{name} {node}", {**where, "id": node}))
         elif 0x700 + node in heard:
             found.append(Found("", f"CANopen node {node} (heartbeat only)", where))
     return found

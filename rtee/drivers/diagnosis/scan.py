@@ -80,7 +80,8 @@ async def scan(
     """Ask at all addresses, one after the other; nothing moves by it.
 
     A port that another program holds is left alone. On a line where somebody answered in one
-    language, the other languages are not tried, only other rates of the same one.
+    language, the other languages are not tried, only other rates of the same one. A device that
+    answers to several questions is listed once.
 
     Args:
         plans: Where to ask what.
@@ -107,5 +108,5 @@ async def _ask(plan: Plan, pool: BusPool, tell: Callable[[str], None]) -> Addres
             continue
         if answers:
             language = probe.name
-            found += answers
+            found += [one for one in answers if one not in found]
     return Address(plan.address, plan.about, tuple(found))

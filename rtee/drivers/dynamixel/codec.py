@@ -232,10 +232,27 @@ class _Parser(FramedParser[P]):
 
 
 class InstructionParser(_Parser[InstructionPacket]):
-    """Finds instructions in a stream, as a servo does."""
+    """Finds instructions in a stream, as a servo does.
+
+    Attributes:
+        damaged: Id and instruction, as received, of packets whose CRC did not match; the reader
+            takes them away.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.damaged: list[tuple[int, int]] = []
 
     def _decode(self, raw: bytes) -> InstructionPacket:
         return InstructionPacket.from_bytes(raw)
+
+    def _tried(self, at: int, length: int) -> InstructionPacket | None:
+        found = super()._tried(at, length)
+        if found is None and length and at == 0 and self._buffer[7] != STATUS:
+            raw = self._buffer[:length]
+            if crc16(raw[:-2]) != raw[-2] | raw[-1] << 8:
+                self.damaged = [*self.damaged[-7:], (raw[4], raw[7])]
+        return found
 
 
 class StatusParser(_Parser[StatusPacket]):

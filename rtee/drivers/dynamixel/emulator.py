@@ -26,6 +26,8 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
 _CLEAR_TURNS = b"\x01DXL\x22"
+_LEVELS = {int(Instruction.PING): 0, int(Instruction.READ): 1}
+"""Status return level from which an instruction is answered; other instructions from 2."""
 _HARDWARE = {
     "voltage": Hardware.INPUT_VOLTAGE,
     "overheating": Hardware.OVERHEATING,
@@ -75,6 +77,7 @@ class DynamixelEmulator(Emulator, Grasps):
         made = self.properties
         self._all = [Servo(i, made.special.get(i, made.servo)) for i in made.ids]
         self._parser = InstructionParser()
+        self._told_rate = 0
         self.counts: dict[int, int] = {}
 
     @classmethod
@@ -157,6 +160,7 @@ class DynamixelEmulator(Emulator, Grasps):
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Take bytes from the host and return the answers."""
         self.step(now)
+        self._tell_rate()
         answers: list[bytes] = []
         for packet in self._parser.feed(data):
             if "silent" in self.faults:
@@ -165,6 +169,26 @@ class DynamixelEmulator(Emulator, Grasps):
             for servo in self._all:
                 servo.heard(now)
             answers += self._answers(packet, now)
+        return answers + self._complaints(now)
+
+    def _tell_rate(self) -> None:
+        """Have the servos' memory name the rate of the line."""
+        if self.baudrate != self._told_rate and self.baudrate in table.BAUD_RATES:
+            self._told_rate = self.baudrate
+            for servo in self._all:
+                servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
+
+    def _complaints(self, now: float) -> list[bytes]:
+        """Return what servos say to instructions that were for them, but damaged on the way."""
+        damaged, self._parser.damaged = self._parser.damaged, []
+        if "silent" in self.faults:
+            return []
+        answers = []
+        for number, instruction in damaged:
+            for servo in self._listening([number], now):
+                level = servo.get(table.STATUS_RETURN_LEVEL)
+                if level >= _LEVELS.get(instruction, 2):
+                    answers += self._delayed([self._status(servo, Error.CRC).to_bytes()], [number])
         return answers
 
     def _listening(self, numbers: Iterable[int], now: float) -> list[Servo]:
@@ -219,14 +243,18 @@ class DynamixelEmulator(Emulator, Grasps):
             case Instruction.PING:
                 told = servo.read(0, 7) or bytes(7)
                 return self._status(servo, 0, told[0:2] + told[6:7])
-            case Instruction.READ if len(params) == 4:
-                address, length = struct.unpack("<HH", params)
+            case Instruction.READ if len(params) < 4:
+                error = Error.DATA_LENGTH
+            case Instruction.WRITE | Instruction.REG_WRITE if len(params) < 3:
+                error = Error.DATA_LENGTH
+            case Instruction.READ:
+                address, length = struct.unpack_from("<HH", params)
                 data = servo.read(address, length)
                 error = Error.NONE if data is not None else Error.DATA_RANGE
                 return self._status(servo, error, data or b"") if level >= 1 else None
-            case Instruction.WRITE if len(params) > 2:
+            case Instruction.WRITE:
                 error = servo.write(params[0] | params[1] << 8, params[2:])
-            case Instruction.REG_WRITE if len(params) > 2:
+            case Instruction.REG_WRITE:
                 error = servo.register_write(params[0] | params[1] << 8, params[2:])
             case Instruction.ACTION:
                 servo.action()

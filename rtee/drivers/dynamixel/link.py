@@ -20,6 +20,13 @@ _PATIENT_LATENCY = 0.03
 """Time allowed for an answer beyond that of its bytes [s]."""
 
 
+def _heard(result: int, error: int) -> int:
+    """Return the SDK's result; a request that reached the servo damaged is worth another try."""
+    if result == sdk.COMM_SUCCESS and error & _NO_ERROR == Error.CRC:
+        return int(sdk.COMM_RX_CORRUPT)
+    return int(result)
+
+
 class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
     """A group read that keeps the error bytes of the answers, which carry the hardware alert.
 
@@ -152,9 +159,9 @@ class DynamixelLink:
         found: list[int] = []
 
         def attempt() -> int:
-            model, result, _ = self.bus.packets.ping(self.bus.port, number)
+            model, result, error = self.bus.packets.ping(self.bus.port, number)
             found.append(model)
-            return int(result)
+            return _heard(result, error)
 
         try:
             self.repeated(attempt)
@@ -206,7 +213,7 @@ class DynamixelLink:
                 self.bus.port, number, register.address, register.size, data
             )
             errors[0] = error
-            return int(result)
+            return _heard(result, error)
 
         self.repeated(attempt)
         error = errors[0] & _NO_ERROR

@@ -13,13 +13,20 @@ class Memory:
 
     def __init__(self) -> None:
         self._bytes = bytearray(table.END)
-        self._indirect = list(table.INDIRECT_DATA)
+        self._indirect: list[int] = []
         self.reset(table.REGISTERS)
+        self.reset_windows()
 
     def reset(self, registers: Iterable[Register]) -> None:
         """Set registers to their defaults."""
         for register in registers:
             self.set(register, register.default)
+
+    def reset_windows(self) -> None:
+        """Let every window look at itself."""
+        self._indirect = list(table.INDIRECT_DATA)
+        for at, target in zip(table.INDIRECT, table.INDIRECT_DATA, strict=True):
+            self._bytes[at : at + 2] = target.to_bytes(2, "little")
 
     def get(self, register: Register) -> int:
         """Return a register's value."""
@@ -53,7 +60,7 @@ class Memory:
 
     def _points_to(self, at: int) -> int:
         source = self._indirect[at - table.INDIRECT_DATA.start]
-        return source if 64 <= source < table.END else at
+        return source if source in table.POINTABLE else at
 
     def _point(self, address: int, count: int) -> None:
         for offset in range(count):

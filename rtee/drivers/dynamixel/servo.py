@@ -120,7 +120,8 @@ class Servo:
             for r in table.REGISTERS
             if r.address < address + len(data) and address < r.address + r.size
         ]
-        error = self._objection(touched, self._memory.after(address, data))
+        end = address + len(data)
+        error = self._objection(touched, self._memory.after(address, data), address, end)
         if error is not Error.NONE:
             return error
         mode = self.get(table.OPERATING_MODE)
@@ -133,12 +134,14 @@ class Servo:
         self._act()
         return Error.NONE
 
-    def _objection(self, touched: list[Register], after: bytes) -> Error:
+    def _objection(self, touched: list[Register], after: bytes, address: int, end: int) -> Error:
         torque = self.get(table.TORQUE)
         tripped = self.get(table.BUS_WATCHDOG) < 0
         for register in touched:
             if not register.writable or (register.eeprom and torque):
                 return Error.ACCESS
+            if not address <= register.address <= end - register.size:
+                return Error.DATA_LENGTH  # a part of it
             value = register.unpack(after[register.address :])
             low, high = register.minimum, register.maximum
             if (low is not None and value < low) or (high is not None and value > high):
@@ -148,6 +151,18 @@ class Servo:
                 return Error.DATA_RANGE
             if self._beyond(register, value):
                 return Error.DATA_LIMIT
+        return self._windows(after, address, end)
+
+    @staticmethod
+    def _windows(after: bytes, address: int, end: int) -> Error:
+        """Return what it says to indirect addresses that would be written."""
+        for at in table.INDIRECT:
+            if at + 2 <= address or end <= at:
+                continue
+            if not address <= at <= end - 2:
+                return Error.DATA_LENGTH
+            if not table.POINTABLE.start <= after[at] | after[at + 1] << 8 < table.POINTABLE.stop:
+                return Error.DATA_RANGE
         return Error.NONE
 
     def _beyond(self, register: Register, value: int) -> bool:
@@ -181,6 +196,7 @@ class Servo:
         """Begin anew: RAM at its defaults, no torque, turns lost, errors cleared."""
         self.silent_until = now + self.properties.reboot_time
         self._memory.reset(register for register in table.REGISTERS if not register.eeprom)
+        self._memory.reset_windows()
         self._registered = None
         self._start()
 

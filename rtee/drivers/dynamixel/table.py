@@ -115,7 +115,9 @@ REGISTERS: tuple[Register, ...] = tuple(
 INDIRECT = range(168, 208, 2)
 """Addresses of the twenty indirect addresses."""
 INDIRECT_DATA = range(208, 228)
-"""Where the bytes they point to appear."""
+"""Where the bytes they point to appear; at first each points to its own."""
+POINTABLE = range(64, END)
+"""What they may point to."""
 
 STATE = PRESENT_CURRENT.address
 """Where current, velocity and position begin, side by side."""

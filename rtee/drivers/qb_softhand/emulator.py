@@ -32,10 +32,11 @@ class QbOptions:
         motors: 1 (SoftHand) or 2 (SoftHand 2).
         generation: Form of acknowledgements and long packets.
         limit: Upper limit of a motor [ticks]; the lower one is 0, or -4000 with two motors.
-        activation_mask: GET_ACTIVATE answers the true mask; else 3 or 0.
+        activation_mask: GET_ACTIVATE answers the true mask with one motor, too, as some firmware
+            does; else 3 or 0, as the vendor's library wants it.
         watchdog: SET_WATCHDOG is implemented: silence deactivates the motors.
         inputs_ack: SET_INPUTS_ACK is implemented.
-        startup_active: The motors are active after power-up.
+        startup_active: The motors are active after power-up, as from the factory.
         boot_time: After power-up it is silent for so long [s].
         speed: Of a motor [ticks/s].
         current_limit_ma: Of a motor [mA].
@@ -49,10 +50,10 @@ class QbOptions:
     motors: Literal[1, 2] = 1
     generation: Literal["legacy", "modern"] = "legacy"
     limit: int = 19_000
-    activation_mask: bool = True
+    activation_mask: bool = False
     watchdog: bool = False
     inputs_ack: bool = False
-    startup_active: bool = False
+    startup_active: bool = True
     boot_time: Duration = 0.0
     speed: Positive = 25_000.0
     current_limit_ma: Positive = 1500.0
@@ -105,6 +106,8 @@ class QbSoftHandEmulator(Emulator, Grasps):
             for _ in range(made.motors)
         ]
         self.frames: dict[int, int] = {}
+        self._stepped: float | None = None
+        self._accelerations = [0.0] * made.motors
         self.power_cycle(0.0)
 
     @classmethod
@@ -123,6 +126,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         self.watchdog = 0.0
         self._references = [0.0, 0.0]
         self._text = bytearray()
+        self._activate(0)
         self._activate(0x03 if self.options.startup_active else 0)
 
     def line_reset(self) -> None:
@@ -171,8 +175,13 @@ class QbSoftHandEmulator(Emulator, Grasps):
 
     def step(self, now: float) -> list[bytes]:
         """Let time pass; the hand says nothing unasked."""
-        for axis in self.axes:
+        passed = 0.0 if self._stepped is None else now - self._stepped
+        self._stepped = now
+        for index, axis in enumerate(self.axes):
+            before = axis.velocity
             axis.step(now)
+            if passed > 0.0:
+                self._accelerations[index] = (axis.velocity - before) / passed
         if self.watchdog and now - self._heard > self.watchdog:
             self._activate(0)
         return []
@@ -216,10 +225,8 @@ class QbSoftHandEmulator(Emulator, Grasps):
             case Command.ACTIVATE if data:
                 self._activate(data[0])
             case Command.GET_ACTIVATE:
-                mask = self.active
-                return self._reply(
-                    command, bytes([mask if self.options.activation_mask else 3 * bool(mask)])
-                )
+                told = self.options.activation_mask or len(self.axes) > 1
+                return self._reply(command, bytes([self.active if told else 3 * self.active]))
             case Command.SET_INPUTS if len(data) == 4:
                 self._inputs(data)
             case Command.SET_INPUTS_ACK if len(data) == 4 and self.options.inputs_ack:
@@ -235,6 +242,8 @@ class QbSoftHandEmulator(Emulator, Grasps):
                 return self._reply(command, codec.pack_int16(*self._currents(), *self._positions()))
             case Command.GET_VELOCITIES:
                 return self._reply(command, codec.pack_int16(*self._velocities()))
+            case Command.GET_ACCELERATIONS:
+                return self._reply(command, codec.pack_int16(*self._changes()))
             case Command.SET_WATCHDOG if data and self.options.watchdog:
                 self.watchdog = codec.watchdog_seconds(data[0])
             case Command.SET_BAUDRATE if data:
@@ -254,17 +263,22 @@ class QbSoftHandEmulator(Emulator, Grasps):
         for axis, reference in zip(self.axes, self._references, strict=False):
             axis.target = min(max(reference, axis.lower), axis.upper)
 
-    def _positions(self) -> list[float]:
-        if len(self.axes) == 1:
-            return [self.axes[0].position, 0.0, 0.0]
-        first, second = (axis.position for axis in self.axes)
+    @staticmethod
+    def _by_encoder(values: Sequence[float]) -> list[float]:
+        """Return the motors' values in the places of the encoders."""
+        if len(values) == 1:
+            return [values[0], 0.0, 0.0]
+        first, second = values
         return [first, first, second, second]
 
+    def _positions(self) -> list[float]:
+        return self._by_encoder([axis.position for axis in self.axes])
+
     def _velocities(self) -> list[float]:
-        if len(self.axes) == 1:
-            return [self.axes[0].velocity, 0.0, 0.0]
-        first, second = (axis.velocity for axis in self.axes)
-        return [first, first, second, second]
+        return self._by_encoder([axis.velocity for axis in self.axes])
+
+    def _changes(self) -> list[float]:
+        return self._by_encoder(self._accelerations)
 
     def _currents(self) -> list[float]:
         return [self.axes[0].effort, self.axes[1].effort if len(self.axes) == 2 else 0.0]

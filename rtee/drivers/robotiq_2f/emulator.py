@@ -50,8 +50,9 @@ class Robotiq2FProperties:
         position: Where the fingers are at power-up [counts].
         open_count: gPO when fully open.
         closed_count: gPO when fully closed.
-        output: First register of the output block.
-        input: First register of the input block.
+        output: First register of the output block; on TCP it lies at 0, too, as with Robotiq's
+            universal controller, whose clients read by function 4.
+        input: First register of the input block; likewise.
         release_opens: Which way the automatic release goes; ``None``: as rARD says, 1 is opening.
         watch: Silence after which it complains [s].
         haste: How much faster than the real one it moves and activates.
@@ -181,29 +182,33 @@ class Robotiq2FEmulator(ModbusEmulator, Grasps):
         """Return input registers, or the output ones where their address is read."""
         self._heard_from_host(now)
         self.advance(now)
-        mixed = self.properties.input == self.properties.output and function == READ_HOLDING
-        inputs = self.properties.input
-        if inputs <= address and address + count <= inputs + _BLOCK and not mixed:
-            values = [*self.status().to_registers(), *[0] * (_BLOCK - 3)]
-            if "wrong_device" in self.faults:
-                values[0] |= 0xC0
-            start = address - inputs
-            return values[start : start + count]
-        if self.properties.output <= address and address + count <= self.properties.output + _BLOCK:
-            return self.output[
-                address - self.properties.output : address - self.properties.output + count
-            ]
+        for inputs, outputs in self._blocks():
+            mixed = inputs == outputs and function == READ_HOLDING
+            if inputs <= address and address + count <= inputs + _BLOCK and not mixed:
+                values = [*self.status().to_registers(), *[0] * (_BLOCK - 3)]
+                if "wrong_device" in self.faults:
+                    values[0] |= 0xC0
+                return values[address - inputs : address - inputs + count]
+            if outputs <= address and address + count <= outputs + _BLOCK:
+                return self.output[address - outputs : address - outputs + count]
         raise Refused(ILLEGAL_ADDRESS)
+
+    def _blocks(self) -> list[tuple[int, int]]:
+        """Return where the input and the output block begin; on TCP at 0, too."""
+        own = (self.properties.input, self.properties.output)
+        return [own, (0, 0)] if self.framing == "tcp" else [own]
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
         """Merge registers into the output block, wherever they start, and obey."""
         self._heard_from_host(now)
-        start = address - self.properties.output
-        if start < 0 or start + len(values) > _BLOCK:
-            raise Refused(ILLEGAL_ADDRESS)
-        self.advance(now)
-        self.output[start : start + len(values)] = values
-        self._apply(Command.from_registers(self.output))
+        for _, outputs in self._blocks():
+            start = address - outputs
+            if start >= 0 and start + len(values) <= _BLOCK:
+                self.advance(now)
+                self.output[start : start + len(values)] = values
+                self._apply(Command.from_registers(self.output))
+                return
+        raise Refused(ILLEGAL_ADDRESS)
 
     def status(self) -> Status:
         """Return what the gripper says."""

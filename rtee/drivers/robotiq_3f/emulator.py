@@ -38,6 +38,7 @@ _FAULT_CODES = {
 }
 _SCISSOR_OF = {Mode.BASIC: 0x89, Mode.PINCH: 0xDC, Mode.WIDE: 0x19, Mode.SCISSOR: 0x19}
 _OPEN = 6
+"""Count of a finger that is fully open."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,7 @@ class Robotiq3FEmulator(ModbusEmulator, Grasps):
         made = self.properties = properties or Robotiq3FProperties()
         super().__init__(made.unit, made.framing, baudrate=made.baudrate, functions=made.functions)
         self.scale = Scale()
-        self.axes = [self._made(_OPEN), self._made(_OPEN), self._made(_OPEN), self._made(0x89)]
+        self.axes = [*(self._made(_OPEN, _OPEN) for _ in range(3)), self._made(0x89, 0)]
         self.output = [0] * COUNT
         self.moves = 0
         self.begun = Command()
@@ -89,8 +90,10 @@ class Robotiq3FEmulator(ModbusEmulator, Grasps):
         self._power_up(made.activated)
 
     @staticmethod
-    def _made(position: float) -> Axis:
-        axis = Axis(position, lower=0, upper=255, time_constant=0.01, friction=2.0, resolution=0.3)
+    def _made(position: float, lower: int) -> Axis:
+        axis = Axis(
+            position, lower=lower, upper=255, time_constant=0.01, friction=2.0, resolution=0.3
+        )
         axis.rating = 60.0
         axis.enabled = True
         return axis
@@ -282,8 +285,10 @@ class Robotiq3FEmulator(ModbusEmulator, Grasps):
             axis.max_velocity = (low + (high - low) * request.speed / 255) / per_count
             low, high = self.scale.force
             axis.max_effort = low + (high - low) * request.force / 255
-            changed |= axis.target != request.position
-            axis.target = request.position
+            # A position beyond the end is replaced by the end, and that counts as reached.
+            target = min(max(float(request.position), axis.lower), axis.upper)
+            changed |= axis.target != target
+            axis.target = target
         if changed:
             self.moves += 1
             self.begun = command

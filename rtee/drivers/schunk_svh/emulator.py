@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
-from rtee.buses.emulator import Emulator
+from rtee.buses.emulator import Duplex, Emulator
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Duration, Positive, read_properties
@@ -83,6 +83,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
 
     BAUDRATES = frozenset({codec.BAUDRATE})
     baudrate = codec.BAUDRATE
+    duplex = Duplex.FULL  # RS-485 with a pair of wires for each direction, or USB
 
     def __init__(self, options: SvhOptions | None = None) -> None:
         super().__init__()

@@ -6,7 +6,7 @@ import contextlib
 import math
 import time
 from collections.abc import AsyncIterator
-from typing import Any
+from typing import Any, Literal
 
 import anyio
 import can
@@ -204,7 +204,7 @@ async def test_follows_a_reference(version: int) -> None:
     spec = device(emulator={"version": version})
     async with BusPool() as pool, connected(pool, spec) as made:
         assert made.capabilities.identity["model"] == f"Allegro Hand V{version}"
-        assert made.capabilities.identity["serial"] == "SAH040AR"
+        assert made.capabilities.identity["serial"] == {4: "SAH040AR", 5: "V5AR0001"}[version]
         assert not any(Command.SET_TORQUE + f in hand(pool).frames for f in range(4))
         await made.activate()
         start = (await patiently(made.sense)).position
@@ -214,6 +214,38 @@ async def test_follows_a_reference(version: int) -> None:
             await anyio.sleep(0.01)
         await until(lambda: np.abs(np.array(made.control.position) - goal).max() < 0.03)
         assert (await patiently(made.sense)).temperature[0] == pytest.approx(30, abs=5)
+
+
+@pytest.mark.parametrize(
+    ("version", "left", "serial", "side"),
+    [
+        (4, False, b"SAH040AR", "right"),
+        (4, True, b"SAH040AL", "left"),
+        (5, False, b"V5AR0001", "right"),
+        (5, True, b"V5AL0001", "left"),
+    ],
+)
+def test_the_serial_number_tells_type_and_side_where_the_vendor_reads_them(
+    version: Literal[4, 5], left: bool, serial: bytes, side: str
+) -> None:
+    hand = AllegroEmulator(AllegroProperties(version=version, left=left))
+    [told] = hand.on_frame(codec.request(Command.SERIAL), 0.0)
+    assert told.data == serial
+    [frame] = hand.on_frame(codec.request(Command.HAND_INFO), 0.0)
+    assert codec.side_of(codec.HandInfo.from_bytes(frame.data), serial.decode()) == side
+    if version == 5:  # the vendor's driver: bytes[2] is the type, bytes[3] the side
+        assert chr(serial[2]) in "AB"
+        assert chr(serial[3]) == side[0].upper()
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("version", [4, 5])
+async def test_a_hand_of_the_other_side_is_refused(version: int) -> None:
+    spec = device(side="right", emulator={"version": version, "left": True})
+    async with BusPool() as pool:
+        with pytest.raises(HandshakeError, match="a right hand, found a left one"):
+            async with connected(pool, spec):
+                pass
 
 
 @pytest.mark.anyio

@@ -137,7 +137,7 @@ def test_the_node_boots_beats_and_answers_as_in_the_sheet() -> None:
     assert host.send("605 2B 17 10 00 64 00 00 00") == ["585 60 17 10 00 00 00 00 00"]
     assert host.wait(0.1) == ["705 7F"]
     assert host.send("605 40 41 60 00 00 00 00 00")[0][:15] == "585 4B 41 60 00"
-    assert host.send("605 40 99 60 01 00 00 00 00") == ["585 80 99 60 01 00 00 02 06"]
+    assert host.send("605 40 99 61 01 00 00 00 00") == ["585 80 99 61 01 00 00 02 06"]
     assert host.send("605 2F 40 60 00 06 00 00 00") == ["585 80 40 60 00 10 00 07 06"]
     assert host.send("605 40 6C 60 07 00 00 00 00") == ["585 80 6C 60 07 11 00 09 06"]
     host.send("000 01 05")
@@ -195,7 +195,7 @@ def test_a_fault_is_told_and_reset_by_the_edge_of_its_bit() -> None:
     host = Host()
     walk(host)
     host.emulator.inject("overcurrent")
-    assert "085 10 23 01 00 00 00 00 00" in host.wait(0.02)
+    assert "085 10 23 03 00 00 00 00 00" in host.wait(0.02)
     assert host.send("605 40 3F 60 00 00 00 00 00") == ["585 4B 3F 60 00 10 23 00 00"]
     host.emulator.clear()
     host.send("605 2B 40 60 00 80 00 00 00")
@@ -218,5 +218,150 @@ def test_a_silent_host_makes_it_fault() -> None:
 
 def test_a_mapping_that_cannot_be_is_refused() -> None:
     host = Host()
-    host.send("605 23 00 16 01 20 00 99 60")
+    host.send("605 23 00 16 01 20 00 99 61")
     assert host.send("605 2F 00 16 00 01 00 00 00") == ["585 80 00 16 00 41 00 04 06"]
+
+
+@pytest.mark.parametrize(
+    ("code", "register"),
+    [(0, 0), (0x2310, 0x03), (0x3210, 0x05), (0x4310, 0x09), (0x8130, 0x11), (0x8210, 0x11),
+     (0x8611, 0x21), (0x5000, 0x01), (0xFF01, 0x01)],
+)  # fmt: skip
+def test_the_error_register_goes_with_the_error(code: int, register: int) -> None:
+    assert cia301.error_register(code) == register
+
+
+def homing(host: Host, method: int) -> None:
+    """Begin to home by SDO, as a host without process data does."""
+    host.send(f"605 2F 98 60 00 {method & 0xFF:02X} 00 00 00")
+    host.send("605 2F 60 60 00 06 00 00 00")
+    walk(host)
+    host.send("605 2B 40 60 00 1F 00 00 00")
+
+
+def status(host: Host) -> int:
+    (answer,) = host.send("605 40 41 60 00 00 00 00 00")
+    return int.from_bytes(bytes.fromhex(answer[4:])[4:6], "little")
+
+
+HOMING_BITS = 0x3400
+ATTAINED, FAILED, INTERRUPTED = 0x1400, 0x2400, 0x0400
+
+
+@pytest.mark.parametrize(
+    ("method", "home"),
+    [
+        (1, -8192),  # the first index pulse to the right of the switch at -10000
+        (2, 16384),  # the first one to the left of the switch at 20000
+        (17, -10000),
+        (18, 20000),
+        (33, 0),
+        (34, 4096),
+        (35, 700),
+        (37, 700),
+    ],
+)
+def test_each_homing_method_leads_to_its_own_home(method: int, home: int) -> None:
+    host = Host(start=700.0, homed=False, switches=(-10_000.0, 20_000.0))
+    homing(host, method)
+    if method not in (35, 37):
+        assert status(host) & HOMING_BITS == 0, "under way"
+        assert host.emulator.drives[5].axis.position != home
+    host.wait(5.0)
+    assert status(host) & HOMING_BITS == ATTAINED
+    assert host.emulator.drives[5].axis.position == home
+    assert position(host) == 0, "home is where the counter is at 0"
+    host.send("605 2F 60 60 00 01 00 00 00")
+    host.send("605 23 7A 60 00 64 00 00 00")
+    host.send("605 2B 40 60 00 0F 00 00 00")
+    host.send("605 2B 40 60 00 1F 00 00 00")
+    host.wait(1.0)
+    assert position(host) == 100
+    assert host.emulator.drives[5].axis.position == home + 100
+
+
+@pytest.mark.parametrize("method", [0, 3, 19, 36, -1])
+def test_other_homing_methods_are_refused_by_the_statusword(method: int) -> None:
+    host = Host(start=700.0, homed=False)
+    homing(host, method)
+    host.wait(0.2)
+    assert status(host) & HOMING_BITS == FAILED
+    assert position(host) == 700
+    homing(host, 35)
+    host.wait(0.2)
+    assert status(host) & HOMING_BITS == ATTAINED, "the next start forgets the error"
+
+
+def test_homing_stops_when_its_bit_falls_or_a_halt_comes() -> None:
+    host = Host(homed=False)
+    homing(host, 17)
+    host.wait(0.1)
+    host.send("605 2B 40 60 00 1F 01 00 00")
+    halted = position(host)
+    host.wait(0.2)
+    assert position(host) == halted
+    assert status(host) & HOMING_BITS == INTERRUPTED
+    host.send("605 2B 40 60 00 1F 00 00 00")
+    host.wait(0.02)
+    assert position(host) < halted, "it goes on"
+    host.send("605 2B 40 60 00 0F 00 00 00")
+    stopped = position(host)
+    host.wait(0.5)
+    assert position(host) == stopped
+    assert status(host) & HOMING_BITS == INTERRUPTED
+
+
+def test_an_index_pulse_beyond_the_stop_is_a_homing_error() -> None:
+    host = Host(homed=False, lower=-100.0, upper=5000.0)
+    homing(host, 33)
+    host.wait(2.0)
+    assert status(host) & HOMING_BITS == FAILED
+
+
+def test_a_halt_stops_a_profile_move_until_it_is_over() -> None:
+    host = Host(speed=2000.0)
+    host.send("605 2F 60 60 00 01 00 00 00")
+    walk(host)
+    host.send("605 23 7A 60 00 E8 03 00 00")
+    host.send("605 2B 40 60 00 1F 00 00 00")
+    host.wait(0.1)
+    assert 0 < position(host) < 1000
+    assert not status(host) & 0x400
+    host.send("605 2B 40 60 00 1F 01 00 00")
+    halted = position(host)
+    host.wait(0.5)
+    assert position(host) == halted
+    assert status(host) & 0x400, "halted: it stands"
+    host.send("605 2B 40 60 00 0F 00 00 00")
+    host.wait(1.0)
+    assert position(host) == 1000
+    assert status(host) & 0x400
+
+
+def test_a_set_point_that_comes_during_a_halt_waits() -> None:
+    host = Host()
+    host.send("605 2F 60 60 00 01 00 00 00")
+    walk(host)
+    host.send("605 2B 40 60 00 0F 01 00 00")
+    host.send("605 23 7A 60 00 E8 03 00 00")
+    host.send("605 2B 40 60 00 1F 01 00 00")
+    host.wait(0.3)
+    assert position(host) == 0
+    host.send("605 2B 40 60 00 1F 00 00 00")
+    host.wait(0.5)
+    assert position(host) == 1000
+
+
+def test_a_relative_set_point_counts_from_the_one_before() -> None:
+    host = Host(start=200.0)
+    host.send("605 2F 60 60 00 01 00 00 00")
+    walk(host)
+    host.send("605 23 7A 60 00 E8 03 00 00")
+    for _ in range(2):  # the second comes long before the first is reached
+        host.send("605 2B 40 60 00 7F 00 00 00")
+        host.send("605 2B 40 60 00 4F 00 00 00")
+    host.wait(1.0)
+    assert position(host) == 2200
+    host.send("605 2B 40 60 00 1F 00 00 00")
+    host.wait(1.0)
+    assert position(host) == 1000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
 import anyio
@@ -255,6 +255,28 @@ async def test_homing_only_when_allowed() -> None:
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize(("method", "home"), [(35, 0), (18, 5000), (1, -4096)])
+async def test_home_is_the_zero_of_the_positions(method: int, home: int) -> None:
+    nodes = {"jaw0": {"id": 5, "homing_method": method}}
+    emulator = {"homed": False, "switches": [-5000, 5000]}
+    spec = device(nodes=nodes, home="on_connect", emulator=emulator)
+    async with BusPool() as pool, connected(pool, spec) as made:
+        await made.activate()
+        assert (await made.sense()).position == pytest.approx([0.0], abs=2e-3)
+        assert drives(pool).drives[5].axis.position == home
+        assert await settle(made, [0.2]) == pytest.approx([0.2], abs=2e-3)
+
+
+@pytest.mark.anyio
+async def test_a_homing_method_that_the_drive_lacks_is_a_fault() -> None:
+    nodes = {"jaw0": {"id": 5, "homing_method": 3}}
+    spec = device(nodes=nodes, home="on_connect", emulator={"homed": False})
+    async with BusPool() as pool, connected(pool, spec) as made:
+        with pytest.raises(DeviceFault, match="homing failed: jaw0"):
+            await made.activate()
+
+
+@pytest.mark.anyio
 async def test_a_restarted_drive_has_to_be_set_up_anew() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         await made.activate()
@@ -331,7 +353,7 @@ def _dictionary() -> canopen.ObjectDictionary:
         (0x6040, datatypes.UNSIGNED16), (0x6041, datatypes.UNSIGNED16),
         (0x6060, datatypes.INTEGER8), (0x6061, datatypes.INTEGER8),
         (0x6064, datatypes.INTEGER32), (0x607A, datatypes.INTEGER32),
-        (0x6502, datatypes.UNSIGNED32),
+        (0x6098, datatypes.INTEGER8), (0x6502, datatypes.UNSIGNED32),
     ):  # fmt: skip
         variable = ODVariable(f"object {index:x}", index)
         variable.data_type = kind
@@ -339,12 +361,12 @@ def _dictionary() -> canopen.ObjectDictionary:
     return found
 
 
-def test_the_canopen_package_drives_the_emulator_by_sdo() -> None:
-    """Its own 402 class, its own notifier: nothing of the driver's takes part."""
-    emulated = Cia402Emulator(DriveProperties(nodes=(5,)))
+@contextlib.contextmanager
+def foreign(emulated: Cia402Emulator, channel: str) -> Iterator[BaseNode402]:
+    """Have the package's own 402 class and notifier on the bus; nothing of the driver's."""
     with (
-        SimulatedCan([emulated], channel="cia402-other"),
-        can.Bus(interface="virtual", channel="cia402-other") as bus,
+        SimulatedCan([emulated], channel=channel),
+        can.Bus(interface="virtual", channel=channel) as bus,
         can.Notifier(bus, [], timeout=0.05) as notifier,
     ):
         network = canopen.Network(bus)
@@ -354,6 +376,29 @@ def test_the_canopen_package_drives_the_emulator_by_sdo() -> None:
         node = BaseNode402(5, _dictionary())
         network.add_node(node)
         node.nmt.state = "OPERATIONAL"
+        yield node
+
+
+@pytest.mark.parametrize(("method", "home"), [(35, 300), (37, 300), (18, 900), (17, -900)])
+def test_the_canopen_package_homes_the_emulator(method: int, home: int) -> None:
+    drives = DriveProperties(nodes=(5,), start=300.0, homed=False, switches=(-900.0, 900.0))
+    emulated = Cia402Emulator(drives)
+    with foreign(emulated, f"cia402-homing-{method}") as node:
+        node.sdo[0x6098].raw = method
+        assert node.homing(timeout=5)
+        assert node.sdo[0x6064].raw == 0
+        assert emulated.drives[5].axis.position == home
+
+
+def test_the_canopen_package_hears_of_a_homing_error() -> None:
+    with foreign(Cia402Emulator(DriveProperties(nodes=(5,))), "cia402-homing-3") as node:
+        node.sdo[0x6098].raw = 3
+        assert not node.homing(timeout=5)
+        assert node.sdo[0x6041].raw & 0x3400 == 0x2400
+
+
+def test_the_canopen_package_drives_the_emulator_by_sdo() -> None:
+    with foreign(Cia402Emulator(DriveProperties(nodes=(5,))), "cia402-other") as node:
         node.sdo[0x6060].raw = 1
         for word, state in ((6, 0x21), (7, 0x23), (15, 0x27)):
             node.sdo[0x6040].raw = word

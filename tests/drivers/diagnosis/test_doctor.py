@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.link import Line
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
+from rtee.buses.simulated_can import SimulatedCan
+from rtee.drivers.cia402.emulated_drive import DriveProperties
+from rtee.drivers.cia402.emulator import Cia402Emulator
 from rtee.drivers.diagnosis.checks import Check, Verdict
 from rtee.drivers.diagnosis.device import check_device
 from rtee.drivers.diagnosis.machine import check_machine
@@ -246,6 +252,133 @@ async def test_more_than_the_wire_gives_is_a_warning() -> None:
 )
 async def test_network_addresses(address: str, text: str) -> None:
     assert wrong(await check_address(address)).text == text
+
+
+@pytest.mark.parametrize("driver", ["robotiq_2f", "onrobot_3fg"])
+async def test_a_device_that_takes_one_connection_is_asked_over_one(driver: str) -> None:
+    emulator = make_emulator(driver, {"port": "tcp://", "emulator": {}})
+    taken = 0
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal taken
+        taken += 1
+        while taken == 1 and (data := await reader.read(300)):
+            writer.writelines(emulator.feed(data, time.monotonic()))
+        writer.transport.abort()
+
+    async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        spec = gripper(options={"port": f"tcp://127.0.0.1:{port}"})
+        if driver == "onrobot_3fg":
+            spec = replace(spec, actuators=(actuator("f1_joint", 0.0, 3.0),))
+        async with BusPool() as pool:
+            checks = await check_device(replace(spec, driver=driver), pool)
+    assert Verdict.WRONG not in {check.verdict for check in checks}, checks
+    assert named(checks, "answer").verdict is Verdict.OK
+    assert taken == 1
+
+
+async def test_a_played_network_device_is_well() -> None:
+    with SimulatedLine(
+        [make_emulator("robotiq_2f", {"port": "tcp://"})], tcp=True, scheme="tcp"
+    ) as line:
+        for _ in range(3):
+            async with BusPool() as pool:
+                checks = await check_device(gripper(options={"port": line.address}), pool)
+            assert Verdict.WRONG not in {check.verdict for check in checks}, checks
+
+
+async def test_a_device_that_another_program_is_connected_to_is_named() -> None:
+    gripped = make_emulator("robotiq_2f", {"port": "tcp://"})
+    with SimulatedLine([gripped], tcp=True, scheme="tcp") as line:
+        async with BusPool() as other, BusPool() as pool:
+            await other.modbus(line.address, owner="other")
+            checks = await check_device(gripper(options={"port": line.address}), pool)
+    assert "accepts connections" in named(checks, "address").text
+    assert "end the other program that is connected" in wrong(checks).remedy
+
+
+async def test_a_network_device_that_is_not_there_is_named() -> None:
+    with SimulatedLine([], tcp=True, scheme="tcp") as line:
+        address = line.address
+    async with BusPool() as pool:
+        check = wrong(await check_device(gripper(options={"port": address}), pool))
+    assert "127.0.0.1 refuses port" in check.text
+    assert "ping" in check.remedy
+
+
+def drive(channel: str, **options: Any) -> DeviceSpec:
+    given = {"channel": channel, "interface": "virtual", "nodes": {"jaw": {"id": 5}}}
+    return DeviceSpec(
+        name="drive",
+        hand="hand",
+        driver="cia402",
+        actuators=(actuator("jaw", 0.0, 3.0),),
+        options={**given, "deadline": 0.1, "enable_timeout": 0.3, "sdo_timeout": 0.1, **options},
+    )
+
+
+async def test_drives_on_a_can_bus_are_asked_there() -> None:
+    emulated = Cia402Emulator(DriveProperties(nodes=(5,)))
+    with SimulatedCan([emulated], channel="doctor-drives"):
+        async with BusPool() as pool:
+            checks = await check_device(drive("doctor-drives"), pool)
+    assert Verdict.WRONG not in {check.verdict for check in checks}, checks
+    assert "emulated CiA 402 drive" in named(checks, "identity").text
+    # Its option "host" is a node id, not a name on the network.
+    assert "address" not in {check.subject for check in checks}
+
+
+@pytest.mark.parametrize(
+    ("there", "options", "remedy"),
+    [
+        (
+            "cia402",
+            {"nodes": {"a": {"id": 7}}},
+            "there is CiA 402 drive 7; set driver: cia402, id: 7",
+        ),
+        ("allegro", {}, "there is Allegro Hand 0; set driver: allegro, hand: 0"),
+    ],
+)
+async def test_what_else_is_on_a_can_bus_is_named(
+    there: str, options: dict[str, Any], remedy: str
+) -> None:
+    with SimulatedCan([make_emulator(there, options)], channel=f"doctor-{there}"):
+        async with BusPool() as pool:
+            check = wrong(await check_device(drive(f"doctor-{there}"), pool))
+    assert "node 5 (jaw) does not answer" in check.text
+    assert check.remedy == remedy
+
+
+async def test_a_drive_where_a_hand_was_expected_is_named() -> None:
+    spec = DeviceSpec(
+        name="hand",
+        hand="hand",
+        driver="allegro",
+        actuators=tuple(actuator(f"joint_{i}_0", 0.0, 1.0) for i in range(16)),
+        options={"channel": "doctor-kind", "interface": "virtual"},
+    )
+    emulated = Cia402Emulator(DriveProperties(nodes=(5,)))
+    with SimulatedCan([emulated], channel="doctor-kind"):
+        async with BusPool() as pool:
+            check = wrong(await check_device(spec, pool))
+    assert check.remedy.startswith("there is CiA 402 drive 5")
+
+
+class WithoutSync(Cia402Emulator):
+    """Answers SDO, never process data."""
+
+    def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        return [] if frame.id == 0x080 else super().on_frame(frame, now)
+
+
+async def test_a_drive_that_answers_sdo_alone_is_not_said_to_be_unplugged() -> None:
+    emulated: Emulator = WithoutSync(DriveProperties(nodes=(5,)))
+    with SimulatedCan([emulated], channel="doctor-sync"):
+        async with BusPool() as pool:
+            check = wrong(await check_device(drive("doctor-sync"), pool))
+    assert "no process data from node 5, though SDO is answered" in check.text
+    assert "transmission type 1" in check.remedy
 
 
 def test_the_machine_is_looked_at(tmp_path: Path) -> None:

@@ -84,6 +84,30 @@ async def test_three_servos_at_two_rates_are_found_at_their_own() -> None:
     assert len(found.found) == 3
 
 
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("robotiq_3f", "Robotiq 3-Finger, any unit"),
+        ("robotiq_2f", "Robotiq 2-finger gripper, any unit"),
+    ],
+)
+async def test_a_device_that_answers_to_every_unit_is_listed_once(name: str, what: str) -> None:
+    emulator = make_emulator(name, {"port": "tcp://", "emulator": {"activated": True}})
+    with SimulatedLine([emulator], tcp=True, scheme="tcp") as line:
+        found = await scanned(line)
+    assert [(one.driver, one.what, one.options["unit"]) for one in found.found] == [(name, what, 9)]
+
+
+@pytest.mark.parametrize("rate", [57_600, 4_000_000])
+async def test_a_servo_on_a_line_that_carries_every_rate_is_listed_once(rate: int) -> None:
+    servos = make_emulator("dynamixel", {"baudrate": rate, "servos": {"a": {"id": 3}}})
+    with SimulatedLine([servos], wire_time=False) as line:
+        asked = tuple(probes.dynamixel(rate) for rate in (57_600, 1_000_000, 4_000_000))
+        async with BusPool() as pool:
+            [found] = await scan([Plan(line.address, probes=asked)], pool)
+    assert [(one.options["id"], one.options["baudrate"]) for one in found.found] == [(3, rate)]
+
+
 async def test_nobody_is_nobody() -> None:
     with SimulatedLine([], wire_time=False) as line:
         asked = (probes.modbus(115200, "N", [9]), probes.svh(), probes.softhand([1]))

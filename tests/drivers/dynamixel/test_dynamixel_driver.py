@@ -16,7 +16,7 @@ import pytest
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.drivers.dynamixel import table
-from rtee.drivers.dynamixel.codec import Hardware, Instruction
+from rtee.drivers.dynamixel.codec import BROADCAST, STATUS, Hardware, Instruction
 from rtee.drivers.dynamixel.driver import DynamixelDriver
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator
 from rtee.drivers.dynamixel.table import Mode
@@ -331,6 +331,29 @@ async def test_lost_and_damaged_packets_are_retried() -> None:
         assert made.counters()["retries"] > 0
         simulation.faults = Faults()
         assert np.isfinite((await made.sense()).position).all()
+
+
+class DamagesRequests(Faults):
+    """Flips a bit in every second request to a single servo, none in answers."""
+
+    def apply(self, data: bytes) -> list[tuple[float, bytes]]:
+        asks = len(data) > 7 and data[4] != BROADCAST and data[7] != STATUS
+        self.injected["corrupt"] += asks
+        if asks and self.injected["corrupt"] % 2:
+            return [(0.0, data[:-1] + bytes([data[-1] ^ 1]))]
+        return [(0.0, data)]
+
+
+async def test_what_a_servo_heard_damaged_is_said_again() -> None:
+    async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
+        simulation = pool.simulation("leap_hand/line")
+        simulation.faults = damages = DamagesRequests()
+        await made.close()
+        await made.configure()
+        await made.activate()
+        assert damages.injected["corrupt"] > 2
+        assert made.counters()["checksum_errors"] > 0, "the servos told of it"
+        assert made.counters()["timeouts"] == 0
 
 
 async def test_an_adapter_that_keeps_bytes_back_is_waited_for() -> None:

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from rtee.buses.link import Line
+from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import ALERT, Error, Hardware
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator, LineProperties
@@ -252,3 +254,53 @@ def test_factory_reset_keeps_the_id_when_asked() -> None:
     assert master.one(7, 0x06, b"\x01")[1] == 0
     master.wait(1.0)
     assert master.read(7, table.RETURN_DELAY) == 250
+
+
+def test_a_part_of_a_register_is_refused_by_its_length() -> None:
+    master = line()
+    assert master.one(1, 0x03, struct.pack("<HB", 116, 200))[1] == Error.DATA_LENGTH
+    assert master.one(1, 0x03, struct.pack("<HH", 118, 200))[1] == Error.DATA_LENGTH
+    assert master.one(1, 0x03, struct.pack("<HB", 168, 200))[1] == Error.DATA_LENGTH
+    assert master.one(1, 0x03, struct.pack("<H", 116))[1] == Error.DATA_LENGTH
+    assert master.one(1, 0x02, b"\x84\x00")[1] == Error.DATA_LENGTH
+    assert master.one(1, 0x03, struct.pack("<HB", 132, 1))[1] == Error.ACCESS
+    assert master.read(1, table.GOAL_POSITION) == table.CENTER
+
+
+def test_indirect_addresses_point_to_their_own_data_at_first() -> None:
+    master = line()
+    told = struct.unpack("<20H", master.one(1, 0x02, struct.pack("<HH", 168, 40))[2])
+    assert told == tuple(range(208, 228))
+    assert master.one(1, 0x03, struct.pack("<HH", 168, 132))[1] == 0
+    assert master.one(1, 0x03, struct.pack("<HH", 170, 63))[1] == Error.DATA_RANGE
+    assert master.one(1, 0x03, struct.pack("<HH", 170, 228))[1] == Error.DATA_RANGE
+    assert master.one(1, 0x08)[1] == 0
+    master.wait(1.0)
+    assert master.one(1, 0x02, struct.pack("<HH", 168, 2))[2] == struct.pack("<H", 208)
+
+
+def test_a_damaged_instruction_is_answered_with_the_crc_error() -> None:
+    emulator = DynamixelEmulator(LineProperties(ids=(1, 2)))
+    # "write goal 512" of the e-manual, a bit of its data flipped; the answer's bytes are the SDK's.
+    damaged = bytes.fromhex("FF FF FD 00 01 09 00 03 74 00 01 02 00 00 CA 89")
+    answer = bytes.fromhex("FF FF FD 00 01 04 00 55 03")
+    answer += struct.pack("<H", crc(answer))
+    assert emulator.feed(damaged, 0.0) == [answer]
+    assert emulator.servos[1].get(table.GOAL_POSITION) == table.CENTER
+    everybody = damaged[:4] + b"\xfe" + damaged[5:]
+    assert emulator.feed(everybody, 0.1) == []
+    absent = damaged[:4] + b"\x07" + damaged[5:]
+    assert emulator.feed(absent, 0.2) == []
+    emulator.servos[1].set(table.STATUS_RETURN_LEVEL, 1)
+    assert emulator.feed(damaged, 0.3) == []
+
+
+def test_the_makers_sdk_hears_the_same_errors() -> None:
+    sdk = pytest.importorskip("dynamixel_sdk")
+    with SimulatedLine([DynamixelEmulator()], line=Line(57_600)) as played:
+        port, packets = sdk.PortHandler(played.address), sdk.PacketHandler(2.0)
+        assert port.setBaudRate(57_600)
+        assert packets.write1ByteTxRx(port, 1, 116, 5) == (sdk.COMM_SUCCESS, Error.DATA_LENGTH)
+        assert packets.write4ByteTxRx(port, 1, 116, 2100) == (sdk.COMM_SUCCESS, 0)
+        assert packets.read2ByteTxRx(port, 1, 168) == (208, sdk.COMM_SUCCESS, 0)
+        port.closePort()

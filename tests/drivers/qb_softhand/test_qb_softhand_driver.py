@@ -240,7 +240,7 @@ def test_a_client_that_knows_only_the_sheet_drives_the_emulator() -> None:
 
         assert ask("3A3A01020000", 6) == bytes.fromhex("3A3A01020000")
         assert ask("3A3A0103800383", 1) == b""
-        assert ask("3A3A01028181", 7) == bytes.fromhex("3A3A0103810180")
+        assert ask("3A3A01028181", 7) == bytes.fromhex("3A3A0103810382")
         assert ask("3A3A010682251C0000BB", 1) == b""
         assert ask("3A3A01028383", 10) == bytes.fromhex("3A3A010683251C0000BA")
         time.sleep(0.3)
@@ -251,3 +251,43 @@ def test_a_client_that_knows_only_the_sheet_drives_the_emulator() -> None:
         assert b"SoftHand" in ask("3F0D0A", 30)
         assert ask("3A3A0103800080", 1) == b""
         assert ask("3A3A01028181", 7) == Frame(1, 129, b"\x00").to_bytes()
+
+
+def answers(hand: QbSoftHandEmulator, text: str, now: float = 0.0) -> str:
+    return b"".join(hand.feed(bytes.fromhex(text), now)).hex(" ").upper()
+
+
+def test_the_vendors_library_takes_the_mask_as_it_is_answered() -> None:
+    """Its API 7 knows 00 and 03 alone; some firmware with one motor answers 01."""
+    hand = QbSoftHandEmulator()
+    assert answers(hand, "3A3A01028181") == "3A 3A 01 03 81 03 82", "active from the factory"
+    answers(hand, "3A3A0103800080")
+    assert answers(hand, "3A3A01028181") == "3A 3A 01 03 81 00 81"
+    answers(hand, "3A3A0103800383")
+    assert answers(hand, "3A3A01028181") == "3A 3A 01 03 81 03 82"
+    old = QbSoftHandEmulator(QbOptions(activation_mask=True, startup_active=False))
+    assert answers(old, "3A3A01028181") == "3A 3A 01 03 81 00 81"
+    answers(old, "3A3A0103800383")
+    assert answers(old, "3A3A01028181") == "3A 3A 01 03 81 01 80"
+    two = QbSoftHandEmulator(QbOptions(motors=2))
+    answers(two, "3A3A0103800181")
+    assert answers(two, "3A3A01028181") == "3A 3A 01 03 81 01 80"
+
+
+def test_a_hand_holds_where_it_stands_from_power_up_as_from_the_factory() -> None:
+    hand = QbSoftHandEmulator()
+    hand.axes[0].position = 4000.0
+    hand.power_cycle(0.0)
+    hand.step(0.5)
+    assert answers(hand, "3A3A01028383", 0.6) == "3A 3A 01 06 83 0F A0 00 00 2C"
+    assert hand.axes[0].position == 4000.0
+
+
+def test_accelerations_are_answered() -> None:
+    hand = QbSoftHandEmulator(QbOptions(speed=1000.0))
+    assert answers(hand, "3A3A01028B8B") == "3A 3A 01 08 8B 00 00 00 00 00 00 8B"
+    answers(hand, "3A3A010682251C0000BB", 0.1)
+    told = bytes.fromhex(answers(hand, "3A3A01028B8B", 0.2))
+    assert int.from_bytes(told[5:7], "big", signed=True) == 10_000, "1000 ticks/s after 0.1 s"
+    two = QbSoftHandEmulator(QbOptions(motors=2))
+    assert answers(two, "3A3A01028B8B") == "3A 3A 01 0A 8B 00 00 00 00 00 00 00 00 8B"

@@ -88,6 +88,21 @@ def test_each_finger_goes_its_own_way() -> None:
     assert [a.position for a in done.axes] == [0x80, 0x40, 0xC0, 0x89]
 
 
+def test_open_is_the_same_count_at_power_up_and_when_opened() -> None:
+    """As the manual's frames tell it: 6 or 7, with the request echoed as 0."""
+    host = Host(activated=True)
+    assert [a.position for a in host.status().axes[:3]] == [6, 6, 6]
+    host.write(Command(activate=True, go=True, axes=(Request(100, 255, 255), *REST)), 3)
+    host.wait(2.0)
+    host.write(Command(activate=True, go=True, axes=(Request(0, 255, 255), *REST)), 3)
+    opened = host.wait(3.0)
+    assert [a.position for a in opened.axes[:3]] == [6, 6, 6]
+    assert opened.motion is Motion.ALL_REACHED
+    assert {a.contact for a in opened.axes[:3]} == {Contact.AT_REQUEST}
+    assert opened.axes[0].requested == 0
+    assert opened.axes[0].raw_current == 0, "nothing pushes against the end"
+
+
 def test_the_scissor_follows_its_own_request() -> None:
     host = Host(activated=True)
     there = Request(40, 255, 255)
