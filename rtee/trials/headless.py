@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 
@@ -94,6 +95,7 @@ class HeadlessHand(Generic[P]):
         self.simulation = simulation
         self.controller = Controller(hand, settings)
         self.time = ticks * settings.period
+        self._wall_ns = time.time_ns() - round(self.time * 1e9)
         self.library = library
         self._settings = settings
         self.observers = tuple(observers)
@@ -189,7 +191,7 @@ class HeadlessHand(Generic[P]):
         record = TickRecord(
             tick=self.ticks,
             stamp=self.time,
-            wall_ns=round(self.time * 1e9),
+            wall_ns=self._wall_ns + round(self.time * 1e9),
             position=position,
             velocity=self.simulation.velocity,
             effort=effort,
