@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import anyio
+import anyio.to_thread
 import pytest
 
+from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import Simulation
 from rtee.drivers.emulators import owner_of
@@ -20,7 +23,7 @@ from rtee.drivers.robotiq_2f.codec import Command
 from rtee.loop import connection, supervisor
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.observer import Observer
+from rtee.loop.observer import Observer, TickRecord
 from rtee.loop.settings import Behaviour
 from rtee.loop.stopping import bring_to_rest
 from rtee.loop.supervisor import Supervisor
@@ -225,3 +228,52 @@ async def test_an_object_taken_away_is_told() -> None:
         gripper.wire.call(lambda: gripper.emulator.place(ObjectInHand.parse("40mm")))
         gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
         assert (await gripper.result()).grasped
+
+
+@pytest.mark.parametrize("lost", [True, False], ids=["lost", "late"])
+async def test_opening_over_a_link_that_freezes_is_no_grasp(lost: bool) -> None:
+    """Frozen while the set-point passes the object: the last word is about a closing target."""
+    async with on_wires("robotiq_2f_85", object_in_hand="50mm") as (gripper,):
+        for early in (0.02, 0.06, 0.1):
+            gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
+            assert (await gripper.result()).grasped
+            held = gripper.position
+            gripper.loop.submit(Goal("open"))
+            reference = gripper.loop.controller.reference_position
+            await until(lambda at=held + early, now=reference: now[0] < at)  # type: ignore[misc]
+            if lost:
+                gripper.wire.faults = Faults(drop=1.0)
+                await anyio.sleep(0.12)
+                gripper.wire.faults = Faults()
+            else:
+                await anyio.to_thread.run_sync(gripper.wire.call, lambda: time.sleep(0.12))
+            opened = await gripper.result()
+            assert (opened.reached, opened.grasped, opened.stalled) == (True, False, False)
+
+
+class Words(Observer):
+    def __init__(self) -> None:
+        self.seen: list[int] = []
+
+    def on_tick(self, record: TickRecord) -> None:
+        word = int(record.grasped.max())
+        if not self.seen or self.seen[-1] != word:
+            self.seen.append(word)
+
+
+@pytest.mark.parametrize(
+    ("name", "action"), [("robotiq_2f_85", "Grasp"), ("robotiq_3f", "Grasp")], ids=["2f", "3f"]
+)
+async def test_what_is_held_is_held_all_the_time(name: str, action: str) -> None:
+    """Though set-points move on after the contact, and the effort is reduced later."""
+    async with on_wires(name, object_in_hand="0.5") as (gripper,):
+        words = Words()
+        gripper.loop.add_observer(words)
+        gripper.loop.submit(Goal(action))
+        assert (await gripper.result()).grasped
+        tick = gripper.loop.snapshot().tick
+        await until(lambda: gripper.loop.snapshot().tick > tick + 2.5 * RATE)
+        assert words.seen == [0, 1]
+        gripper.loop.submit(Goal("open"))
+        assert (await gripper.result()).reached
+        assert words.seen == [0, 1, 0]
