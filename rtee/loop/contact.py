@@ -6,14 +6,22 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from rtee.loop.settings import GraspSettings, StallSettings
-from rtee.types import ActuatorSpec
+from rtee.types import ActuatorSpec, FloatArray
 
 _LOST_AFTER = 0.05
 """A grasp counts as lost when it looks so for this long [s]."""
 
 _LOST_MOVE = 0.02
 """… and the actuator closed further by this fraction of its range."""
+
+TIP_FORCE = "contact_force"
+"""The channel of a device's state that holds the force at every fingertip of the hand."""
+
+_FELT = 0.1
+"""A fingertip that touched at least this recently touches: contacts chatter [s]."""
 
 _DELIVERED = 3
 """A device has surely been sent what led at this many of its measurements: a driver measures before
@@ -38,6 +46,8 @@ class Measured:
         fresh: Whether the measurement is newer than at the tick before.
         grasped: The device's own word: 1 holding, 0 not, -1 none.
         current: Measured currents [A]; empty: none at all.
+        touch: Measured forces at the fingertips [N], in the hand's order of fingers; ``NaN``: not
+            measured; empty: none at all.
     """
 
     position: Sequence[float]
@@ -46,6 +56,22 @@ class Measured:
     fresh: Sequence[bool]
     grasped: Sequence[int]
     current: Sequence[float] = ()
+    touch: Sequence[float] = ()
+
+
+def tip_forces(measured: Sequence[FloatArray]) -> list[float]:
+    """Return the forces at the fingertips [N] from what some devices measured, for `Measured`.
+
+    Args:
+        measured: The channel `TIP_FORCE` of each; what is not measured is ``NaN``.
+    """
+    if not measured:
+        return []
+    together = measured[0]
+    for other in measured[1:]:
+        if other.shape == together.shape:
+            together = np.fmax(together, other)
+    return [float(force) for force in together]
 
 
 @dataclass(slots=True)
@@ -80,7 +106,8 @@ class ContactWatch:
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
     or its device says that it holds something. Time in which its device is silent is no time in
     which it stands still. A blocked one *grasps* when its effort is above a threshold, or by its
-    device's own word.
+    device's own word. Where the forces at its fingertips are measured, they decide instead: it
+    grasps with those fingers whose tips touch, and without any it does not.
 
     That word doesn't count at the end of the range, where devices report the mechanical stop. It
     counts only for the motion it belongs to: one that comes before the device can have begun this
@@ -92,12 +119,20 @@ class ContactWatch:
         actuators: The hand's actuators.
         stall: When an actuator counts as stalled.
         grasp: When a stalled one counts as holding.
+        fingers: The hand's fingers, in its order.
     """
 
     def __init__(
-        self, actuators: Sequence[ActuatorSpec], stall: StallSettings, grasp: GraspSettings
+        self,
+        actuators: Sequence[ActuatorSpec],
+        stall: StallSettings,
+        grasp: GraspSettings,
+        fingers: Sequence[str] = (),
     ) -> None:
         self._actuators = actuators
+        self._fingers = fingers
+        self._felt: dict[str, float] = {}
+        self._now = -math.inf
         self._stall = stall
         self._grasp = grasp
         self._watched: dict[int, _Watched] = {}
@@ -141,12 +176,39 @@ class ContactWatch:
 
     @property
     def fingers(self) -> tuple[str, ...]:
-        """The fingers that hold something, each once."""
+        """The fingers that hold something, each once; where tips are measured, those that touch."""
         found: dict[str, None] = {}
         for i, watched in self._watched.items():
             if watched.grasping:
-                found.update(dict.fromkeys(self._actuators[i].fingers))
+                touching = (f for f in self._actuators[i].fingers if self._touches(f) is not False)
+                found.update(dict.fromkeys(touching))
         return tuple(found)
+
+    def feel(self, stamp: float, touch: Sequence[float]) -> None:
+        """Take the forces at the fingertips; called at every tick, before all else.
+
+        Args:
+            stamp: Now [s].
+            touch: As measured; see `Measured`.
+        """
+        self._now = stamp
+        if len(touch) != len(self._fingers):  # from a device of another hand, or none
+            return
+        for finger, force in zip(self._fingers, touch, strict=True):
+            if force >= self._grasp.touch:
+                self._felt[finger] = stamp
+            elif force == force:
+                self._felt.setdefault(finger, -math.inf)
+
+    def _touches(self, finger: str) -> bool | None:
+        """Return whether a fingertip touches something; ``None``: that is not measured."""
+        felt = self._felt.get(finger)
+        return None if felt is None else self._now - felt <= _FELT
+
+    def _touch(self, i: int) -> bool | None:
+        """Return whether a fingertip that an actuator moves touches; ``None``: not measured."""
+        words = {self._touches(finger) for finger in self._actuators[i].fingers}
+        return True if True in words else None if None in words or not words else False
 
     def blocked_longer_than(self, seconds: float, stamp: float) -> list[int]:
         """Return the actuators that have been blocked for longer than a time [s]."""
@@ -201,7 +263,11 @@ class ContactWatch:
             if math.isnan(watched.blocked_at):
                 watched.blocked_at = stamp
             enough = self._grasp.effort * limits[i]
-            if own_word or (word != 0 and not away and abs(measured.effort[i]) >= enough):
+            holds = own_word or (word != 0 and not away and abs(measured.effort[i]) >= enough)
+            touch = self._touch(i) if self._felt else None
+            if touch is not None:
+                holds = touch and not away
+            if holds:
                 watched.grasping = True
                 watched.own_word = own_word
                 watched.hold_position = position
@@ -247,8 +313,9 @@ class ContactWatch:
     ) -> list[int]:
         """Return the actuators that have just lost what they held.
 
-        Either the device takes back its word while its target stands still, or the actuator moves
-        on towards its target and its effort is gone.
+        Either no fingertip touches any more where that is measured, or the device takes back its
+        word while its target stands still, or the actuator moves on towards its target and its
+        effort is gone.
         """
         found: list[int] = []
         for i, watched in self._watched.items():
@@ -267,6 +334,8 @@ class ContactWatch:
     def _looks_lost(
         self, i: int, watched: _Watched, measured: Measured, reference: float, limit: float
     ) -> bool:
+        if self._felt and self._touch(i) is False:
+            return True
         if watched.own_word:
             return measured.grasped[i] == 0 and abs(reference - watched.target) <= watched.tolerance
         push = reference - watched.hold_position

@@ -72,7 +72,9 @@ class Controller:
         n = len(hand.actuators)
         self._profile = make_profile(settings.profile, limits, settings.period)
         self._limiter = Limiter(limits, settings.period, settings.safety.max_step)
-        self._contact = ContactWatch(hand.actuators, settings.stall, settings.grasp)
+        self._contact = ContactWatch(
+            hand.actuators, settings.stall, settings.grasp, hand.finger_names
+        )
         self._thermal = Thermal(settings.thermal, n)
         self._heat = CurrentHeat(settings.thermal, hand.actuator_names)
         self.outbox = Outbox()
@@ -248,6 +250,8 @@ class Controller:
             measured: What was measured; a position must be finite once it has been.
         """
         self._measured = measured
+        if measured.touch:
+            self._contact.feel(stamp, measured.touch)
         self._seed(stamp, measured)
         limiter = self._limiter
         if stamp >= self._thermal_due:

@@ -227,8 +227,8 @@ class RemoteHand(Library):
         await self._say("release")
         self._taken = self._jogged = False
 
-    async def _leave(self) -> None:
-        """Let go of a hand that was only jogged: whoever leaves so is not lost.
+    async def leave(self) -> None:
+        """Let go of a hand that was only jogged; `connect` does it at the end of its context.
 
         What was taken, or moves by a goal of this client, is left to the hand's configuration.
         """
@@ -295,7 +295,7 @@ async def connect(
         await link.ask("hello", {"client": identity, "what": ""})
         await link.putting.found()
         yield remote
-        await remote._leave()
+        await remote.leave()
     finally:
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(link.close)

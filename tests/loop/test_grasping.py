@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from rtee.buses.pool import BusPool
@@ -307,6 +308,54 @@ async def test_silence_is_no_stall(hand: Hand) -> None:
             plant.spec = spec  # and needs a moment to move on
         result = await rig.result()
         assert (result.reached, result.stalled) == (True, False)
+
+
+class FeelingTips(KinematicDriver):
+    """Measures the forces at the fingertips, of index and thumb."""
+
+    tips = (math.nan, math.nan)
+
+    async def sense(self) -> ActuatorState:
+        return replace(await super().sense(), extras={"contact_force": np.array(self.tips)})
+
+
+@pytest.mark.parametrize(
+    ("tips", "grasped"),
+    [
+        ((math.nan, math.nan), ("index", "thumb")),
+        ((0.0, 0.0), ()),
+        ((0.0, 3.0), ("thumb",)),
+        ((2.0, 0.05), ("index",)),
+        ((math.nan, 0.0), ("index",)),
+    ],
+)
+async def test_where_tips_are_measured_they_decide(
+    hand: Hand, tips: tuple[float, float], grasped: tuple[str, ...]
+) -> None:
+    one = device(hand, objects={"index": 0.4, "thumb_base": 0.5})
+    driver = FeelingTips(one.spec, BusPool())
+    driver.tips = tips
+    async with running(hand, None, [(one, driver)]) as rig:
+        result = await rig.do("PinchTight", "index", "thumb")
+        assert result.stalled
+        assert (result.grasped, result.grasped_fingers) == (bool(grasped), grasped)
+
+
+async def test_what_no_tip_feels_any_more_is_lost(hand: Hand) -> None:
+    one = device(hand, objects={"index": 0.4})
+    driver = FeelingTips(one.spec, BusPool())
+    driver.tips = (2.0, 0.0)
+    async with running(hand, None, [(one, driver)]) as rig:
+        assert (await rig.do("Trig", "index")).grasped_fingers == ("index",)
+        for _ in range(10):  # contacts chatter
+            driver.tips = (0.0, 0.0)
+            await rig.run(0.05)
+            driver.tips = (2.0, 0.0)
+            await rig.run(0.01)
+        assert "grasp_lost" not in rig.watcher.kinds()
+        driver.tips = (0.0, 0.0)
+        await rig.run(0.2)
+        assert "grasp_lost" in rig.watcher.kinds()
 
 
 async def test_ten_minutes_on_a_rigid_object_stay_cool_and_hold(hand: Hand) -> None:
