@@ -132,6 +132,7 @@ class Capabilities:
     Attributes:
         measures: Of ``position velocity effort current temperature pressure grasped``.
         accepts: Of ``position max_effort max_velocity``.
+        refuses: Of those that it does not accept, why, in words, and what to do instead.
         best_rate: Fastest useful rate of exchanges [Hz]; ``inf`` when only the loop limits it.
         homing: It needs homing before it can move.
         watchdog: It stops by itself when the host falls silent, and the driver has armed that.
@@ -142,6 +143,7 @@ class Capabilities:
 
     measures: frozenset[str] = frozenset({"position"})
     accepts: frozenset[str] = frozenset({"position"})
+    refuses: Mapping[str, str] = field(default_factory=_nothing)
     best_rate: float = math.inf
     homing: bool = False
     watchdog: bool = False

@@ -20,6 +20,7 @@ from rtee.drivers.objects import ObjectInHand
 from rtee.drivers.qb_softhand.codec import Command as QbCommand
 from rtee.drivers.registry import find_driver
 from rtee.drivers.robotiq_2f.codec import Command
+from rtee.errors import GoalRejected
 from rtee.loop import connection, supervisor
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
@@ -277,3 +278,27 @@ async def test_what_is_held_is_held_all_the_time(name: str, action: str) -> None
         gripper.loop.submit(Goal("open"))
         assert (await gripper.result()).reached
         assert words.seen == [0, 1, 0]
+
+
+@pytest.mark.parametrize("driver", ["devices", "heri_ethercat"])
+async def test_heri_ii_closes_with_the_effort_of_the_goal(driver: str) -> None:
+    async with on_wires("heri_ii", object_in_hand="0.3", driver=driver) as (hand,):
+        names = hand.loop.hand.actuator_names
+        hand.loop.submit(Goal("Grasp", effort=dict.fromkeys(names, 1.2)))
+        assert (await hand.result()).grasped
+        assert hand.loop.snapshot().effort.max() == pytest.approx(1.2, rel=0.02)
+        hand.loop.submit(Goal("Grasp"))
+        assert (await hand.result()).grasped
+        assert hand.loop.snapshot().effort.max() > 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("dagana", "'control' is 'position'"), ("qb_softhand", "parameter that is stored in it")],
+)
+async def test_a_refused_effort_limit_says_what_cannot_be_done(name: str, reason: str) -> None:
+    async with on_wires(name) as (hand,):
+        actuator = hand.loop.hand.actuators[0]
+        effort = {actuator.name: 0.5 * min(actuator.effort, 1.0)}
+        with pytest.raises(GoalRejected, match=f"takes no effort limit: .*{reason}"):
+            hand.loop.submit(Goal("Grasp", effort=effort))

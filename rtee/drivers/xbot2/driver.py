@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 
 _STALE = 0.3
 _SAME = 2e-3
+_NO_EFFORT = (
+    "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
+    "beside them, for boards that take it so, and 'effort' closes and opens with it"
+)
 
 
 class XBot2Driver(Driver):
@@ -42,7 +46,8 @@ class XBot2Driver(Driver):
 
     XBot2 owns the motors: it powers them, interpolates references and watches over them. This
     driver is one of its clients. It sends nothing until a reference asks for something, so a joint
-    that holds is not touched by connecting. No joint is given a position and an effort together.
+    that holds is not touched by connecting. No joint is given a position and an effort together,
+    but where the effort is known to limit it.
     """
 
     Options: ClassVar[type[XBot2Options]] = XBot2Options
@@ -71,10 +76,12 @@ class XBot2Driver(Driver):
         self._seen = -math.inf
         self._touched = False
         self._arrived = asyncio.Event()
-        effort = self.options.control == "effort"
+        effort = self.options.control != "position"
+        self._limits = [math.inf] * len(names)
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "effort"}),
             accepts=frozenset({"position", "max_effort"} if effort else {"position"}),
+            refuses={} if effort else {"max_effort": _NO_EFFORT},
             best_rate=self.options.rate,
             recoverable=True,
         )
@@ -200,7 +207,13 @@ class XBot2Driver(Driver):
         chosen = [i for i in range(len(self._names)) if reference.mask[i]]
         if not chosen or not self._asked(chosen, reference):
             return
-        if self.options.control == "position":
+        if self.options.control == "limited":
+            for i in chosen:
+                limit, most = float(reference.max_effort[i]), self.spec.actuators[i].effort
+                # Once it was told a smaller one, XBot2 must be told that all of it may be used.
+                if limit < most or math.isfinite(self._limits[i]):
+                    self._limits[i] = max(min(limit, most), 0.0)
+        if self.options.control != "effort":
             self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
             return
         efforts = tuple(self._effort(i, reference) for i in chosen)
@@ -248,7 +261,16 @@ class XBot2Driver(Driver):
             self._commanded[i].to_told(position)
             for i, position in zip(chosen, positions, strict=True)
         )
-        self._server.send_now(Command(names, told, (), (Control.POSITION,) * len(names)).to_bytes())
+        limits = [self._limits[i] for i in chosen]
+        limited = [math.isfinite(limit) for limit in limits]
+        efforts = tuple(
+            limit if given else 0.0 for limit, given in zip(limits, limited, strict=True)
+        )
+        control = tuple(
+            Control.POSITION | Control.EFFORT if given else Control.POSITION for given in limited
+        )
+        command = Command(names, told, efforts if any(limited) else (), control)
+        self._server.send_now(command.to_bytes())
 
     async def stop(self) -> None:
         """Hold the measured pose."""

@@ -146,6 +146,8 @@ class XBot2Emulator(Emulator, Grasps):
             if control & Control.POSITION and command.position:
                 axis.target = command.position[i]
                 axis.max_effort = self.properties.effort
+                if control & Control.EFFORT and command.effort:  # beside a position, it limits
+                    axis.max_effort = min(abs(command.effort[i]), self.properties.effort)
             elif control & Control.EFFORT and command.effort:
                 effort = command.effort[i]
                 axis.max_effort = min(abs(effort), self.properties.effort)
