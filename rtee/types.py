@@ -426,7 +426,8 @@ class Event:
 
     Attributes:
         kind: ``grasp_lost``, ``device_fault``, ``device_lost``, ``reconnected``, ``limited``,
-            ``stop``, ``recovered``, ``thermal``, ``mark``, ``action_added`` and the like.
+            ``stop``, ``recovered``, ``thermal``, ``implausible``, ``mark``, ``action_added`` and
+            the like.
         source: The device, finger or client it concerns.
         text: One sentence.
         stamp: CLOCK_MONOTONIC [s].
