@@ -304,3 +304,12 @@ async def test_a_refused_effort_limit_says_what_cannot_be_done(name: str, reason
         effort = {actuator.name: 0.5 * min(actuator.effort, 1.0)}
         with pytest.raises(GoalRejected, match=f"takes no effort limit: .*{reason}"):
             hand.loop.submit(Goal("Grasp", effort=effort))
+
+
+@pytest.mark.parametrize("name", ["heri_ii", "dagana"])
+async def test_closing_on_nothing_behind_xbot2_is_no_grasp(name: str) -> None:
+    """The emulated joints go as far as the hand's."""
+    async with on_wires(name) as (hand,):
+        hand.loop.submit(Goal("Grasp"))
+        result = await hand.result()
+        assert (result.reached, result.stalled, result.grasped) == (True, False, False)

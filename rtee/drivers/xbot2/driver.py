@@ -101,11 +101,14 @@ class XBot2Driver(Driver):
         joints = {
             a.name: {"joint": n} for a, n in zip(self.spec.actuators, self._names, strict=True)
         }
+        ends = [end for scale in self._commanded for end in (scale.lower, scale.upper)]
         bus = self._bus = await self.buses.zmq(
             options.address,
             owner=owner_of(self.spec),
             ports=(options.state_port, options.command_port, options.service_port),
-            emulator=emulator_of(self.spec, XBot2Emulator, joints=joints),
+            emulator=emulator_of(
+                self.spec, XBot2Emulator, joints=joints, ends=(min(ends), max(ends))
+            ),
         )
         self._undo = bus.subscribe(self._take)
         try:

@@ -77,12 +77,13 @@ class XBot2Emulator(Emulator, Grasps):
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make a server with the joints that a device's options name."""
+        """Make a server with the joints that a device's options name; ``ends`` are their stops."""
         given = options.get("joints") or {}
         names = tuple(dict(j).get("joint") or actuator for actuator, j in given.items())
-        return cls(
-            read_properties(ServerProperties, options, **({"joints": names} if names else {}))
-        )
+        fitting: dict[str, Any] = {"joints": names} if names else {}
+        if options.get("ends"):
+            fitting["lower"], fitting["upper"] = options["ends"]
+        return cls(read_properties(ServerProperties, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
         """Begin anew; the joints stay where they are."""
