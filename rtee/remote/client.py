@@ -233,6 +233,7 @@ class RemoteHand(Library):
         What was taken, or moves by a goal of this client, is left to the hand's configuration.
         """
         if self._jogged and not self._taken:
+            self._jogged = False
             with contextlib.suppress(RemoteError):
                 await self._say("release", within=_GOODBYE)
 
