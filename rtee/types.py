@@ -132,6 +132,7 @@ class Capabilities:
     Attributes:
         measures: Of ``position velocity effort current temperature pressure grasped``.
         accepts: Of ``position max_effort max_velocity``.
+        refuses: Of those that it does not accept, why, in words, and what to do instead.
         best_rate: Fastest useful rate of exchanges [Hz]; ``inf`` when only the loop limits it.
         homing: It needs homing before it can move.
         watchdog: It stops by itself when the host falls silent, and the driver has armed that.
@@ -142,6 +143,7 @@ class Capabilities:
 
     measures: frozenset[str] = frozenset({"position"})
     accepts: frozenset[str] = frozenset({"position"})
+    refuses: Mapping[str, str] = field(default_factory=_nothing)
     best_rate: float = math.inf
     homing: bool = False
     watchdog: bool = False
@@ -163,7 +165,8 @@ class ActuatorState:
         stamp: When it was measured, CLOCK_MONOTONIC [s].
         fresh: ``False`` when it repeats an earlier measurement.
         grasped: The device's own word per actuator: holding something; ``None``: it says nothing.
-        extras: Further channels by name, for example ``pressure``.
+        extras: Further channels by name, for example ``pressure``. ``contact_force`` is the force
+            at the tip of every finger of the hand, in its order [N]; ``NaN``: not measured there.
         warnings: Conditions the device reports that are no faults.
     """
 
@@ -423,7 +426,8 @@ class Event:
 
     Attributes:
         kind: ``grasp_lost``, ``device_fault``, ``device_lost``, ``reconnected``, ``limited``,
-            ``stop``, ``recovered``, ``thermal``, ``mark``, ``action_added`` and the like.
+            ``stop``, ``recovered``, ``thermal``, ``implausible``, ``mark``, ``action_added`` and
+            the like.
         source: The device, finger or client it concerns.
         text: One sentence.
         stamp: CLOCK_MONOTONIC [s].

@@ -45,6 +45,8 @@ class Axis:
         lower: Hard stop.
         upper: Hard stop.
         obstacle: The object, if there is one.
+        self_locking: Its gear yields to no push: an object squeezed with less effort than before
+            does not push it back.
         stuck: It does not move, whatever it is told.
         temperature: Of the motor [°C].
         ambient: Of the surroundings [°C].
@@ -69,6 +71,7 @@ class Axis:
         "position",
         "rating",
         "resolution",
+        "self_locking",
         "stuck",
         "target",
         "temperature",
@@ -104,6 +107,7 @@ class Axis:
         self.lower = lower
         self.upper = upper
         self.obstacle: VirtualObject | None = None
+        self.self_locking = False
         self.stuck = False
         self.ambient = 25.0
         self.temperature = self.ambient
@@ -127,6 +131,12 @@ class Axis:
                 upper = max(min(upper, deepest), lower)
             else:
                 lower = min(max(lower, deepest), upper)
+        if self.self_locking:
+            # What the object alone would push back stays where it is.
+            if self.target >= self.position:
+                upper = max(upper, self.position)
+            else:
+                lower = min(lower, self.position)
         return lower, upper
 
     def _contact(self) -> float:

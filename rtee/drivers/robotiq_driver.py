@@ -28,10 +28,6 @@ from rtee.errors import (
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
-SAME = 2
-"""A position this near to the measured one asks for no motion [counts]."""
-
-
 S = TypeVar("S", bound=RobotiqStatus)
 
 

@@ -159,6 +159,9 @@ class App:
             finally:
                 self.session = None
                 session.remove()
+                # Closing the window, or choosing another hand, is no way of dying.
+                with anyio.CancelScope(shield=True):
+                    await remote.leave()
 
 
 async def serve(

@@ -238,7 +238,7 @@ class Session:
         fingers = self._hand.finger_names
         for name, values in state.channels.items():
             if name.endswith(("/pressure", "/contact_force")) and len(values) % len(fingers) == 0:
-                by_finger = values.reshape(len(fingers), -1).max(axis=1)
+                by_finger = np.nan_to_num(values).reshape(len(fingers), -1).max(axis=1)
                 most = max(float(by_finger.max()), 1.0)
                 return {f: float(v) / most for f, v in zip(fingers, by_finger, strict=True)}
         return {}

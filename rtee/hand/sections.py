@@ -87,6 +87,8 @@ class Grasp(Section):
     """Effort while holding, as a share of the effort limit."""
     holding_after: NotNegative = 2.0
     """Time after the grasp until the effort is lowered to ``holding_effort`` [s]."""
+    touch: NotNegative = 0.1
+    """Force at a fingertip above which it touches [N], where a device measures it."""
 
 
 class Loop(Section):

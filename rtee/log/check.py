@@ -17,7 +17,7 @@ from rtee.hand.model import Hand
 from rtee.log.contents import REPLAY, Replayable
 from rtee.log.plain import from_json
 from rtee.log.recording import Entry, Recording
-from rtee.loop.contact import Measured
+from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
 from rtee.loop.plan import Plan
 from rtee.types import Command, FloatArray, Result, readonly
@@ -176,7 +176,9 @@ def _measured(recording: Recording) -> Iterator[Measured]:
     """
     states = recording.actuator_states
     measured = Measured((), (), (), (), ())
+    touch = _tip_forces(recording)
     for row in range(len(states)):
+        measured.touch = touch(float(states.t[row]))
         measured.position = states.position[row].tolist()
         measured.effort = states.effort[row].tolist()
         measured.temperature = states.temperature[row].tolist()
@@ -184,6 +186,23 @@ def _measured(recording: Recording) -> Iterator[Measured]:
         measured.fresh = states.fresh[row].tolist()
         measured.grasped = states.grasped[row].tolist()
         yield measured
+
+
+def _tip_forces(recording: Recording) -> Callable[[float], list[float]]:
+    """Return what gives the forces at the fingertips at a time [s]; only changes are recorded."""
+    channels = [c for name, c in recording.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+    rows = [-1] * len(channels)
+
+    def at(t: float) -> list[float]:
+        found = []
+        for k, channel in enumerate(channels):
+            while rows[k] + 1 < len(channel.t) and channel.t[rows[k] + 1] <= t:
+                rows[k] += 1
+            if rows[k] >= 0:
+                found.append(channel.values[rows[k]])
+        return tip_forces(found)
+
+    return at
 
 
 def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | Command]]:

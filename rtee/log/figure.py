@@ -30,7 +30,16 @@ COLOURS = (
     "#bcbd22",
 )
 TOLD = frozenset(
-    {"mark", "grasp_lost", "device_fault", "device_lost", "stop", "thermal", "log_resumed"}
+    {
+        "mark",
+        "grasp_lost",
+        "device_fault",
+        "device_lost",
+        "stop",
+        "thermal",
+        "implausible",
+        "log_resumed",
+    }
 )
 """Kinds of events that are drawn."""
 

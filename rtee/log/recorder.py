@@ -71,6 +71,8 @@ class Recorder:
         metadata: Further metadata: name to value.
         notify: Told of lost and resumed recording and of written flight files, as events; called
             in the writer's thread.
+        simulated: What it is told is stamped by a simulation that begins now, not by
+            CLOCK_MONOTONIC.
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class Recorder:
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, str] | None = None,
         notify: Callable[[Event], None] | None = None,
+        simulated: bool = False,
     ) -> None:
         self._settings = settings
         files = dict(attachments or {})
@@ -94,12 +97,12 @@ class Recorder:
             log.warning("the mesh '%s' is not in the recording: %s", address, why)
         contents = Contents(hand, rate, files, more, meshes)
         contents.prepare()
-        self._writer = LogWriter(contents, settings, notify)
+        self._writer = LogWriter(contents, settings, notify, simulated=simulated)
         self._writer.dropped = lambda: self._dropped
         self._queue: queue.SimpleQueue[Work] = queue.SimpleQueue()
         self._limit = max(_LEAST_QUEUE, int(settings.queue_time * rate))
         self._period = 1.0 / rate
-        self._stamp: float | None = None
+        self._stamp: float | None = 0.0 if simulated else None
         self._dropped = 0
         self._failed = 0
         self._failure = ""
@@ -172,7 +175,7 @@ class Recorder:
             self._queue.put(record)
 
     def _now(self) -> float:
-        """Return the time of the last tick, CLOCK_MONOTONIC [s]."""
+        """Return the time of the last tick [s]."""
         return time.monotonic() if self._stamp is None else self._stamp
 
     def _put(self, item: Item, stamp: float) -> None:

@@ -72,6 +72,8 @@ class LogWriter:
         notify: Told of lost and resumed recording and of written flight files.
         monotonic: Clock [s].
         wall: Clock [ns since 1970].
+        simulated: What comes is stamped by a simulation, not by ``monotonic``: its first moment is
+            now, and from there its time is kept.
 
     Attributes:
         sink: The files.
@@ -86,6 +88,8 @@ class LogWriter:
         notify: Callable[[Event], None] | None = None,
         monotonic: Callable[[], float] = time.monotonic,
         wall: Callable[[], int] = time.time_ns,
+        *,
+        simulated: bool = False,
     ) -> None:
         hand = contents.hand
         self._actuators = hand.actuator_names
@@ -93,6 +97,8 @@ class LogWriter:
         self._notify = notify
         self._monotonic = monotonic
         self._wall = wall
+        self._simulated = simulated
+        self._stamp = 0.0
         self._encoder = TickEncoder(
             hand.joint_names,
             hand.actuator_names,
@@ -129,12 +135,14 @@ class LogWriter:
         return self.flight is None and not self.sink.wanted
 
     def wall_of(self, stamp: float) -> int:
-        """Return the time since 1970 [ns] of a CLOCK_MONOTONIC time [s].
+        """Return the time since 1970 [ns] of a CLOCK_MONOTONIC, or simulated, time [s].
 
         Both clocks are compared once per file: a step of the wall clock disturbs no file.
         """
+        self._stamp = stamp
         if not self._compared:
-            self._compare(self._wall() - round(self._monotonic() * _SECOND))
+            now = stamp if self._simulated else self._monotonic()
+            self._compare(self._wall() - round(now * _SECOND))
         return self._anchor + round(stamp * _SECOND)
 
     def _compare(self, difference: int) -> None:
@@ -146,7 +154,7 @@ class LogWriter:
         """Take what was known at a tick."""
         if self.idle or record.tick % self._settings.decimation:
             return
-        if not self._compared:
+        if not (self._compared or self._simulated):
             self._compare(record.wall_ns - round(record.stamp * _SECOND))
         wall = self.wall_of(record.stamp)
         self._builder.add_block(wall, self._encoder.encode(record, wall))
@@ -278,7 +286,8 @@ class LogWriter:
             self._compared = False
 
     def _tell(self, kind: str, text: str) -> None:
-        event = Event(kind, ITSELF, text, self._monotonic(), "warning")
+        now = self._stamp if self._simulated else self._monotonic()
+        event = Event(kind, ITSELF, text, now, "warning")
         wall = self.wall_of(event.stamp)
         self._add(EVENTS, wall, convert.encode_event(event, wall=wall))
         if self._notify is not None:

@@ -50,7 +50,12 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
         goal_timeout=loop.goal_timeout,
         profile=ProfileSettings(_profile_kind(config), config.profile.bandwidth),
         stall=StallSettings(loop.stall.time, loop.stall.speed),
-        grasp=GraspSettings(loop.grasp.effort, loop.grasp.holding_effort, loop.grasp.holding_after),
+        grasp=GraspSettings(
+            loop.grasp.effort,
+            loop.grasp.holding_effort,
+            loop.grasp.holding_after,
+            loop.grasp.touch,
+        ),
         safety=SafetySettings(
             on_exit=Behaviour(safety.on_exit),
             on_client_lost=Behaviour(safety.on_client_lost),

@@ -6,14 +6,33 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from rtee.loop.settings import GraspSettings, StallSettings
-from rtee.types import ActuatorSpec
+from rtee.types import ActuatorSpec, FloatArray
 
 _LOST_AFTER = 0.05
 """A grasp counts as lost when it looks so for this long [s]."""
 
 _LOST_MOVE = 0.02
 """… and the actuator closed further by this fraction of its range."""
+
+TIP_FORCE = "contact_force"
+"""The channel of a device's state that holds the force at every fingertip of the hand."""
+
+_FELT = 0.1
+"""A fingertip that touched at least this recently touches: contacts chatter [s]."""
+
+_DELIVERED = 3
+"""A device has surely been sent what led at this many of its measurements: a driver measures before
+it sends, and may answer with what came back from the exchange before. The third is a margin."""
+
+_SILENCE = 3.0
+"""A measurement that comes later than this many usual intervals ends a silence: nobody knows
+whether the actuator stood still meanwhile."""
+
+_USUAL_SHARE = 0.125
+"""Weight of the newest interval in the usual one: it follows a change of rate within 8 of them."""
 
 
 @dataclass(slots=True)
@@ -27,6 +46,8 @@ class Measured:
         fresh: Whether the measurement is newer than at the tick before.
         grasped: The device's own word: 1 holding, 0 not, -1 none.
         current: Measured currents [A]; empty: none at all.
+        touch: Measured forces at the fingertips [N], in the hand's order of fingers; ``NaN``: not
+            measured; empty: none at all.
     """
 
     position: Sequence[float]
@@ -35,6 +56,30 @@ class Measured:
     fresh: Sequence[bool]
     grasped: Sequence[int]
     current: Sequence[float] = ()
+    touch: Sequence[float] = ()
+
+
+def tip_forces(measured: Sequence[FloatArray]) -> list[float]:
+    """Return the forces at the fingertips [N] from what some devices measured, for `Measured`.
+
+    Args:
+        measured: The channel `TIP_FORCE` of each; what is not measured is ``NaN``.
+    """
+    if not measured:
+        return []
+    together = measured[0]
+    for other in measured[1:]:
+        if other.shape == together.shape:
+            together = np.fmax(together, other)
+    return [float(force) for force in together]
+
+
+@dataclass(slots=True)
+class _Grip:
+    """What an actuator was last known to hold: in which direction it presses, and where it is."""
+
+    direction: float
+    position: float
 
 
 @dataclass(slots=True)
@@ -44,6 +89,8 @@ class _Watched:
     anchor: float
     since: float
     seen: float
+    start: float = math.nan
+    led: int = 0
     blocked_at: float = math.nan
     grasping: bool = False
     own_word: bool = False
@@ -57,24 +104,40 @@ class ContactWatch:
     """Watches the actuators of the last goal.
 
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
-    or its device says that it holds something. A blocked one *grasps* when its effort is above a
-    threshold, or by its device's own word; that word doesn't count at the end of the range, where
-    devices report the mechanical stop. A word that stands since before the motion counts only once
-    the actuator has stalled: it may be about the grip that is being opened.
+    or its device says that it holds something. Time in which its device is silent is no time in
+    which it stands still. A blocked one *grasps* when its effort is above a threshold, or by its
+    device's own word. Where the forces at its fingertips are measured, they decide instead: it
+    grasps with those fingers whose tips touch, and without any it does not.
+
+    That word doesn't count at the end of the range, where devices report the mechanical stop. It
+    counts only for the motion it belongs to: one that comes before the device can have begun this
+    motion, because it stands since before or is about an older set-point, counts only once the
+    actuator has stalled. Where the motion leads away from what is held, nothing counts as a grasp
+    until the actuator has left it.
 
     Args:
         actuators: The hand's actuators.
         stall: When an actuator counts as stalled.
         grasp: When a stalled one counts as holding.
+        fingers: The hand's fingers, in its order.
     """
 
     def __init__(
-        self, actuators: Sequence[ActuatorSpec], stall: StallSettings, grasp: GraspSettings
+        self,
+        actuators: Sequence[ActuatorSpec],
+        stall: StallSettings,
+        grasp: GraspSettings,
+        fingers: Sequence[str] = (),
     ) -> None:
         self._actuators = actuators
+        self._fingers = fingers
+        self._felt: dict[str, float] = {}
+        self._now = -math.inf
         self._stall = stall
         self._grasp = grasp
         self._watched: dict[int, _Watched] = {}
+        self._grips: list[_Grip | None] = [None] * len(actuators)
+        self._usual = [math.nan] * len(actuators)
 
     def begin(
         self, targets: Mapping[int, float], tolerance: Mapping[int, float], stamp: float
@@ -113,12 +176,39 @@ class ContactWatch:
 
     @property
     def fingers(self) -> tuple[str, ...]:
-        """The fingers that hold something, each once."""
+        """The fingers that hold something, each once; where tips are measured, those that touch."""
         found: dict[str, None] = {}
         for i, watched in self._watched.items():
             if watched.grasping:
-                found.update(dict.fromkeys(self._actuators[i].fingers))
+                touching = (f for f in self._actuators[i].fingers if self._touches(f) is not False)
+                found.update(dict.fromkeys(touching))
         return tuple(found)
+
+    def feel(self, stamp: float, touch: Sequence[float]) -> None:
+        """Take the forces at the fingertips; called at every tick, before all else.
+
+        Args:
+            stamp: Now [s].
+            touch: As measured; see `Measured`.
+        """
+        self._now = stamp
+        if len(touch) != len(self._fingers):  # from a device of another hand, or none
+            return
+        for finger, force in zip(self._fingers, touch, strict=True):
+            if force >= self._grasp.touch:
+                self._felt[finger] = stamp
+            elif force == force:
+                self._felt.setdefault(finger, -math.inf)
+
+    def _touches(self, finger: str) -> bool | None:
+        """Return whether a fingertip touches something; ``None``: that is not measured."""
+        felt = self._felt.get(finger)
+        return None if felt is None else self._now - felt <= _FELT
+
+    def _touch(self, i: int) -> bool | None:
+        """Return whether a fingertip that an actuator moves touches; ``None``: not measured."""
+        words = {self._touches(finger) for finger in self._actuators[i].fingers}
+        return True if True in words else None if None in words or not words else False
 
     def blocked_longer_than(self, seconds: float, stamp: float) -> list[int]:
         """Return the actuators that have been blocked for longer than a time [s]."""
@@ -147,14 +237,12 @@ class ContactWatch:
                 continue
             position = measured.position[i]
             word = measured.grasped[i]
-            if stamp - watched.seen > self._stall.time:  # the device was silent
-                watched.anchor, watched.since = position, stamp
-            watched.seen = stamp
+            self._listen(i, watched, position, stamp)
             slow = self._stall.speed * self._actuators[i].velocity * self._stall.time
             # Pushed the other way (a grip that is being opened), it has not come to its motion yet.
             ahead = 1.0 if watched.target >= position else -1.0
-            lead = (reference[i] - position) * ahead
-            behind = lead > watched.tolerance
+            behind = (reference[i] - position) * ahead > watched.tolerance
+            watched.led = watched.led + 1 if behind else 0
             # A device that has a word of its own says it when its target stands still.
             arriving = word == 0 and abs(reference[i] - watched.target) > watched.tolerance
             if not abs(position - watched.anchor) <= slow or not behind or arriving:
@@ -162,19 +250,58 @@ class ContactWatch:
                 watched.blocked_at = math.nan
                 watched.grasping = False
             stalled = behind and stamp - watched.since >= self._stall.time
-            watched.old_word = word == 1 and (watched.old_word or lead <= 0.0 or watched.new)
+            begun = watched.led >= _DELIVERED or (position - watched.start) * ahead > (
+                watched.tolerance
+            )
+            watched.old_word = word == 1 and (watched.old_word or watched.new or not begun)
+            away = self._leads_away(i, watched, position, word, ahead)
             watched.new = False
-            own_word = word == 1 and not self._at_end(i, position, watched)
+            own_word = word == 1 and not away and not self._at_end(i, position, watched)
             own_word = own_word and (stalled or not watched.old_word)
             if not (stalled or own_word):
                 continue
             if math.isnan(watched.blocked_at):
                 watched.blocked_at = stamp
             enough = self._grasp.effort * limits[i]
-            if own_word or (word != 0 and abs(measured.effort[i]) >= enough):
+            holds = own_word or (word != 0 and not away and abs(measured.effort[i]) >= enough)
+            touch = self._touch(i) if self._felt else None
+            if touch is not None:
+                holds = touch and not away
+            if holds:
                 watched.grasping = True
                 watched.own_word = own_word
                 watched.hold_position = position
+                self._grips[i] = _Grip(ahead, position)
+
+    def _listen(self, i: int, watched: _Watched, position: float, stamp: float) -> None:
+        """Take the time since the last measurement: what was silence is no standing still."""
+        gap, watched.seen = stamp - watched.seen, stamp
+        if watched.new:
+            watched.start = position
+            return
+        usual = self._usual[i]
+        if not usual > 0.0:
+            usual = gap
+        if gap > self._stall.time:
+            watched.anchor, watched.since = position, stamp
+        else:
+            watched.since += max(0.0, gap - _SILENCE * usual)
+        self._usual[i] = usual + _USUAL_SHARE * (min(gap, 2.0 * usual) - usual)
+
+    def _leads_away(
+        self, i: int, watched: _Watched, position: float, word: int, ahead: float
+    ) -> bool:
+        """Return whether the motion leads away from what the actuator holds or has just held."""
+        grip = self._grips[i]
+        left = grip is not None and abs(position - grip.position) > watched.tolerance
+        if left and (watched.new or (word != 1 and watched.led >= _DELIVERED)):
+            grip = self._grips[i] = None
+        if grip is None and watched.new and word == 1:
+            # Held since before: by closing, that is away from the rest posture.
+            off = position - self._actuators[i].rest
+            direction = 0.0 if abs(off) <= watched.tolerance else math.copysign(1.0, off)
+            grip = self._grips[i] = _Grip(direction, position)
+        return grip is not None and grip.direction * ahead < 0.0
 
     def _at_end(self, i: int, position: float, watched: _Watched) -> bool:
         spec = self._actuators[i]
@@ -186,8 +313,9 @@ class ContactWatch:
     ) -> list[int]:
         """Return the actuators that have just lost what they held.
 
-        Either the device takes back its word while its target stands still, or the actuator moves
-        on towards its target and its effort is gone.
+        Either no fingertip touches any more where that is measured, or the device takes back its
+        word while its target stands still, or the actuator moves on towards its target and its
+        effort is gone.
         """
         found: list[int] = []
         for i, watched in self._watched.items():
@@ -206,6 +334,8 @@ class ContactWatch:
     def _looks_lost(
         self, i: int, watched: _Watched, measured: Measured, reference: float, limit: float
     ) -> bool:
+        if self._felt and self._touch(i) is False:
+            return True
         if watched.own_word:
             return measured.grasped[i] == 0 and abs(reference - watched.target) <= watched.tolerance
         push = reference - watched.hold_position

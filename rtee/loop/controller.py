@@ -17,6 +17,7 @@ from rtee.loop.heat import CurrentHeat
 from rtee.loop.limiter import Limiter
 from rtee.loop.motion import Limits
 from rtee.loop.plan import Plan
+from rtee.loop.plausible import Plausibility
 from rtee.loop.profiles import make_profile
 from rtee.loop.settings import LoopSettings
 from rtee.loop.thermal import Level, Thermal
@@ -72,12 +73,17 @@ class Controller:
         n = len(hand.actuators)
         self._profile = make_profile(settings.profile, limits, settings.period)
         self._limiter = Limiter(limits, settings.period, settings.safety.max_step)
-        self._contact = ContactWatch(hand.actuators, settings.stall, settings.grasp)
+        self._contact = ContactWatch(
+            hand.actuators, settings.stall, settings.grasp, hand.finger_names
+        )
         self._thermal = Thermal(settings.thermal, n)
         self._heat = CurrentHeat(settings.thermal, hand.actuator_names)
         self.outbox = Outbox()
         told = self.outbox.items.append
-        self._executor = Executor(hand, settings, self._profile, self._contact, told, told)
+        self._plausible = Plausibility(hand.actuators, told)
+        self._executor = Executor(
+            hand, settings, self._profile, self._contact, self._plausible, told, told
+        )
         self.active = [False] * n
         self._accepts = [True] * n
         self._seeding: set[int] = set()
@@ -132,6 +138,10 @@ class Controller:
             for i in indices
             if thermal.level[i] is not Level.OK
         )
+
+    def doubts(self, indices: Iterable[int]) -> str:
+        """Return in words of which of some actuators the measured position is not believed."""
+        return "; ".join(words for i in indices if (words := self._plausible.words(i)))
 
     def take(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted."""
@@ -228,6 +238,7 @@ class Controller:
             i = self.hand.actuator_index(name)
             if value and not self.active[i]:
                 self._seeding.add(i)
+                self._plausible.forget((i,))
             self.active[i] = bool(value)
             self._leave_hold((i,))
 
@@ -248,7 +259,10 @@ class Controller:
             measured: What was measured; a position must be finite once it has been.
         """
         self._measured = measured
+        if measured.touch:
+            self._contact.feel(stamp, measured.touch)
         self._seed(stamp, measured)
+        self._plausible.step(stamp, measured.position, measured.fresh, self.active)
         limiter = self._limiter
         if stamp >= self._thermal_due:
             self._watch_temperature(stamp, measured)

@@ -10,6 +10,7 @@ from enum import Enum
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.plan import Leg, Plan
+from rtee.loop.plausible import Plausibility
 from rtee.loop.profiles import Profile
 from rtee.loop.settings import LoopSettings
 from rtee.types import Feedback, JointKind, Result
@@ -58,6 +59,7 @@ class Executor:
         settings: The loop's settings.
         profile: Moves the reference.
         contact: Watches the actuators that move.
+        plausible: Says whether what is measured can be believed.
         on_feedback: Called with feedback.
         on_result: Called with the result of every goal, exactly once.
     """
@@ -68,6 +70,7 @@ class Executor:
         settings: LoopSettings,
         profile: Profile,
         contact: ContactWatch,
+        plausible: Plausibility,
         on_feedback: Callable[[Feedback], None],
         on_result: Callable[[Result], None],
     ) -> None:
@@ -75,6 +78,7 @@ class Executor:
         self._settings = settings
         self._profile = profile
         self._contact = contact
+        self._plausible = plausible
         self._on_feedback = on_feedback
         self._on_result = on_result
         self._run: _Run | None = None
@@ -123,9 +127,15 @@ class Executor:
         run = self._run
         if run is None:
             return
+        targets = run.present.targets
         if run.phase is Phase.MOVING:
-            self._contact.update(stamp, measured, reference, limits, run.present.targets)
-            self._judge(run, stamp, measured)
+            self._contact.update(stamp, measured, reference, limits, targets)
+            if not self._plausible.doubted(targets):
+                self._judge(run, stamp, measured)
+            elif (broken := self._plausible.broken(targets)) is not None:
+                self._profile.go({}, brake=self._moving(except_for=()))
+                self.end(stamp, measured, aborted=True, reason=self._plausible.words(broken))
+                return
         self._proceed(run, stamp, measured)
         if self._run is not run:
             return

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.loop.contact import Measured
+from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.supervisor import Supervisor
 from rtee.types import BoolArray, FloatArray, readonly
 
@@ -121,12 +121,21 @@ class Gather:
             self.grasped = grasped
             measured.grasped = grasped.tolist()
         if state.extras or self._extras.get(device.name):
+            measured.touch = self._touch(device.name, state.extras)
             self._extras[device.name] = state.extras
             self.extras = {
                 f"{name}/{channel}": values
                 for name, channels in self._extras.items()
                 for channel, values in channels.items()
             }
+
+    def _touch(self, device: str, extras: Mapping[str, FloatArray]) -> list[float]:
+        """Return the forces at the fingertips, each from the device that measures it."""
+        found = [extras[TIP_FORCE]] if TIP_FORCE in extras else []
+        for other, channels in self._extras.items():
+            if other != device and TIP_FORCE in channels:
+                found.append(channels[TIP_FORCE])
+        return tip_forces(found)
 
 
 def _put(into: FloatArray, where: NDArray[np.intp], values: FloatArray) -> FloatArray:

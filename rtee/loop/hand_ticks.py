@@ -341,8 +341,9 @@ class HandTicks:
         found = []
         for device in self.devices.values():
             status, heat = device.status(), self.controller.heat(device.indices)
-            said = "; ".join(text for text in (status.message, heat) if text)
-            found.append(replace(status, message=said) if heat else status)
+            doubts = self.controller.doubts(device.indices)
+            said = "; ".join(text for text in (status.message, doubts, heat) if text)
+            found.append(replace(status, message=said) if heat or doubts else status)
         return found
 
     def statistics(self) -> LoopStatistics:

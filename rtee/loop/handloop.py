@@ -56,7 +56,7 @@ class HandLoop(HandTicks):
             self.hand,
             self.library,
             self.settings,
-            effort_accepted=self._takes_effort() if goal.effort else (),
+            effort_refused=self._refuses_effort() if goal.effort else None,
         )
         if not all(self._was_active.values()):
             able = self._able()
@@ -65,12 +65,12 @@ class HandLoop(HandTicks):
             self._check_able(plan.involved, able)
         self._pending.append(plan)
 
-    def _takes_effort(self) -> set[int]:
-        """Return the actuators whose device takes effort limits."""
+    def _refuses_effort(self) -> dict[int, str]:
+        """Return the actuators whose device takes no effort limits, each with the reason."""
         return {
-            index
+            index: device.driver.capabilities.refuses.get("max_effort", "")
             for device in self.devices.values()
-            if "max_effort" in device.driver.capabilities.accepts
+            if "max_effort" not in device.driver.capabilities.accepts
             for index in device.indices
         }
 

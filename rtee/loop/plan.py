@@ -78,7 +78,7 @@ def make_plan(
     library: ActionLibrary,
     settings: LoopSettings,
     *,
-    effort_accepted: Collection[int] | None = None,
+    effort_refused: Mapping[int, str] | None = None,
 ) -> Plan:
     """Check a goal and make the plan for it.
 
@@ -87,7 +87,8 @@ def make_plan(
         hand: The hand.
         library: Its actions.
         settings: Timeouts.
-        effort_accepted: Indices of actuators whose device takes effort limits; ``None``: all.
+        effort_refused: Actuators whose device takes no effort limit, with its reason in words, or
+            nothing; ``None``: none.
 
     Raises:
         GoalRejected: if a value of the goal cannot be used.
@@ -95,7 +96,7 @@ def make_plan(
         ActionError: if the action doesn't exist with these elements.
     """
     _check_numbers(goal)
-    effort = _effort(goal, hand, effort_accepted)
+    effort = _effort(goal, hand, effort_refused or {})
     action = _find(goal, hand, library)
     if isinstance(action, Timed):
         legs = _timed_legs(goal, action, hand)
@@ -123,7 +124,7 @@ def _check_numbers(goal: Goal) -> None:
         raise GoalRejected(f"the timeout must be above 0 s, not {goal.timeout:g}")
 
 
-def _effort(goal: Goal, hand: Hand, accepted: Collection[int] | None) -> dict[int, float]:
+def _effort(goal: Goal, hand: Hand, refused: Mapping[int, str]) -> dict[int, float]:
     limits: dict[int, float] = {}
     for name, value in goal.effort.items():
         if name not in hand.actuator_names:
@@ -136,8 +137,9 @@ def _effort(goal: Goal, hand: Hand, accepted: Collection[int] | None) -> dict[in
             raise GoalRejected(
                 f"the effort limit of '{name}' must be above 0 and at most {most:g}, not {value:g}"
             )
-        if accepted is not None and index not in accepted:
-            raise GoalRejected(f"the device of '{name}' takes no effort limit")
+        if index in refused:
+            why = f": {refused[index]}" if refused[index] else ""
+            raise GoalRejected(f"the device of '{name}' takes no effort limit{why}")
         limits[index] = float(value)
     return limits
 

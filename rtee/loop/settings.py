@@ -84,11 +84,13 @@ class GraspSettings:
         effort: Measured effort above this fraction of the effort limit means contact.
         holding_effort: Effort limit while holding, as a fraction of the effort limit.
         holding_after: Time after the grasp at which the effort is reduced to it [s].
+        touch: Force at a fingertip above which it touches [N], where that is measured.
     """
 
     effort: float = 0.2
     holding_effort: float = 0.4
     holding_after: float = 2.0
+    touch: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,9 @@ from rtee.types import Feedback, Goal, Result, Stage
 
 _PATIENCE = 60.0
 
+_GOODBYE = 1.0
+"""Time in which a hand that is let go answers, if it is still there [s]."""
+
 
 class GoalOptions(TypedDict, total=False):
     """What may be said about a goal.
@@ -78,6 +81,8 @@ class RemoteHand(Library):
         super().__init__(link)
         self._goals: dict[str, RunningGoal] = {}
         self._efforts: dict[str, float] | None = None
+        self._taken = False
+        self._jogged = False
         link.subscribe(topics.FEEDBACK, self._on_feedback)
         link.subscribe(topics.RESULTS, self._on_result)
 
@@ -218,6 +223,7 @@ class RemoteHand(Library):
             max_velocity: Velocity not to be exceeded [rad/s | m/s]; ``None``: the actuators' own.
         """
         await self._values("jog", "", positions, max_velocity)
+        self._jogged = True
 
     async def stop(self) -> dict[str, bool]:
         """Stop all devices now, whoever holds the hand.
@@ -255,10 +261,22 @@ class RemoteHand(Library):
     async def take(self) -> None:
         """Hold the hand until `release`: nobody else may move it."""
         await self._say("take")
+        self._taken = True
 
     async def release(self) -> None:
         """Give the hand back."""
         await self._say("release")
+        self._taken = self._jogged = False
+
+    async def leave(self) -> None:
+        """Let go of a hand that was only jogged; `connect` does it at the end of its context.
+
+        What was taken, or moves by a goal of this client, is left to the hand's configuration.
+        """
+        if self._jogged and not self._taken:
+            self._jogged = False
+            with contextlib.suppress(RemoteError):
+                await self._say("release", within=_GOODBYE)
 
     @contextlib.asynccontextmanager
     async def held(self) -> AsyncIterator[None]:
@@ -298,7 +316,8 @@ async def connect(
     """Connect to a running hand for as long as the context lasts.
 
     If this process dies while it holds the hand, the hand does what its configuration says
-    (``safety: on_client_lost``).
+    (``safety: on_client_lost``). So it does when the context ends by an error, or while the hand is
+    taken or moves by a goal from here.
 
     Args:
         hand: Its name; not needed where only one runs.
@@ -321,6 +340,7 @@ async def connect(
         await link.ask("hello", {"client": identity, "what": ""})
         await link.putting.found()
         yield remote
+        await remote.leave()
     finally:
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(link.close)

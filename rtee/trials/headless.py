@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 
@@ -10,7 +11,7 @@ import numpy as np
 from rtee.actions.library import ActionLibrary
 from rtee.errors import LoopError
 from rtee.hand.model import Hand
-from rtee.loop.contact import Measured
+from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
 from rtee.loop.observer import LoopObserver, TickRecord
 from rtee.loop.plan import make_plan
@@ -94,6 +95,7 @@ class HeadlessHand(Generic[P]):
         self.simulation = simulation
         self.controller = Controller(hand, settings)
         self.time = ticks * settings.period
+        self._wall_ns = time.time_ns() - round(self.time * 1e9)
         self.library = library
         self._settings = settings
         self.observers = tuple(observers)
@@ -165,31 +167,42 @@ class HeadlessHand(Generic[P]):
         self.ticks += 1
         self.time = self.ticks * self._settings.period
         position, effort = simulation.position, simulation.effort
-        controller.step(self.time, self._measured(position, effort))
+        forces = simulation.contact_forces
+        controller.step(self.time, self._measured(position, effort, forces))
         reference = np.array(controller.reference_position)
         limit = np.array(controller.reference_effort)
         simulation.command(reference, limit, self._everything)
         if self.observers:
-            self._record(position, effort, reference, limit)
+            self._record(position, effort, reference, limit, forces)
         self._tell()
 
-    def _measured(self, position: FloatArray, effort: FloatArray) -> Measured:
+    def _measured(self, position: FloatArray, effort: FloatArray, forces: FloatArray) -> Measured:
         n = len(position)
         return Measured(
-            position.tolist(), effort.tolist(), [float("nan")] * n, [True] * n, [-1] * n
+            position.tolist(),
+            effort.tolist(),
+            [float("nan")] * n,
+            [True] * n,
+            [-1] * n,
+            touch=tip_forces([forces]),
         )
 
     def _record(
-        self, position: FloatArray, effort: FloatArray, reference: FloatArray, limit: FloatArray
+        self,
+        position: FloatArray,
+        effort: FloatArray,
+        reference: FloatArray,
+        limit: FloatArray,
+        forces: FloatArray,
     ) -> None:
-        extras = {"simulation/contact_force": self.simulation.contact_forces}
+        extras = {f"simulation/{TIP_FORCE}": forces}
         pose = self.simulation.object_pose
         if pose is not None:
             extras["simulation/object_pose"] = pose
         record = TickRecord(
             tick=self.ticks,
             stamp=self.time,
-            wall_ns=round(self.time * 1e9),
+            wall_ns=self._wall_ns + round(self.time * 1e9),
             position=position,
             velocity=self.simulation.velocity,
             effort=effort,

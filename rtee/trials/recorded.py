@@ -29,4 +29,5 @@ def recorder_for(ready: Bench, folder: Path) -> Recorder:
         loop=ready.settings,
         attachments=files,
         metadata={"drivers": "mujoco", "clock": "simulated"},
+        simulated=True,
     )

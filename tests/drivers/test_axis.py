@@ -37,3 +37,17 @@ def test_what_is_squeezed_is_held_with_the_limit_of_the_effort() -> None:
     assert closed.position == pytest.approx(185.0)
     assert closed.blocked
     assert closed.effort == 100.0
+
+
+def test_what_a_screw_squeezed_stays_squeezed_with_less_effort() -> None:
+    for locking, there in ((False, 182.5), (True, 185.0)):
+        closed = axis(100.0, 255.0, VirtualObject(180.0, 20.0))
+        closed.self_locking = locking
+        closed.advance(1.0)
+        closed.max_effort = 50.0
+        closed.advance(1.0)
+        assert closed.position == pytest.approx(there)
+        assert closed.effort == 50.0
+        closed.target = 20.0
+        closed.advance(1.0)
+        assert closed.position == 20.0

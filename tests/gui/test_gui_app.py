@@ -78,6 +78,22 @@ async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path
         assert set(counts) == {counts[0]}, f"something of the hands before is left: {counts}"
 
 
+async def test_closing_it_after_a_jog_is_no_loss(server: viser.ViserServer, tmp_path: Path) -> None:
+    hand = make_hand(tmp_path)
+    async with serving(hand, make_library(hand)) as served:
+        async with anyio.create_task_group() as group:
+            app = App(server, "small", None)
+            group.start_soon(app.run)
+            await shows(app, "small: connected")
+            assert app.session is not None
+            await app.session._remote.jog({"near": 1.0}, 0.5)
+            group.cancel_scope.cancel()
+        async with rtee.connect("small") as remote:
+            assert (await remote.status()).holder == ""
+            assert (await remote.do("Trig", "index", intensity=0.1)).reached
+        assert "client_lost" not in [event.kind for event in served.watcher.events]
+
+
 async def test_actions_made_elsewhere_come_and_go(
     server: viser.ViserServer, tmp_path: Path
 ) -> None:

@@ -21,7 +21,7 @@ from rtee.log.check import check
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
-from rtee.types import Command, Goal
+from rtee.types import ActuatorState, Command, Goal
 
 pytestmark = pytest.mark.anyio
 
@@ -37,12 +37,13 @@ async def recording(
     folder: Path,
     loop_settings: LoopSettings,
     recorder: Recorder | None = None,
+    kind: type[KinematicDriver] = KinematicDriver,
     **options: object,
 ) -> AsyncIterator[Rig]:
     """Run and record a hand on the kinematic driver."""
     clock = ManualClock(loop_settings.rate)
     one = device(hand, rate=loop_settings.rate, **options)  # type: ignore[arg-type]
-    driver = KinematicDriver(one.spec, BusPool())
+    driver = kind(one.spec, BusPool())
     driver.now = clock.now
     loop = HandLoop(hand, make_library(hand), loop_settings, [(one, driver)], now=clock.now)
     recorder = recorder or Recorder(
@@ -96,6 +97,26 @@ async def test_references_come_out_again(
     assert report.goals == 5
     assert report.ticks == len(found.reference) > rate
     assert report.values == report.ticks * 4 * 3
+
+
+class FeelingTips(KinematicDriver):
+    """Feels something at the thumb's tip alone."""
+
+    async def sense(self) -> ActuatorState:
+        forces = np.array([0.0, 2.0 if self.plants[2].position > 0.2 else 0.0])
+        return replace(await super().sense(), extras={"contact_force": forces})
+
+
+async def test_results_that_tips_decided_come_out_again(small: Hand, tmp_path: Path) -> None:
+    chosen = LoopSettings(rate=RATE)
+    objects = {"index": 0.4, "thumb_base": 0.5}
+    async with recording(small, tmp_path, chosen, kind=FeelingTips, objects=objects) as rig:
+        result = await rig.do("PinchTight", "index", "thumb")
+        assert result.grasped_fingers == ("thumb",)
+        assert (await rig.do("open")).reached
+    found = read(recorded(tmp_path)[0])
+    assert check(found).same
+    assert not check(replace(found, channels={})).results, "without forces, the effort decides"
 
 
 async def test_rotated_files_are_checked_as_one(small: Hand, tmp_path: Path) -> None:

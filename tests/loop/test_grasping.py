@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
-from rtee.errors import GoalRejected
+from rtee.errors import BusTimeout, GoalRejected
 from rtee.hand.model import Hand
 from rtee.loop.settings import GraspSettings, LoopSettings, ThermalSettings
 from rtee.loop.thermal import Level, Thermal
-from rtee.types import ActuatorState, Goal, Lifecycle
+from rtee.types import ActuatorState, Goal, Lifecycle, Reference
 
 from .hands import device, running
 
@@ -207,6 +208,154 @@ async def test_opening_a_grip_is_no_grasp_by_a_word_that_still_stands(hand: Hand
         driver.word = 0
         result = await rig.result()
         assert (result.reached, result.grasped) == (True, False)
+
+
+class FreezingLink(KinematicDriver):
+    frozen = False
+
+    async def sense(self) -> ActuatorState:
+        self._answer()
+        return await super().sense()
+
+    async def move(self, reference: Reference) -> None:
+        self._answer()
+        await super().move(reference)
+
+    def _answer(self) -> None:
+        if self.frozen:
+            raise BusTimeout("kinematic", "frozen")
+
+
+class FreezingWord(FreezingLink):
+    """Takes its word back at a new target and says it again once the target stands still."""
+
+    effort = False
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)  # type: ignore[arg-type]
+        self._taken = 0.0
+
+    async def sense(self) -> ActuatorState:
+        state = await super().sense()
+        plant, words = self.plants[-1], (False,) * len(self.plants)
+        stands = plant.position == plant.obstacle and plant.target > plant.position
+        if stands and self.now() - self._taken > 0.015:
+            words = (*words[:-1], True)
+        effort = state.effort if self.effort else state.effort * math.nan
+        return replace(state, effort=effort, grasped=words)
+
+    async def move(self, reference: Reference) -> None:
+        if not self.frozen and float(reference.position[-1]) != self.plants[-1].target:
+            self._taken = self.now()
+        await super().move(reference)
+
+
+@pytest.mark.parametrize("effort", [False, True])
+@pytest.mark.parametrize("duration", [0.04, 0.08, 0.12, 0.2])
+async def test_opening_over_a_link_that_freezes_is_no_grasp(
+    hand: Hand, duration: float, effort: bool
+) -> None:
+    """The first word after the silence is about a target from before it: a closing one."""
+    for early in (0.0005, 0.002, 0.004, 0.008, 0.012):
+        one = device(hand, objects={"thumb_slide": 0.4}, every=10)
+        driver = FreezingWord(one.spec, BusPool())
+        driver.effort = effort
+        async with running(hand, None, [(one, driver)]) as rig:
+            grasp = await rig.do("slide")
+            assert grasp.grasped
+            rig.loop.submit(Goal("open"))
+            while rig.loop.controller.reference_position[-1] > 0.016 + early:
+                await rig.run(0.001)
+            driver.frozen = True
+            await rig.run(duration)
+            driver.frozen = False
+            result = await rig.result()
+            assert (result.reached, result.grasped, result.stalled) == (True, False, False)
+            again = await rig.do("slide")
+            assert again.grasped, "what was let go can be held again"
+
+
+async def test_a_grip_that_does_not_open_is_no_grasp(hand: Hand) -> None:
+    one = device(hand, objects={"index": 0.4})
+    driver = OwnWord(one.spec, BusPool())
+    async with running(hand, None, [(one, driver)]) as rig:
+        rig.loop.submit(Goal("Trig", ("index",)))
+        await rig.run(0.35)
+        driver.word = 1
+        assert (await rig.result()).grasped
+        for plant in driver.plants[:2]:
+            plant.spec = replace(plant.spec, velocity=0.0)  # it is jammed
+        result = await rig.do("open")
+        assert (result.stalled, result.grasped, result.succeeded) == (True, False, False)
+
+
+async def test_silence_is_no_stall(hand: Hand) -> None:
+    one = device(hand, every=10)
+    driver = FreezingLink(one.spec, BusPool())
+    async with running(hand, None, [(one, driver)]) as rig:
+        await rig.do("Trig", "index")
+        rig.loop.submit(Goal("open"))
+        await rig.run(0.1)
+        where = driver.plants[0].position
+        driver.frozen = True
+        for plant in driver.plants:
+            plant.spec = replace(plant.spec, velocity=0.0)  # no target came: it stood
+        await rig.run(0.22)
+        driver.frozen = False
+        await rig.run(0.04)
+        assert driver.plants[0].position == where
+        for plant, spec in zip(driver.plants, one.spec.actuators, strict=True):
+            plant.spec = spec  # and needs a moment to move on
+        result = await rig.result()
+        assert (result.reached, result.stalled) == (True, False)
+
+
+class FeelingTips(KinematicDriver):
+    """Measures the forces at the fingertips, of index and thumb."""
+
+    tips = (math.nan, math.nan)
+
+    async def sense(self) -> ActuatorState:
+        return replace(await super().sense(), extras={"contact_force": np.array(self.tips)})
+
+
+@pytest.mark.parametrize(
+    ("tips", "grasped"),
+    [
+        ((math.nan, math.nan), ("index", "thumb")),
+        ((0.0, 0.0), ()),
+        ((0.0, 3.0), ("thumb",)),
+        ((2.0, 0.05), ("index",)),
+        ((math.nan, 0.0), ("index",)),
+    ],
+)
+async def test_where_tips_are_measured_they_decide(
+    hand: Hand, tips: tuple[float, float], grasped: tuple[str, ...]
+) -> None:
+    one = device(hand, objects={"index": 0.4, "thumb_base": 0.5})
+    driver = FeelingTips(one.spec, BusPool())
+    driver.tips = tips
+    async with running(hand, None, [(one, driver)]) as rig:
+        result = await rig.do("PinchTight", "index", "thumb")
+        assert result.stalled
+        assert (result.grasped, result.grasped_fingers) == (bool(grasped), grasped)
+
+
+async def test_what_no_tip_feels_any_more_is_lost(hand: Hand) -> None:
+    one = device(hand, objects={"index": 0.4})
+    driver = FeelingTips(one.spec, BusPool())
+    driver.tips = (2.0, 0.0)
+    async with running(hand, None, [(one, driver)]) as rig:
+        assert (await rig.do("Trig", "index")).grasped_fingers == ("index",)
+        for _ in range(10):  # contacts chatter
+            driver.tips = (0.0, 0.0)
+            await rig.run(0.05)
+            driver.tips = (2.0, 0.0)
+            await rig.run(0.01)
+        assert "grasp_lost" not in rig.watcher.kinds()
+        driver.tips = (0.0, 0.0)
+        await rig.run(0.2)
+        assert "grasp_lost" in rig.watcher.kinds()
 
 
 async def test_ten_minutes_on_a_rigid_object_stay_cool_and_hold(hand: Hand) -> None:

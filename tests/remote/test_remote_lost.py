@@ -115,6 +115,19 @@ async def test_a_client_that_holds_nothing_may_leave(hand: Hand, library: Action
         assert [event.kind for event in served.watcher.events].count("client_lost") == 0
 
 
+async def test_leaving_after_a_jog_is_no_loss(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        async with rtee.connect("small") as remote:
+            await remote.jog({"near": 1.0}, 0.5)
+        async with rtee.connect("small") as next_one:
+            assert (await next_one.status()).holder == "", "it may be moved by others at once"
+            await next_one.jog({"near": 0.5}, 0.5)
+            await next_one.take()
+        lost = await served.event("client_lost")
+        assert lost.source == next_one.client, "what was taken was not given back"
+        assert [event.kind for event in served.watcher.events].count("client_lost") == 1
+
+
 async def test_leaving_while_a_goal_runs_is_being_lost(hand: Hand, library: ActionLibrary) -> None:
     safety = SafetySettings(on_client_lost=Behaviour.OPEN)
     settings = LoopSettings(rate=RATE, safety=safety)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings, Recording, read
 from rtee.loop.configure import loop_settings
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.recorded import recorder_for
+from rtee.trials.sweep import bench
 from rtee.types import DeviceSpec, Goal, Reference
 
 pytestmark = pytest.mark.anyio
@@ -85,6 +88,25 @@ def test_a_timed_action_runs_through() -> None:
 def test_an_unknown_action_is_refused() -> None:
     with pytest.raises(UnknownAction):
         start("robotiq_2f_85").do(Goal("Wave"))
+
+
+def test_a_recording_at_simulated_time_says_when_it_was_made(tmp_path: Path) -> None:
+    ready = bench("robotiq_2f_85")
+    settings = ready.settings
+    simulation = make_simulation(
+        ready.hand, SimOptions(), ready.hand.actuator_names, settings.period
+    )
+    before = time.time_ns()
+    with recorder_for(ready, tmp_path) as recorder:
+        headless = HeadlessHand(ready.hand, ready.library, settings, simulation, [recorder])
+        headless.do(Goal("Grasp"))
+        duration = headless.time
+    recording = read(next(tmp_path.glob("*.mcap")))
+    assert before <= recording.start <= time.time_ns()
+    assert recording.duration == pytest.approx(duration, abs=2 * settings.period)
+    walls = [entry.wall for entry in [*recording.commands, *recording.goals, *recording.results]]
+    assert walls
+    assert all(recording.start <= wall <= recording.end for wall in walls)
 
 
 def test_two_runs_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError, UnknownAction
 from rtee.hand.catalog import hand_names
+from rtee.loop.observer import Observer
 from rtee.trials.place import Places
 from rtee.trials.recorded import recorder_for
 from rtee.trials.store import (
@@ -35,6 +36,7 @@ from rtee.trials.sweep import (
     sweep_on_cluster,
 )
 from rtee.trials.trial import Trial, TrialResult, run_trial
+from rtee.types import Result
 
 GRIPPER = "robotiq_2f_85"
 BALL = Trial("Grasp", object="sphere:0.03")
@@ -52,6 +54,21 @@ def test_a_gripper_holds_a_ball(held: TrialResult) -> None:
     assert held.slip < 0.01
     assert dict(held.forces)["finger_1"] == pytest.approx(dict(held.forces)["finger_2"], rel=0.1)
     assert held.peak >= max(force for _, force in held.forces) * 0.9
+
+
+def test_only_fingers_whose_tips_touch_have_grasped() -> None:
+    ready = bench("qb_softhand")
+    results: list[Result] = []
+
+    class Results(Observer):
+        def on_result(self, result: Result) -> None:
+            results.append(result)
+
+    trial = Trial("Grasp", object="sphere:0.03", places=1)
+    ended = run_trial(ready.hand, ready.library, ready.settings, trial, observers=[Results()])
+    touching = tuple(name for name, force in ended.forces if force > 1.0)
+    assert 0 < len(touching) < len(ready.hand.fingers)
+    assert [result.grasped_fingers for result in results] == [touching]
 
 
 def test_the_same_trial_gives_the_same_result(held: TrialResult) -> None:

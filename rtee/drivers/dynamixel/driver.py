@@ -132,6 +132,11 @@ class DynamixelDriver(DynamixelCycle):
             self.capabilities,
             measures=frozenset(measures),
             accepts=frozenset(accepts),
+            refuses=(
+                {}
+                if "max_effort" in accepts
+                else {"max_effort": "'mode: current_based_position' in its options takes one"}
+            ),
             best_rate=self._best_rate(fast=self._line.fast),
             identity={
                 "model": ", ".join(f"{n} x {name}" for name, n in counted.items()),

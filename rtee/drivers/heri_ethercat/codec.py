@@ -62,6 +62,9 @@ ACKNOWLEDGE = 0x7FFF
 WARNINGS = Fault.CURRENT_LIMITED
 """Bits that are no faults: the board limits the current because it is hot."""
 
+LEAST_TORQUE = 1e-3
+"""Smallest torque that can be told a board [N·m]."""
+
 
 def faults_of(word: int) -> Fault:
     """Return the bits of a fault word that are faults."""
@@ -81,7 +84,7 @@ class Command:
     Attributes:
         positions: References of its two motors [rad].
         velocity: Velocity reference of both [rad/s].
-        torque: Torque reference of both [N·m].
+        torque: Torque reference of both [N·m]; in position control taken for a limit, 0 for none.
         gains: Five raw gains.
         acknowledge: Faults to clear.
         stamp: The host's time, low 16 bits [µs]; the board sends it back.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,6 +20,7 @@ from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (
     ACKNOWLEDGE_OBJECT,
     COMMAND_OBJECT,
+    LEAST_TORQUE,
     MOTORS,
     PHALANXES,
     WARNINGS,
@@ -68,14 +70,17 @@ class HeriEthercatDriver(Driver):
         self._boards = max(self._motors) // MOTORS + 1
         self._bus: EthercatBus | None = None
         self._references = [0.0] * (self._boards * MOTORS)
+        self._limits = [math.inf] * (self._boards * MOTORS)
         self._replies: list[Reply] = []
         self._stamp = 0.0
         self._fresh = False
         self._powered = False
         self._acknowledge = 0
+        limits = self.options.limit_torque
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "effort", "current", "pressure"}),
-            accepts=frozenset({"position"}),
+            accepts=frozenset({"position", "max_effort"} if limits else {"position"}),
+            refuses={} if limits else {"max_effort": "its option 'limit_torque' is off"},
             best_rate=_BEST_RATE,
             watchdog=self.options.watchdog > 0.0,
             recoverable=True,
@@ -137,6 +142,7 @@ class HeriEthercatDriver(Driver):
         outputs = [
             Command(
                 (self._references[MOTORS * b], self._references[MOTORS * b + 1]),
+                torque=self._torque(b),
                 gains=self.options.gains,
                 acknowledge=self._acknowledge,
                 stamp=stamp,
@@ -152,6 +158,14 @@ class HeriEthercatDriver(Driver):
             raise FrameError(self._ring.name, str(error), b"".join(inputs)) from error
         self._stamp = time.monotonic()
         self._fresh = True
+
+    def _torque(self, board: int) -> float:
+        """Return the torque reference of a board [N·m]: the smaller limit of its motors; 0: none.
+
+        A limit too small for the wire must not become none.
+        """
+        limit = min(self._limits[MOTORS * board : MOTORS * (board + 1)])
+        return max(limit, LEAST_TORQUE) if math.isfinite(limit) else 0.0
 
     def _seed(self) -> None:
         self._references = [q for reply in self._replies for q in reply.positions]
@@ -277,6 +291,9 @@ class HeriEthercatDriver(Driver):
                 actuator = self.spec.actuators[i]
                 wanted = float(reference.position[i])
                 self._references[motor] = min(max(wanted, actuator.lower), actuator.upper)
+                if self.options.limit_torque:
+                    limit = max(float(reference.max_effort[i]), 0.0)
+                    self._limits[motor] = limit if limit < actuator.effort else math.inf
         await self._exchange()
 
     def _refuse(self) -> None:

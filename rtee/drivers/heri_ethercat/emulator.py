@@ -1,5 +1,8 @@
 """Plays HERI II's two boards at the level of process data and objects.
 
+A board's torque reference limits the torque of both motors in position control; 0 limits nothing.
+That is how the hand's users describe their effort command, not something a manual says.
+
 The boards' EtherCAT identity, gains, auxiliary operations, pressure scale and what they do when
 frames stop are not public: here they are options, or missing.
 """
@@ -19,6 +22,7 @@ from rtee.drivers.heri_ethercat.codec import (
     COMMAND_OBJECT,
     FIRMWARE_OBJECT,
     MOTORS,
+    TORQUE_PER_AMPERE,
     Command,
     Fault,
     HeriFrameError,
@@ -41,6 +45,7 @@ class BoardProperties:
         start: Where the motors stand [rad].
         speed: Of a motor [rad/s].
         current: Largest current [A].
+        torque_per_ampere: Torque at the shaft per current [N·m/A].
         pressure: Raw pressure per ampere against an object.
         lower: Mechanical stop [rad].
         upper: Mechanical stop [rad].
@@ -53,6 +58,7 @@ class BoardProperties:
     start: float = 0.3
     speed: Positive = 3.0
     current: Positive = 1.0
+    torque_per_ampere: Positive = TORQUE_PER_AMPERE
     pressure: float = 2000.0
     lower: float = -0.05
     upper: float = 2.6
@@ -217,6 +223,9 @@ class HeriEmulator(Emulator, Grasps):
                         board.fault |= bit
             for motor, reference in zip(board.motors, command.positions, strict=True):
                 motor.target = reference
+                limit = command.torque / self.properties.torque_per_ampere
+                largest = self.properties.current
+                motor.max_effort = min(limit, largest) if limit > 0.0 else largest
         for motor in board.motors:
             motor.step(now)
 

@@ -29,6 +29,8 @@ class HeriEthercatOptions(DeviceOptions):
         product: EtherCAT product code expected; else any.
         gains: Five raw gains sent to every board; their meaning is not public.
         torque_per_ampere: Torque at the shaft per current [N·m/A].
+        limit_torque: Send the effort limit as the board's torque reference, which has one for both
+            motors: the smaller of theirs. Else that reference stays 0.
         watchdog: Boards leave operation after so long without frames [s].
         order_timeout: Longest time for a board to acknowledge a command [s].
         deadline: Longest time for one exchange [s].
@@ -40,6 +42,7 @@ class HeriEthercatOptions(DeviceOptions):
     product: int | None = None
     gains: tuple[Raw, Raw, Raw, Raw, Raw] = (0, 0, 0, 0, 0)
     torque_per_ampere: Positive = TORQUE_PER_AMPERE
+    limit_torque: bool = True
     watchdog: Annotated[float, Field(ge=0.0, le=6.5)] = 0.25
     order_timeout: Positive = 1.0
     deadline: Positive = 0.02

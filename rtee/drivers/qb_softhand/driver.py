@@ -69,6 +69,10 @@ class QbSoftHandDriver(Driver):
         self.capabilities = Capabilities(
             measures=frozenset({"position", "current", "effort"}),
             accepts=frozenset({"position"}),
+            refuses={
+                "max_effort": "a SoftHand limits its current by a parameter that is stored in it, "
+                "not by what it is sent; a smaller intensity closes it less hard"
+            },
             best_rate=1.0 / self._exchange_time(),
             recoverable=True,
             watchdog=self.options.watchdog > 0.0,

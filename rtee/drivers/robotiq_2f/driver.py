@@ -34,8 +34,9 @@ from rtee.drivers.robotiq_2f.codec import (
 )
 from rtee.drivers.robotiq_2f.emulator import Robotiq2FEmulator
 from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
-from rtee.drivers.robotiq_driver import SAME, RobotiqDriver
+from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
+from rtee.drivers.robotiq_kinds import SAME, Grip
 from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
 
@@ -69,6 +70,8 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
                 key=f"devices.{spec.name}.actuators",
             )
         self._sent: Command | None = None
+        self._grip = Grip()
+        self._requested = -1
         super().__init__(spec, buses, self.options)
         self.scale = self._scaled(self.options.open_count, self.options.closed_count)
 
@@ -150,16 +153,22 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
         """Return whether something is held: by the gripper's word and by where it stands.
 
         Contact is not reported for thin objects: then the fingers stand short of a request that
-        they could have reached.
+        they could have reached. Where the request is newer than the status before, that word may
+        still be about the older one.
         """
-        if not status.going:
-            return False
-        if status.grasp is Grasp.CONTACT_CLOSING:
-            return status.position < self.scale.closed_count - 1
-        if status.grasp is Grasp.CONTACT_OPENING:
-            return status.position > self.scale.open_count + 1
+        before, self._requested = self._requested, status.requested
+        contact = False
+        if status.going:
+            if status.grasp is Grasp.CONTACT_CLOSING:
+                contact = status.position < self.scale.closed_count - 1
+            elif status.grasp is Grasp.CONTACT_OPENING:
+                contact = status.position > self.scale.open_count + 1
+        moving = status.going and status.grasp is Grasp.MOVING
+        if self._grip.steady(contact, moving, status.position, status.requested):
+            return True
         reachable = min(max(status.requested, self.scale.open_count), self.scale.closed_count)
-        return status.grasp is Grasp.AT_REQUEST and reachable - status.position > 2 * SAME
+        short = reachable - status.position > 2 * SAME and before == status.requested
+        return status.going and status.grasp is Grasp.AT_REQUEST and short
 
     def _asked(self, reference: Reference) -> Sequence[int] | None:
         if not reference.mask[0]:

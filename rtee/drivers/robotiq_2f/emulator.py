@@ -104,6 +104,7 @@ class Robotiq2FEmulator(ModbusEmulator, Grasps):
             resolution=0.3,
         )
         self.axis.rating = high
+        self.axis.self_locking = True  # the screw keeps the fingers where they are
         self.axis.enabled = True
         self.output = [0] * _BLOCK
         self.activations = 0

@@ -27,8 +27,9 @@ from rtee.drivers.robotiq_3f.codec import (
 )
 from rtee.drivers.robotiq_3f.emulator import Robotiq3FEmulator
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
-from rtee.drivers.robotiq_driver import SAME, RobotiqDriver
+from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
+from rtee.drivers.robotiq_kinds import SAME, Grip
 from rtee.errors import DeviceFault, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, Reference
 
@@ -61,6 +62,7 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
         self._individual = any(role in ("a", "b", "c") for role in self.roles)
         self._scissor = "scissor" in self.roles
         self._sent: Command | None = None
+        self._grips = tuple(Grip() for _ in AXES)
         super().__init__(spec, buses, self.options)
 
     async def _identify(self) -> None:
@@ -146,13 +148,22 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
         """Return whether an actuator's motors press on something, short of their end stops."""
         if role == "scissor" and self._status.mode is not Mode.SCISSOR:
             return None
-        if not self._status.going:
-            return False
-        return any(
+        if role == "fingers":
+            touching = [self._touches(at) for at in (0, 1, 2)]  # each is asked every time
+            return any(touching)
+        return self._touches(AXES.index(role))
+
+    def _touches(self, at: int) -> bool:
+        """Return whether a motor presses on something, short of its end stops."""
+        axis, going = self._status.axes[at], self._status.going
+        contact = going and (
             (axis.contact is Contact.CLOSING and axis.position < 250)
             or (axis.contact is Contact.OPENING and axis.position > 10)
-            for axis in self._axes(role)
         )
+        # Motors that are not commanded each for itself echo no request of their own.
+        requested = axis.requested if self._sent is None else self._sent.axes[at].position
+        moving = going and axis.contact is Contact.MOVING
+        return self._grips[at].steady(contact, moving, axis.position, requested)
 
     def _asked(self, reference: Reference) -> Sequence[int] | None:
         axes = [self._kept(at) for at in range(4)]

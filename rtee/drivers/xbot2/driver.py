@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 
 _STALE = 0.3
 _SAME = 2e-3
+_NO_EFFORT = (
+    "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
+    "beside them, for boards that take it so, and 'effort' closes and opens with it"
+)
 
 
 class XBot2Driver(Driver):
@@ -42,7 +46,8 @@ class XBot2Driver(Driver):
 
     XBot2 owns the motors: it powers them, interpolates references and watches over them. This
     driver is one of its clients. It sends nothing until a reference asks for something, so a joint
-    that holds is not touched by connecting. No joint is given a position and an effort together.
+    that holds is not touched by connecting. No joint is given a position and an effort together,
+    but where the effort is known to limit it.
     """
 
     Options: ClassVar[type[XBot2Options]] = XBot2Options
@@ -71,10 +76,12 @@ class XBot2Driver(Driver):
         self._seen = -math.inf
         self._touched = False
         self._arrived = asyncio.Event()
-        effort = self.options.control == "effort"
+        effort = self.options.control != "position"
+        self._limits = [math.inf] * len(names)
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "effort"}),
             accepts=frozenset({"position", "max_effort"} if effort else {"position"}),
+            refuses={} if effort else {"max_effort": _NO_EFFORT},
             best_rate=self.options.rate,
             recoverable=True,
         )
@@ -94,11 +101,14 @@ class XBot2Driver(Driver):
         joints = {
             a.name: {"joint": n} for a, n in zip(self.spec.actuators, self._names, strict=True)
         }
+        ends = [end for scale in self._commanded for end in (scale.lower, scale.upper)]
         bus = self._bus = await self.buses.zmq(
             options.address,
             owner=owner_of(self.spec),
             ports=(options.state_port, options.command_port, options.service_port),
-            emulator=emulator_of(self.spec, XBot2Emulator, joints=joints),
+            emulator=emulator_of(
+                self.spec, XBot2Emulator, joints=joints, ends=(min(ends), max(ends))
+            ),
         )
         self._undo = bus.subscribe(self._take)
         try:
@@ -200,7 +210,13 @@ class XBot2Driver(Driver):
         chosen = [i for i in range(len(self._names)) if reference.mask[i]]
         if not chosen or not self._asked(chosen, reference):
             return
-        if self.options.control == "position":
+        if self.options.control == "limited":
+            for i in chosen:
+                limit, most = float(reference.max_effort[i]), self.spec.actuators[i].effort
+                # Once it was told a smaller one, XBot2 must be told that all of it may be used.
+                if limit < most or math.isfinite(self._limits[i]):
+                    self._limits[i] = max(min(limit, most), 0.0)
+        if self.options.control != "effort":
             self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
             return
         efforts = tuple(self._effort(i, reference) for i in chosen)
@@ -248,7 +264,16 @@ class XBot2Driver(Driver):
             self._commanded[i].to_told(position)
             for i, position in zip(chosen, positions, strict=True)
         )
-        self._server.send_now(Command(names, told, (), (Control.POSITION,) * len(names)).to_bytes())
+        limits = [self._limits[i] for i in chosen]
+        limited = [math.isfinite(limit) for limit in limits]
+        efforts = tuple(
+            limit if given else 0.0 for limit, given in zip(limits, limited, strict=True)
+        )
+        control = tuple(
+            Control.POSITION | Control.EFFORT if given else Control.POSITION for given in limited
+        )
+        command = Command(names, told, efforts if any(limited) else (), control)
+        self._server.send_now(command.to_bytes())
 
     async def stop(self) -> None:
         """Hold the measured pose."""

@@ -77,12 +77,13 @@ class XBot2Emulator(Emulator, Grasps):
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make a server with the joints that a device's options name."""
+        """Make a server with the joints that a device's options name; ``ends`` are their stops."""
         given = options.get("joints") or {}
         names = tuple(dict(j).get("joint") or actuator for actuator, j in given.items())
-        return cls(
-            read_properties(ServerProperties, options, **({"joints": names} if names else {}))
-        )
+        fitting: dict[str, Any] = {"joints": names} if names else {}
+        if options.get("ends"):
+            fitting["lower"], fitting["upper"] = options["ends"]
+        return cls(read_properties(ServerProperties, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
         """Begin anew; the joints stay where they are."""
@@ -146,6 +147,8 @@ class XBot2Emulator(Emulator, Grasps):
             if control & Control.POSITION and command.position:
                 axis.target = command.position[i]
                 axis.max_effort = self.properties.effort
+                if control & Control.EFFORT and command.effort:  # beside a position, it limits
+                    axis.max_effort = min(abs(command.effort[i]), self.properties.effort)
             elif control & Control.EFFORT and command.effort:
                 effort = command.effort[i]
                 axis.max_effort = min(abs(effort), self.properties.effort)

@@ -50,8 +50,10 @@ class XBot2Options(DeviceOptions):
         service_port: Where it answers requests.
         command_port: Where it takes commands.
         joints: The joint of each actuator, where it differs from the defaults.
-        control: ``position`` sends positions only. ``effort`` closes and opens with the effort
-            limit, and holds by position where it is to stay.
+        control: ``position`` sends positions only. ``limited`` sends the effort limit beside each
+            position, as the joint's effort reference, for boards that take it so, such as those of
+            HERI II. ``effort`` closes and opens with the effort limit, and holds by position where
+            it is to stay.
         rate: Rate at which the server publishes [Hz].
         band: In effort control, an error that asks for no motion, as part of the range.
         deadline: Longest time to wait for an answer or the first state [s].
@@ -62,7 +64,7 @@ class XBot2Options(DeviceOptions):
     service_port: Port = SERVICE_PORT
     command_port: Port = COMMAND_PORT
     joints: dict[str, JointOptions] = Field(default_factory=dict)
-    control: Literal["position", "effort"] = "position"
+    control: Literal["position", "limited", "effort"] = "position"
     rate: Positive = 100.0
     band: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.02
     deadline: Positive = 1.0

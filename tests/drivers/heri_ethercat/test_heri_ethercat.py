@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import struct
 import time
 from collections.abc import AsyncIterator
@@ -195,6 +196,53 @@ async def test_references_stay_within_the_limits() -> None:
         await made.move(Reference.at([9.0, -9.0, 0.3, 0.3]))
         targets = [m.target for m in hand(pool).boards[0].motors]
         assert targets == pytest.approx([2.5, 0.0])
+
+
+@pytest.mark.anyio
+async def test_the_torque_reference_of_a_board_is_the_smaller_limit_of_its_motors() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        assert "max_effort" in made.capabilities.accepts
+        await made.activate()
+        motors = [motor for board in hand(pool).boards for motor in board.motors]
+        frames: list[Command] = []
+        take = hand(pool).cycle
+
+        def heard(outputs: Any, now: float) -> Any:
+            frames[:] = [Command.from_bytes(data) for data in outputs[:2]]
+            return take(outputs, now)
+
+        hand(pool).cycle = heard  # type: ignore[method-assign]
+        hand(pool).hold(0, 0.5)
+        hand(pool).hold(3, 0.5)
+        there = [1.0, 0.3, 0.3, 1.0]
+
+        async def push(limits: list[float]) -> np.ndarray:
+            for _ in range(150):
+                state = await made.sense()
+                await made.move(Reference.at(there, max_effort=limits))
+                await anyio.sleep(0.004)
+            return state.effort
+
+        effort = await push([1.0, 2.0, math.inf, 3.3])
+        assert [frame.torque for frame in frames] == [1.0, 0.0], "a motor's whole limit is none"
+        assert frames[0].to_bytes()[10:12] == (1000).to_bytes(2, "little")
+        assert effort[0] == pytest.approx(1.0, abs=0.02)
+        assert motors[3].max_effort == hand(pool).properties.current
+        effort = await push([3.3, 3.3, 1e-9, 3.3])
+        assert [frame.torque for frame in frames] == [0.0, 0.001], "next to nothing is not none"
+        assert effort[0] > 2.0
+        assert effort[3] < 0.1
+
+
+@pytest.mark.anyio
+async def test_without_limits_the_torque_reference_stays_zero() -> None:
+    async with BusPool() as pool, connected(pool, device(limit_torque=False)) as made:
+        assert "max_effort" not in made.capabilities.accepts
+        assert "limit_torque" in made.capabilities.refuses["max_effort"]
+        await made.activate()
+        await made.move(Reference.at([0.4] * 4, max_effort=[1.0] * 4))
+        current = hand(pool).properties.current
+        assert {m.max_effort for board in hand(pool).boards for m in board.motors} == {current}
 
 
 @pytest.mark.anyio

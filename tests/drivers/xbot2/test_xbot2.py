@@ -173,6 +173,40 @@ async def test_effort_control_closes_with_the_limit_and_then_stays() -> None:
 
 
 @pytest.mark.anyio
+async def test_limited_control_sends_the_limit_beside_the_position() -> None:
+    async with BusPool() as pool, connected(pool, device("a", "b", control="limited")) as made:
+        taken: list[Command] = []
+        feed = server(pool).feed
+
+        def heard(data: bytes, now: float) -> list[bytes]:
+            taken.append(Command.from_bytes(data))
+            return feed(data, now)
+
+        server(pool).feed = heard  # type: ignore[method-assign]
+        server(pool).hold("a", 0.5, stiffness=100.0)
+
+        async def push(*limits: float) -> np.ndarray:
+            for _ in range(80):
+                state = await made.sense()
+                await made.move(Reference.at([0.9, 0.6], max_effort=limits))
+                await anyio.sleep(0.01)
+            return state.effort
+
+        most = made.spec.actuators[0].effort
+        await push(most, math.inf)
+        assert taken[-1].control == (Control.POSITION, Control.POSITION)
+        assert taken[-1].effort == ()
+        effort = await push(0.4 * most, math.inf)
+        assert taken[-1].control == (Control.POSITION | Control.EFFORT, Control.POSITION)
+        assert taken[-1].effort == pytest.approx((0.4 * most, 0.0))
+        assert effort[0] == pytest.approx(0.4 * most, abs=0.05)
+        await push(most, math.inf)
+        assert taken[-1].effort == pytest.approx((most, 0.0)), "what was limited must be told so"
+        await made.stop()
+        assert taken[-1].control[1] == Control.POSITION
+
+
+@pytest.mark.anyio
 async def test_connecting_to_a_joint_that_holds_sends_nothing() -> None:
     async with BusPool() as pool:
         async with connected(pool, device()) as first:

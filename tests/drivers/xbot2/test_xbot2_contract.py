@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 
 
@@ -15,4 +17,13 @@ class TestXBot2(DriverContract):
         homes=False,
         wire_faults=frozenset({"drop", "corrupt", "duplicate", "delay"}),
         cycles=cycles(100),
+    )
+
+
+class TestXBot2WithLimits(DriverContract):
+    case = replace(
+        TestXBot2.case,
+        options={**TestXBot2.case.options, "control": "limited"},
+        efforts=lambda emulator: [axis.max_effort for axis in emulator.axes.values()],
+        max_efforts=[0.5, 0.8],
     )

@@ -1,0 +1,159 @@
+"""Can an actuator have moved as its device says?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from rtee.types import ActuatorSpec, Event, JointKind
+
+MARGIN = 5.0
+"""An actuator is believed to move this many times faster than its velocity limit: that one is the
+limit of set-points, and a device that is pushed, slips or catches up exceeds it."""
+
+_SPARE = 0.1
+"""Way at that speed that is allowed beside the time between two measurements, since they are not
+taken at the ticks that find them [s]. At the velocity limit it is the way of half a second; a
+device that is silent for longer is lost."""
+
+_SLACK = 0.05
+"""Way allowed beside all that, as a part of the range: a coarse sensor, an object that slips."""
+
+_OUTSIDE = 0.5
+"""A position further outside of its limits than this part of the range is none. Devices are found
+outside of them: limits are often narrower than the mechanism."""
+
+_CALM = 0.5
+"""A measurement is believed again after this long without such a step [s]."""
+
+_PERSISTENT = 5
+"""So many such steps with less than `_CALM` between them are no glitch. Standing outside of the
+limits is no step: from there an actuator may come back."""
+
+
+@dataclass(slots=True)
+class _Doubt:
+    """When a measurement was implausible last [s], and how many steps were."""
+
+    stamp: float
+    steps: int = 0
+
+
+class Plausibility:
+    """Watches the measured positions for steps that no actuator can do.
+
+    Every actuator has an allowance of way: it grows with time at `MARGIN` times the velocity limit,
+    and what is measured as way is taken from it. So measurements may be sparse, late or bunched.
+
+    Args:
+        actuators: The hand's actuators.
+        tell: Called with events.
+    """
+
+    def __init__(self, actuators: Sequence[ActuatorSpec], tell: Callable[[Event], object]) -> None:
+        self._actuators = actuators
+        self._tell = tell
+        n = len(actuators)
+        spans = [a.upper - a.lower for a in actuators]
+        slack = [_SLACK * span if math.isfinite(span) else _SLACK for span in spans]
+        self._rate = [MARGIN * a.velocity for a in actuators]
+        self._most = [_SPARE * r + s for r, s in zip(self._rate, slack, strict=True)]
+        self._lowest = [a.lower - _OUTSIDE * span for a, span in zip(actuators, spans, strict=True)]
+        self._highest = [
+            a.upper + _OUTSIDE * span for a, span in zip(actuators, spans, strict=True)
+        ]
+        self._last = [math.nan] * n
+        self._left = list(self._most)
+        self._changed = [-math.inf] * n
+        self._seen = [-math.inf] * n
+        self._all_seen = -math.inf
+        self._doubted: dict[int, _Doubt] = {}
+
+    def forget(self, indices: Iterable[int]) -> None:
+        """Begin anew with some actuators: they may have been moved by anything meanwhile."""
+        for i in indices:
+            self._last[i] = math.nan
+            self._doubted.pop(i, None)
+
+    def doubted(self, indices: Iterable[int]) -> bool:
+        """Return whether the measured position of one of some actuators is not believed."""
+        return bool(self._doubted) and any(i in self._doubted for i in indices)
+
+    def broken(self, indices: Iterable[int]) -> int | None:
+        """Return the first of some actuators whose measurement goes on being implausible."""
+        for i in indices if self._doubted else ():
+            if i in self._doubted and self._doubted[i].steps >= _PERSISTENT:
+                return i
+        return None
+
+    def words(self, i: int) -> str:
+        """Return in words that the position of an actuator is not believed, else nothing."""
+        name = self._actuators[i].name
+        return f"the measured position of {name} is not plausible" if i in self._doubted else ""
+
+    def step(
+        self, stamp: float, position: Sequence[float], fresh: Sequence[bool], active: Sequence[bool]
+    ) -> None:
+        """Look at what was measured.
+
+        Args:
+            stamp: Now [s].
+            position: Measured positions [rad | m].
+            fresh: Whether they are newer than at the tick before.
+            active: Whether its device drives an actuator; others may be moved by hand.
+        """
+        last = self._last
+        if position != last:  # a hand at rest costs nothing
+            for i, here in enumerate(position):
+                if here != last[i]:
+                    self._moved(i, here, stamp, active[i])
+                    last[i] = here
+        if all(fresh):
+            self._all_seen = stamp
+        else:
+            for i, new in enumerate(fresh):
+                if new:
+                    self._seen[i] = stamp
+        if self._doubted:
+            self._believe(stamp, active)
+
+    def _moved(self, i: int, here: float, stamp: float, active: bool) -> None:
+        way, most = abs(here - self._last[i]), self._most[i]
+        if way != way or not active:  # the first one, or nobody drives it
+            self._left[i] = most
+        else:
+            before = max(self._all_seen, self._seen[i])
+            rate = self._rate[i]
+            left = min(self._left[i] + rate * max(before - self._changed[i], 0.0), most)
+            rest = left + rate * (stamp - before) - way
+            self._left[i] = min(max(rest, 0.0), most)
+            if rest < 0.0:
+                late = f"within {(stamp - before) * 1e3:.3g} ms"
+                self._doubt(i, stamp, f"moved {way:.3g}", late, step=True)
+            elif self._outside(i, here):
+                self._doubt(i, stamp, f"is at {here:.3g}", "far outside of its limits", step=False)
+        self._changed[i] = stamp
+
+    def _outside(self, i: int, here: float) -> bool:
+        return not self._lowest[i] <= here <= self._highest[i]
+
+    def _doubt(self, i: int, stamp: float, what: str, how: str, *, step: bool) -> None:
+        new = i not in self._doubted
+        known = self._doubted.setdefault(i, _Doubt(stamp))
+        known.stamp = stamp
+        known.steps += step
+        if new:
+            spec = self._actuators[i]
+            unit = "m" if spec.kind is JointKind.PRISMATIC else "rad"
+            text = f"{self.words(i)}: it {what} {unit} {how}"
+            self._tell(Event("implausible", spec.name, text, stamp, "warning"))
+
+    def _believe(self, stamp: float, active: Sequence[bool]) -> None:
+        for i, doubt in list(self._doubted.items()):
+            calm = stamp - doubt.stamp >= _CALM and not self._outside(i, self._last[i])
+            if calm or not active[i]:
+                del self._doubted[i]
+                name = self._actuators[i].name
+                text = f"the measured position of {name} is plausible again"
+                self._tell(Event("implausible", name, text, stamp))

@@ -1,0 +1,143 @@
+"""What no actuator can do is not believed; what honest devices measure is, however late."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.hand.model import Hand
+from rtee.loop.plausible import MARGIN, Plausibility
+from rtee.loop.settings import LoopSettings
+from rtee.types import ActuatorSpec, ActuatorState, Event, Goal, JointKind
+
+from .hands import device, running
+
+SPEC = ActuatorSpec("motor", JointKind.REVOLUTE, 0.0, 1.5, 2.0, 20.0, 400.0, 1.0, 0.0)
+
+
+class Liar(KinematicDriver):
+    """Says that it is anywhere, for as long as it lies."""
+
+    lies = 0
+    most = 1.0
+
+    async def sense(self) -> ActuatorState:
+        state = await super().sense()
+        if not self.lies:
+            return state
+        self.lies -= 1
+        chance = random.Random(self.lies)
+        spec = self.plants[0].spec
+        position = np.array(
+            [self.most * chance.uniform(spec.lower, spec.upper), *state.position[1:]]
+        )
+        return replace(state, position=position)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("rate", [100.0, 1000.0])
+async def test_a_device_that_answers_anything_reaches_nothing(hand: Hand, rate: float) -> None:
+    one = device(hand, rate=rate)
+    driver = Liar(one.spec, BusPool())
+    async with running(hand, LoopSettings(rate=rate), [(one, driver)]) as rig:
+        driver.lies = 10**9
+        result = await rig.do("Trig", "index")
+        assert (result.reached, result.aborted, result.succeeded) == (False, True, False)
+        assert result.reason == "the measured position of index_base is not plausible"
+        told = [event for event in rig.watcher.events if event.kind == "implausible"]
+        assert [(event.source, event.severity) for event in told] == [("index_base", "warning")]
+        assert "it moved" in told[0].text
+        assert rig.loop.statuses()[0].message == result.reason
+        assert (await rig.do("open")).aborted
+        assert (await rig.do("Trig", "thumb")).reached, "others are believed"
+        driver.lies = 0
+        await rig.run(1.0)
+        assert rig.watcher.events[-1].text.endswith("is plausible again")
+        assert rig.loop.statuses()[0].message == ""
+        assert (await rig.do("open")).reached
+
+
+@pytest.mark.anyio
+async def test_a_glitch_is_told_and_ends_nothing(hand: Hand) -> None:
+    one = device(hand)
+    driver = Liar(one.spec, BusPool())
+    async with running(hand, None, [(one, driver)]) as rig:
+        await rig.do("Trig", "index")
+        rig.loop.submit(Goal("open"))
+        await rig.run(0.3)
+        driver.lies, driver.most = 1, 5.0
+        result = await rig.result()
+        assert (result.reached, result.aborted) == (True, False)
+        assert "implausible" in rig.watcher.kinds()
+
+
+@pytest.mark.anyio
+async def test_what_is_moved_by_hand_may_be_anywhere(hand: Hand) -> None:
+    one = device(hand)
+    driver = KinematicDriver(one.spec, BusPool())
+    async with running(hand, None, [(one, driver)]) as rig:
+        await rig.loop.release()
+        await rig.run(0.1)
+        driver.plants[0].position = 1.4
+        await rig.run(0.1)
+        await rig.loop.recover()
+        await rig.run(0.1)
+        assert (await rig.do("Trig", "index")).reached
+        assert "implausible" not in rig.watcher.kinds()
+
+
+def watched() -> tuple[Plausibility, list[Event]]:
+    told: list[Event] = []
+    return Plausibility([SPEC], told.append), told
+
+
+@given(
+    st.floats(0.1, 0.5 * MARGIN),
+    st.lists(
+        st.tuples(st.sampled_from([0.001, 0.01, 0.1, 0.4]), st.floats(0.0, 0.05)), max_size=100
+    ),
+)
+def test_motion_is_believed_however_sparse_and_late_it_is_measured(
+    times_faster: float, samples: list[tuple[float, float]]
+) -> None:
+    """Up to half the margin; measured by the device, found at a tick up to 50 ms later."""
+    plausible, told = watched()
+    measured_at = found_at = 0.0
+    for interval, late in samples:
+        measured_at += interval
+        found_at = max(found_at + 0.001, measured_at + late)
+        phase = times_faster * SPEC.velocity * measured_at % (2 * SPEC.upper)
+        plausible.step(found_at, [min(phase, 2 * SPEC.upper - phase)], [True], [True])
+    assert not told
+
+
+def test_what_is_not_measured_anew_leaves_the_time_for_its_way() -> None:
+    plausible, told = watched()
+    for tick in range(1000):
+        fresh = tick % 500 == 0
+        here = 1.0 if tick >= 500 else 0.0
+        plausible.step(tick * 0.001, [here], [fresh], [True])
+    assert not told
+    plausible.step(1.0, [0.0], [True], [True])
+    plausible.step(1.001, [1.4], [True], [True])
+    assert len(told) == 1
+
+
+def test_far_outside_of_the_limits_is_told_but_may_come_back() -> None:
+    plausible, told = watched()
+    for tick in range(2000):
+        position = max(3.0 - tick * 0.002, 0.5)
+        plausible.step(tick * 0.001, [position], [True], [True])
+        assert plausible.broken([0]) is None
+        if tick > 0 and position > SPEC.upper + 0.5 * SPEC.upper:
+            assert plausible.doubted([0])
+    assert not plausible.doubted([0])
+    assert "far outside of its limits" in told[0].text
+    assert [event.severity for event in told] == ["warning", "info"]
