@@ -35,6 +35,8 @@ _GOOD: Final = 0.85
 _POOL: Final = 4
 _SHORT: Final = 2e-3
 _FOLLOWED: Final = 1
+_IMPROVED: Final = 2
+"""How many of the clear poses that were found are improved."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +174,16 @@ class ClearSearch:
                 found.append(pose)
                 best = min(best, self._value(pose))
                 self._fresh.append(pose)
-        return sorted(found, key=self._value)
+        found.sort(key=self._value)
+        better = [self._improved(y) for y in found[:_IMPROVED]]
+        return sorted([*better, *found[_IMPROVED:]], key=self._value)
+
+    def _improved(self, y: FloatArray) -> FloatArray:
+        """Return a better clear pose near a clear one in which the tips touch."""
+        better = self._creep(self._leap(y))
+        if better is y or self._watch.nested(self._posture(better)) or not self._touches(better):
+            return y
+        return better
 
     def _settled(self, pool: Sequence[FloatArray]) -> list[Minimum]:
         """Return minima of the goal under the constraints that are reached from some poses."""
@@ -194,11 +205,7 @@ class ClearSearch:
             hits = self._watch.near(self._posture(y)) or self._watch.nested(self._posture(y))
             collided = collided or hits
             if not hits:
-                better = self._creep(self._leap(y))
-                hits = [] if better is y else self._watch.nested(self._posture(better))
-                if not hits:
-                    return better
-                y = better
+                return y
             for pair in hits:
                 self._constraints.learn(pair, y)
             y = self._descend(y, _EVALUATIONS).y
@@ -208,8 +215,7 @@ class ClearSearch:
         if blocked is None:
             return None
         before = self._before(start, blocked)
-        y = self._leap(before)
-        return None if y is before and not self._reached(y) else self._creep(y)
+        return before if self._reached(before) else self._leap(before)
 
     def _before(self, y: FloatArray, blocked: Blocked) -> FloatArray:
         """Return the pose on the way just before a collision."""

@@ -39,7 +39,7 @@ _PLACE: Final = 2.0**-16
 _FEW: Final = 12
 """So few pairs of links are measured without looking at their spheres first."""
 
-_SHARE: Final = 0.5
+_SHARE: Final = 0.8
 """Links that are near each other at rest may come to this part of their distance there."""
 
 CRAMPED: Final = 0.25
@@ -115,7 +115,7 @@ class Collisions:
     def room(self, pair: LinkPair) -> float:
         """Return the distance that two links keep from each other in a clear pose [m].
 
-        The hand's clearance, or half of what they have at rest where that is less.
+        The hand's clearance, or four fifths of what they have at rest where that is less.
         """
         least = self._scene.hand.clearance
         gap = self.narrow.get(pair.links, self.narrow.get(pair.links[::-1]))

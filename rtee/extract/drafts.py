@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -24,6 +25,12 @@ _DIRECTIONS: Final = np.array(
 )
 """Directions whose outermost vertices begin a draft: to a cube's faces, edges and corners."""
 
+_FEWEST_SIDES: Final = 12
+"""Fewest sides of the prism that stands for a cylinder."""
+
+_TURN: Final = 0.37
+"""How far that prism is turned about its axis, as a part of a side."""
+
 _ROUNDS: Final = 12
 """Most rounds in which vertices are added; each halves what is missing, about."""
 
@@ -42,14 +49,37 @@ class Draft:
 
 
 def draft(shape: Shape) -> Draft:
-    """Return a hull of fewer vertices within the hull of a mesh; other shapes as they are.
+    """Return a polytope of few vertices within a shape's convex part, or that part itself.
+
+    A cylinder becomes a prism: with flat faces alone, depths are exact, and no last digit decides
+    which normal is found. A hull of many vertices becomes one of fewer; spheres, boxes and simple
+    hulls stay as they are.
+    """
+    part = shape.convex
+    if isinstance(part, coal.Cylinder):
+        return _prism(part.radius, part.halfLength)
+    if not shape.is_mesh or part.num_points <= _SIMPLE:
+        return Draft(part, 0.0)
+    return _simplified(part)
+
+
+def _prism(radius: float, half: float) -> Draft:
+    """Return a prism inscribed in a cylinder, turned so that it is parallel to few other shapes."""
+    flat = min(SLACK / radius, 1.0 - math.cos(math.pi / _FEWEST_SIDES))
+    sides = math.ceil(math.pi / math.acos(1.0 - flat))
+    turns = [2.0 * math.pi * (k + _TURN) / sides for k in range(sides)]
+    # Rounded to a nanometre, so that sines of another mathematical library give the same corners.
+    ring = [(round(radius * math.cos(a), 9), round(radius * math.sin(a), 9)) for a in turns]
+    corners = np.array([(x, y, z) for z in (-half, half) for x, y in ring])
+    return Draft(hull_of(corners), radius * flat + 2e-9)
+
+
+def _simplified(part: coal.ConvexBase) -> Draft:
+    """Return a hull of fewer vertices within a hull.
 
     It begins with the outermost vertices in evenly spread directions. Where a vertex lies beyond a
     face by more than the slack, the one farthest beyond is added, until there is none.
     """
-    part = shape.convex
-    if not shape.is_mesh or part.num_points <= _SIMPLE:
-        return Draft(part, 0.0)
     points = np.array(part.points())
     chosen = np.unique(_along(points, _DIRECTIONS).argmax(axis=0))
     for _ in range(_ROUNDS):

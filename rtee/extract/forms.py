@@ -14,6 +14,16 @@ from rtee.hand.geometry import Shape
 TOUCH: Final = 1e-8
 """Surfaces closer than this touch [m]."""
 
+_POLYTOPES: Final = 1e-9
+"""Precision of penetration depths of boxes, hulls and spheres [m]. With Coal's default, 1e-6, the
+last digit takes one of two normals wherever their depths differ by less, and searches end where
+they do. For cylinders, which have no end of faces, the default stays: some would not converge."""
+
+_FAILED: Final = -1e6
+"""No hand is as deep in itself [m]: Coal's result where it did not find a depth."""
+
+_ENDLESS: Final = (coal.Cylinder, coal.BVHModelBase)
+
 _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
 _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
 
@@ -81,6 +91,9 @@ class Forms:
             self._data.distanceRequests[k] = distance
             self._data.collisionRequests[k] = collision
         self._distances = list(self._data.distanceRequests)
+        for request, (i, j) in zip(self._distances, self.couples, strict=True):
+            if not any(isinstance(forms[n], _ENDLESS) for n in (i, j)):
+                request.epa_tolerance = _POLYTOPES
         self._collisions = list(self._data.collisionRequests)
         self.results: Any = list(self._data.distanceResults)
         self._measured = self._placed = -1
@@ -100,9 +113,24 @@ class Forms:
                 for request in self._distances:
                     _forget(request)
             k = _measure(self._model, self._data)
+            if self.results[k].min_distance < _FAILED:
+                k = self._measured_again()
             self._least = self.results[k].min_distance, k
             self._measured = self._placed = stamp
         return self._least
+
+    def _measured_again(self) -> int:
+        """Return the number of the nearest couple where some depth did not converge.
+
+        Those that did not are measured less precisely.
+        """
+        for k, request in enumerate(self._distances):
+            precision = request.epa_tolerance
+            while self.results[k].min_distance < _FAILED and request.epa_tolerance < 1.0:
+                request.epa_tolerance *= 10.0
+                pin.computeDistance(self._model, self._data, k)
+            request.epa_tolerance = precision
+        return min(range(len(self.results)), key=lambda k: float(self.results[k].min_distance))
 
     def collide(self, couple: int, stamp: int, margin: float) -> bool:
         """Return whether the surfaces of a couple are closer than a margin; primitives are solid.

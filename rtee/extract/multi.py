@@ -24,10 +24,10 @@ from rtee.types import FloatArray
 
 _MOST_TREES: Final = 4
 
-_THREE: Final = Patience(pool=4, tries=1, rounds=4, leaps=2, creeps=4, ways=2, more=2, settle=False)
-_MORE: Final = Patience(pool=2, tries=1, rounds=3, leaps=1, creeps=3, ways=2, settle=False)
-_MANY: Final = Patience(more=4, settle=False)
-"""Where more than `FEW` actuators move the tips."""
+_PATIENCE: Final = Patience(
+    pool=4, tries=2, rounds=4, leaps=2, creeps=6, ways=2, more=2, settle=False
+)
+"""Of several tips; they leave rest so far that more starts find nothing better."""
 
 Pinches = Mapping[frozenset[str], FloatArray]
 """Of the fingers that pinch tightly, two by two, the deepest posture ``(n,)``."""
@@ -75,12 +75,11 @@ class MultiSearch:
         candidates = [candidate(touching)]
         if not candidates[0].usable:
             explored = [m.y for m in found.explored]
-            patience = _MANY if space.size > FEW else _THREE if len(self.fingers) == 3 else _MORE
-            clear = clear_postures(self.inspector, goal, space, watch, explored, patience)
+            clear = clear_postures(self.inspector, goal, space, watch, explored, _PATIENCE)
             candidates += [candidate(u) for u in clear[:1]]
             if not any(found.room for found in candidates):
                 cramped = watch.cramped
-                clear = clear_postures(self.inspector, goal, space, cramped, explored, patience)
+                clear = clear_postures(self.inspector, goal, space, cramped, explored, _PATIENCE)
                 candidates += [candidate(u) for u in clear[:1]]
         lower, upper = real_limits(self._hand)
         extent = upper - lower

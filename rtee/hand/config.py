@@ -53,7 +53,7 @@ class HandConfig(Section):
     """Limits that tighten or complete the URDF's."""
     clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE
     """Distance that clear poses and the ways to them keep from all links that they are not to touch
-    [m]; links that are nearer than twice that at rest keep half of what they have there."""
+    [m]; links that have hardly more at rest keep four fifths of what they have there."""
     profile: Profile = Profile()
     """How references move between set-points."""
     loop: Loop = Loop()
