@@ -80,7 +80,7 @@ def _shifts(size: int) -> FloatArray:
 COARSE: Final = Grain(2.0**-11, 2.0**-16, 2.0**-10)
 """To explore: a fingertip moves by about 0.1 mm from point to point; values to 15 µm."""
 
-MEDIUM: Final = Grain(2.0**-14, 2.0**-19, 2.0**-11)
+MEDIUM: Final = Grain(2.0**-13, 2.0**-18, 2.0**-10)
 """To improve poses among constraints: about 10 µm from point to point, values to 2 µm."""
 
 FINE: Final = Grain(2.0**-17, 2.0**-27, 2.0**-20)
