@@ -18,7 +18,7 @@ from rtee.extract.scene import Scene
 from rtee.extract.spheres import Spheres
 from rtee.types import FloatArray
 
-STEP: Final = 0.002
+STEP: Final = 0.001
 """Between two exact checks on a way, near links move at most this far against each other [m]."""
 
 _FINE: Final = 0.0005
@@ -45,7 +45,7 @@ _SHARE: Final = 0.8
 CRAMPED: Final = 0.25
 """Part of their room that links keep where the hand has no room for more."""
 
-_PLACES: Final = 17
+_PLACES: Final = 65
 """At how many intensities the clearance on a way is measured."""
 
 _SURE: Final = 1e-5
@@ -190,7 +190,7 @@ class Watch:
 
         Args:
             u: The posture ``(n,)``.
-            way: Look at the straight way from rest, too, at 17 places.
+            way: Look at the straight way from rest, too, at 65 places.
         """
         scene, least = self._scene, FARTHEST_CLEARANCE
         straight = self._motion.way(u)

@@ -55,6 +55,7 @@ class Forms:
         second: Sequence[int],
         forms: Mapping[int, coal.CollisionGeometry],
         *,
+        draft: bool = False,
         slack: float = 0.0,
     ) -> None:
         """Prepare the couples of two links.
@@ -66,6 +67,7 @@ class Forms:
             second: Indices of those of the second link.
             forms: What stands for each of the shapes, by its index: its convex part, its draft, or
                 its geometry as given.
+            draft: Measure for a search: depths of polytopes more precisely.
             slack: How much nearer than their forms the convex parts of the links can be [m].
         """
         self.slack = slack
@@ -92,7 +94,7 @@ class Forms:
             self._data.collisionRequests[k] = collision
         self._distances = list(self._data.distanceRequests)
         for request, (i, j) in zip(self._distances, self.couples, strict=True):
-            if not any(isinstance(forms[n], _ENDLESS) for n in (i, j)):
+            if draft and not any(isinstance(forms[n], _ENDLESS) for n in (i, j)):
                 request.epa_tolerance = _POLYTOPES
         self._collisions = list(self._data.collisionRequests)
         self.results: Any = list(self._data.distanceResults)

@@ -432,15 +432,14 @@ class Scene:
         return forms
 
     def _drafted(self, pair: LinkPair) -> Forms:
-        """Return the forms of two links that searches measure; the convex ones if none differ."""
+        """Return the forms of two links that searches measure."""
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
         ours, theirs = self._outer(first), self._outer(second)
         slack = max(self._draft(i).slack for i in ours)
         slack += max(self._draft(i).slack for i in theirs)
-        if slack == 0.0 and (ours, theirs) == (first, second):
-            return self._convex_of(pair)
         forms = {i: self._draft(i).form for i in (*ours, *theirs)}
-        return Forms((self._model, self._data), self.shapes, ours, theirs, forms, slack=slack)
+        robot = self._model, self._data
+        return Forms(robot, self.shapes, ours, theirs, forms, draft=True, slack=slack)
 
     def _convex_of(self, pair: LinkPair) -> Forms:
         forms = self._convex.get(pair.number)

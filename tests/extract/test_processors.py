@@ -51,6 +51,7 @@ def depths(primitives: list[Primitive]) -> dict[str, list[float]]:
     }
 
 
+@pytest.mark.timeout(300)
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the settings are those of x86-64")
 @pytest.mark.parametrize("name", ["robotiq_3f", "leap_hand"])
 def test_another_kernel_writes_the_same_files(name: str) -> None:
