@@ -11,6 +11,7 @@ import math
 import os
 import uuid
 from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any, TypedDict, Unpack
 
 import anyio
@@ -126,7 +127,7 @@ class RemoteHand(Library):
         goal = _goal(action, elements, self.client, options)
         # On its way first: the answer and what follows it wait until this task does.
         answer = self._link.send("do", encode_goal(goal))
-        running = self._goals[goal.goal_id] = RunningGoal(self, goal)
+        running = self._goals[goal.goal_id] = RunningGoal(goal, partial(self.cancel, goal.goal_id))
         try:
             await answer
         except BaseException:

@@ -11,7 +11,7 @@ import zenoh
 from rtee.errors import NoHand
 from rtee.messages import network_key
 from rtee.messages.requests import ANSWERS, PUT, REQUESTS
-from rtee.remote.session import direct
+from rtee.remote.session import EXPRESS, direct
 
 _FOUND_WITHIN = 5.0
 
@@ -52,12 +52,7 @@ class Putting:
         )
 
     def _publisher(self, session: zenoh.Session, name: str) -> zenoh.Publisher:
-        publisher = session.declare_publisher(
-            REQUESTS[name].key(self._hand),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
-        )
+        publisher = session.declare_publisher(REQUESTS[name].key(self._hand), **EXPRESS)
 
         def matched(status: zenoh.MatchingStatus) -> None:
             if status.matching:

@@ -27,6 +27,13 @@ os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)  # read when the first session i
 LEASE = 1000
 """After this long without a sign of life a peer counts as dead [ms]; four signs are sent in it."""
 
+EXPRESS: dict[str, Any] = {
+    "congestion_control": zenoh.CongestionControl.BLOCK,
+    "priority": zenoh.Priority.INTERACTIVE_HIGH,
+    "express": True,
+}
+"""What must arrive soon: it waits for who is slow to take it, and for no message behind it."""
+
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
