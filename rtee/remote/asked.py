@@ -17,10 +17,10 @@ from rtee.messages.schema import message_type
 log = logging.getLogger(__name__)
 
 LONGEST = 65536
-"""Longest question that is looked at [bytes]."""
+"""Longest question that is looked at [bytes]: ten times that of the longest timed action."""
 
 LONGEST_NUMBERED = 200
-"""Longest number and client of what is put instead of asked [bytes]."""
+"""Longest number and client of what is put [bytes]; names of clients have 100 at most."""
 
 REPLY = message_type("rtee_msgs/msg/Reply")
 _EMPTY = message_type("rtee_msgs/msg/Empty")

@@ -30,11 +30,13 @@ Fields = Mapping[str, Any]
 log = logging.getLogger(__name__)
 
 _LONGEST_MARK = 1000
+"""Longest text of a mark [characters]: some lines of a terminal, since plots show it as a label."""
 
 _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
 """Requests whose answer changes only with the actions."""
 
 _MOST_KEPT = 64
+"""Answers kept: more than user interfaces ask for; each takes up to some hundred kilobytes."""
 
 
 class RecordingStatus(Protocol):

@@ -27,6 +27,7 @@ from rtee.remote.link import Link
 from rtee.types import Feedback, Goal, Result, Stage
 
 _PATIENCE = 60.0
+"""Time to wait until devices have recovered [s]; homing a hand takes half of it."""
 
 
 class GoalOptions(TypedDict, total=False):

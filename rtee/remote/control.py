@@ -25,6 +25,7 @@ from rtee.types import Goal
 Fields = Mapping[str, Any]
 
 _MOST_WAITING = 64
+"""Clients that may wait for their greeting: far more than connect at once, but bounded."""
 
 
 class Control:

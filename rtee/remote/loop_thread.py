@@ -13,7 +13,7 @@ from rtee.errors import RteeError
 T = TypeVar("T")
 
 _ANSWER_WITHIN = 2.0
-"""The loop's thread answers within this [s]: a thousand ticks, and less than a client waits."""
+"""Time to wait for the loop's thread [s]: many ticks, but less than the 5 s that a client waits."""
 
 
 class LoopThread:

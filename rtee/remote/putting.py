@@ -18,6 +18,7 @@ from rtee.messages.requests import ANSWERS, PUT, REQUESTS
 from rtee.remote.session import EXPRESS, direct
 
 _FOUND_WITHIN = 5.0
+"""Time until what is put arrives at the hand [s]: as long as a request waits for its answer."""
 
 
 class Putting:

@@ -37,11 +37,22 @@ EXPRESS: dict[str, Any] = {
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
+
 _ATTEMPTS = 5
+"""Attempts to listen on a free port; that another process takes it in between is rare."""
+
 _CONNECT_WITHIN = 10
+"""Time to connect to an endpoint where somebody listens [s]; over a VPN it takes up to one."""
+
 _PROBE_WITHIN = 3.0
+"""Time until somebody must have accepted a connection [s]: TCP sends its first packet twice."""
+
 _LINGERS = struct.pack("ii", 1, 10)
+"""SO_LINGER as Zenoh sets it: on, 10 s."""
+
 _LETS_GO = struct.pack("ii", 0, 0)
+"""SO_LINGER off: closing returns at once."""
+
 _ENDPOINT = re.compile(
     r"((tcp|udp|tls|quic|ws)/(\[[^\]]+\]|[^:/?#]+):[0-9]{1,5}"
     r"|(serial|unixpipe|unixsock-stream|vsock)/[^?#]+)(\?[^#]*)?(#.*)?"
