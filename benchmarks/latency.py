@@ -55,18 +55,26 @@ now = time.monotonic_ns
 
 
 class Noted(Server):
-    """A server that notes when goals come by; all times in ns.
+    """A server that notes when something was put [ns]."""
+
+    came = 0
+
+    def _on_put(self, sample: zenoh.Sample) -> None:
+        Noted.came = now()
+        super()._on_put(sample)
+
+
+class Notes:
+    """Notes when goals come by in a loop; all times in ns.
 
     Attributes:
         found: By goal: the callback, the goal planned, the tick's wake-up, the driver's call.
         stamps: By goal: when its first tick was due, the stamp of the reference in recordings.
     """
 
-    def __init__(self, loop: Any, hand: Any, config: Any) -> None:
-        super().__init__(loop, hand, config)
+    def __init__(self, loop: Any) -> None:
         self.found: dict[str, list[int]] = {}
         self.stamps: dict[str, int] = {}
-        self._came = 0
         self._submit = loop.submit
         loop.submit = self._noted_submit
         self._changing = ""
@@ -76,12 +84,8 @@ class Noted(Server):
         for device in loop.devices.values():
             self._watch(device.driver)
 
-    def _put_here(self, sample: zenoh.Sample) -> None:
-        self._came = now()
-        super()._put_here(sample)
-
     def _noted_submit(self, goal: Goal, **options: Any) -> None:
-        self.found[goal.goal_id] = times = [self._came]
+        self.found[goal.goal_id] = times = [Noted.came]
         self._submit(goal, **options)
         times.append(now())
 
@@ -107,11 +111,11 @@ class Noted(Server):
 
 def serve(arguments: argparse.Namespace) -> None:
     """Run the hand until standard input ends; then print what was noted."""
-    servers: list[Noted] = []
+    notes: list[Notes] = []
 
-    def with_notes(loop: Any, hand: Any, config: Any) -> Server:
-        servers.append(Noted(loop, hand, config))
-        return servers[0]
+    def with_notes(loop: Any, *others: Any) -> Any:
+        notes.append(Notes(loop))
+        return Noted.open(loop, *others)
 
     async def main() -> None:
         until = anyio.Event()
@@ -136,7 +140,7 @@ def serve(arguments: argparse.Namespace) -> None:
             await run_hands([arguments.hand], options, serve=with_notes, until=until, say=said)
 
     anyio.run(main)
-    print(json.dumps([servers[0].found, servers[0].stamps]))
+    print(json.dumps([notes[0].found, notes[0].stamps]))
 
 
 def echo() -> None:

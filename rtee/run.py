@@ -7,17 +7,14 @@ import logging
 import sys
 import threading
 from collections.abc import Callable, Collection, Sequence
-from contextlib import AsyncExitStack
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from dataclasses import dataclass
-from functools import partial
 
 import anyio
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, LoopError, RteeError
-from rtee.hand.config import HandConfig
-from rtee.hand.model import Hand
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
 from rtee.loop.configure import profile_words, realtime_settings
@@ -36,7 +33,7 @@ from rtee.loop.settings import Behaviour, RealtimeSettings
 from rtee.loop.stopping import bring_to_rest
 from rtee.loop.ticker import drive
 from rtee.prepare import PreparedHand, RunOptions, prepare
-from rtee.remote.server import Server
+from rtee.remote.server import RemoteSettings, Server
 from rtee.types import Event
 
 __all__ = ["PreparedHand", "RunOptions", "prepare", "run_hands"]
@@ -45,6 +42,10 @@ log = logging.getLogger(__name__)
 
 CONNECT_WITHIN = 3.0
 """The hands start to tick after this time [s], even if a device is still connecting or homing."""
+
+
+Serve = Callable[[HandLoop, RemoteSettings, Recorder, str], AbstractAsyncContextManager[Server]]
+"""Has a hand on the network for as long as the context lasts: see `Server.open`."""
 
 
 @dataclass
@@ -60,7 +61,7 @@ async def run_hands(
     names: Sequence[str],
     options: RunOptions | None = None,
     *,
-    serve: Callable[[HandLoop, Hand, HandConfig], Server] | None = Server,
+    serve: Serve | None = Server.open,
     say: Callable[[str], None] = print,
     until: anyio.Event | None = None,
 ) -> int:
@@ -101,11 +102,9 @@ async def run_hands(
         await _connected(running)
         for one in running:
             if serve is not None:
-                server = serve(one.loop, one.prepared.hand, one.prepared.config)
-                server.recording = partial(_path_of, one.recorder)
-                server.recording_trouble = partial(_trouble_of, one.recorder)
-                server.recorder = one.recorder
-                server.profile = profile_words(one.prepared.config, one.prepared.settings)
+                config = one.prepared.config
+                words = profile_words(config, one.prepared.settings)
+                server = serve(one.loop, config.remote, one.recorder, words)
                 one.server = await stack.enter_async_context(server)
             say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
         cpus = affinity()
@@ -269,15 +268,6 @@ def _log_words(recorder: Recorder) -> str:
     return str(status.path) if status.path else f"not written: {status.problem}"
 
 
-def _path_of(recorder: Recorder) -> str:
-    status = recorder.status()
-    return str(status.path or "") if status.recording else ""
-
-
-def _trouble_of(recorder: Recorder) -> str:
-    return recorder.status().trouble
-
-
 def _network_words(server: Server | None) -> str:
     return "off" if server is None else server.endpoint
 
@@ -292,7 +282,7 @@ def _summary(running: Sequence[_Running]) -> list[str]:
         lines.append(statistics_line(group[0].loop.statistics(), names))
     lines += [f"{one.loop.name}: {one.tally.text()}" for one in running]
     for one in running:
-        if trouble := _trouble_of(one.recorder):
+        if trouble := one.recorder.status().trouble:
             lines.append(f"{one.loop.name}: recording: {trouble}")
         for path in one.recorder.status().flight_files:
             lines.append(f"{one.loop.name}: the last minute before the fault is in {path}")

@@ -442,26 +442,6 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
-    """A call that steered the controller, other than a goal; goals and commands replay the hand.
-
-    Attributes:
-        kind: ``cancel``, ``hold``, ``freeze``, ``jog``, ``holding``, ``active``, ``accepts``
-            or ``fail``.
-        text: Its text argument, such as a goal's identifier.
-        values: Its numbers by name.
-        tick: The tick at which it took effect, before that tick's set-points were computed.
-        stamp: When that tick was due, CLOCK_MONOTONIC [s].
-    """
-
-    kind: str
-    text: str = ""
-    values: Mapping[str, float] = field(default_factory=_nothing)
-    tick: int = 0
-    stamp: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class LoopStatistics:
     """The loop's clock, since the start and over the last window.
 

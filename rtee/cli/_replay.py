@@ -28,7 +28,6 @@ def show(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     from rtee.log.reader import read
     from rtee.log.recover import recover
     from rtee.messages.topics import ROBOT_DESCRIPTION
-    from rtee.remote.server import Server
     from rtee.run import RunOptions, run_hands
 
     recording = read(path, only=[ROBOT_DESCRIPTION])
@@ -47,9 +46,7 @@ def show(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
         )
 
         async def main() -> int:
-            return await run_hands(
-                [hand], options, serve=Server, say=lambda line: print(line, flush=True)
-            )
+            return await run_hands([hand], options, say=lambda line: print(line, flush=True))
 
         return anyio.run(main)
 

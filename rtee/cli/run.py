@@ -128,7 +128,6 @@ def run(
 
     import anyio
 
-    from rtee.remote.server import Server
     from rtee.run import RunOptions, run_hands
 
     logging.basicConfig(
@@ -151,8 +150,6 @@ def run(
     )
 
     async def main() -> int:
-        return await run_hands(
-            hands, options, serve=Server, say=lambda line: print(line, flush=True)
-        )
+        return await run_hands(hands, options, say=lambda line: print(line, flush=True))
 
     raise typer.Exit(anyio.run(main))

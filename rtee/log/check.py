@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rtee.commands import CommandRecord
 from rtee.errors import LogError, RteeError
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
@@ -20,7 +21,7 @@ from rtee.log.recording import Entry, Recording
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
 from rtee.loop.plan import Plan
-from rtee.types import Command, FloatArray, Result, readonly
+from rtee.types import FloatArray, Result, readonly
 
 _QUANTITIES = ("position", "velocity", "effort")
 
@@ -139,7 +140,7 @@ def _check(recording: Recording, replayable: Replayable) -> Check:
             if isinstance(what, Plan):
                 controller.take(what, stamp)
             else:
-                controller.apply(what)
+                controller.apply(what.command, what.stamp)
         controller.step(stamp, measured)
         computed["position"][row] = controller.reference_position
         computed["velocity"][row] = controller.reference_velocity
@@ -205,15 +206,15 @@ def _tip_forces(recording: Recording) -> Callable[[float], list[float]]:
     return at
 
 
-def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | Command]]:
+def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | CommandRecord]]:
     """Return what gives the plans and commands that are due at a tick, in their order."""
-    entries: list[Entry[Plan] | Entry[Command]] = [*recording.plans, *recording.commands]
+    entries: list[Entry[Plan] | Entry[CommandRecord]] = [*recording.plans, *recording.commands]
     waiting = deque(sorted(entries, key=lambda entry: (entry.stamp, entry.sequence)))
 
-    def due(tick: int, stamp: float) -> Iterator[Plan | Command]:
+    def due(tick: int, stamp: float) -> Iterator[Plan | CommandRecord]:
         while waiting and waiting[0].stamp <= stamp:
             what = waiting[0].value
-            if isinstance(what, Command) and what.tick > tick:
+            if isinstance(what, CommandRecord) and what.tick > tick:
                 break
             yield what
             waiting.popleft()

@@ -21,6 +21,7 @@ from rtee.log.sink import reason
 from rtee.log.survey import ChunkPlace, Survey, survey
 from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
+from rtee.messages.command import command_record_of
 from rtee.messages.schema import message_type
 from rtee.types import FloatArray, Goal
 
@@ -213,7 +214,7 @@ class _Collector:
             reference=reference,
             goals=goals,
             plans=entries(topics.PLANS, plan) if names else (),
-            commands=entries(topics.COMMANDS, convert.command_of),
+            commands=entries(topics.COMMANDS, command_record_of),
             feedback=entries(topics.FEEDBACK, convert.feedback_of),
             results=entries(topics.RESULTS, convert.result_of),
             events=entries(topics.EVENTS, convert.event_of),

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Final, Self
 
+from rtee.commands import CommandRecord
 from rtee.errors import LogError
 from rtee.hand.carried import CarriedMeshes, carried_meshes
 from rtee.hand.model import Hand
@@ -25,7 +26,6 @@ from rtee.loop.observer import TickRecord
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
 from rtee.types import (
-    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -193,9 +193,9 @@ class Recorder:
         """Record what a goal comes to."""
         self._put(plan, stamp)
 
-    def on_command(self, command: Command) -> None:
+    def on_command(self, record: CommandRecord) -> None:
         """Record a command."""
-        self._put(command, command.stamp)
+        self._put(record, record.stamp)
 
     def on_feedback(self, feedback: Feedback) -> None:
         """Record a goal's progress."""

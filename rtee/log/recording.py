@@ -11,11 +11,11 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rtee.commands import CommandRecord
 from rtee.errors import LogError, suggestion
 from rtee.loop.plan import Plan
 from rtee.types import (
     BoolArray,
-    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -194,7 +194,7 @@ class Recording:
     reference: JointSeries
     goals: Sequence[Entry[Goal]] = ()
     plans: Sequence[Entry[Plan]] = ()
-    commands: Sequence[Entry[Command]] = ()
+    commands: Sequence[Entry[CommandRecord]] = ()
     feedback: Sequence[Entry[Feedback]] = ()
     results: Sequence[Entry[Result]] = ()
     events: Sequence[Entry[Event]] = ()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rtee.errors import LogError, suggestion
 from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording, outcome_of
 from rtee.messages import topics
+from rtee.messages.command import plain
 from rtee.types import Result
 
 Column = NDArray[Any]
@@ -54,11 +55,15 @@ def _column(values: Sequence[Any]) -> Column:
     return np.array([_text(value) for value in values], dtype=np.str_)
 
 
-def _entries(entries: Sequence[Entry[Any]]) -> Table:
-    table: Table = {
+def _times(entries: Sequence[Entry[Any]]) -> Table:
+    return {
         "t": np.array([entry.t for entry in entries], dtype=np.float64),
         "wall_ns": np.array([entry.wall for entry in entries], dtype=np.int64),
     }
+
+
+def _entries(entries: Sequence[Entry[Any]]) -> Table:
+    table = _times(entries)
     if not entries:
         return table
     for field in dataclasses.fields(entries[0].value):
@@ -70,6 +75,15 @@ def _results(entries: Sequence[Entry[Result]]) -> Table:
     table = _entries(entries)
     table["outcome"] = np.array([outcome_of(entry.value) for entry in entries], dtype=np.str_)
     return table
+
+
+def _commands(recording: Recording) -> Table:
+    """Return one table for all kinds of commands: each as its message holds it."""
+    names = ("kind", "text", "values", "tick", "stamp")
+    records = [entry.value for entry in recording.commands]
+    rows = [(*plain(each.command), each.tick, each.stamp) for each in records]
+    columns = {name: _column([row[i] for row in rows]) for i, name in enumerate(names)}
+    return _times(recording.commands) | columns
 
 
 def _channels(recording: Recording) -> Table:
@@ -94,7 +108,7 @@ _MAKERS: Mapping[str, Callable[[Recording], Table]] = {
     topics.REFERENCE: lambda recording: _series(recording.reference),
     topics.CHANNELS: _channels,
     topics.GOALS: lambda recording: _entries(recording.goals),
-    topics.COMMANDS: lambda recording: _entries(recording.commands),
+    topics.COMMANDS: _commands,
     topics.FEEDBACK: lambda recording: _entries(recording.feedback),
     topics.RESULTS: lambda recording: _results(recording.results),
     topics.EVENTS: lambda recording: _entries(recording.events),

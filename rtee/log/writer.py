@@ -11,6 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
+from rtee.commands import CommandRecord
 from rtee.log.chunks import ChunkBuilder
 from rtee.log.contents import CHANNELS, Contents
 from rtee.log.flight import FlightRecorder
@@ -21,7 +22,7 @@ from rtee.log.tickblock import TickChannels, TickEncoder
 from rtee.log.transforms import LinkTransforms
 from rtee.loop.observer import TickRecord
 from rtee.loop.plan import Plan
-from rtee.messages import convert, encode_goal, topics
+from rtee.messages import convert, encode_command, encode_goal, topics
 from rtee.messages.schema import message_type
 from rtee.messages.topics import (
     ACTUATOR_STATES,
@@ -38,7 +39,6 @@ from rtee.messages.topics import (
     TF,
 )
 from rtee.types import (
-    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -47,7 +47,7 @@ from rtee.types import (
     Result,
 )
 
-Item = Goal | Plan | Command | Feedback | Result | Event | DeviceStatus | LoopStatistics
+Item = Goal | Plan | CommandRecord | Feedback | Result | Event | DeviceStatus | LoopStatistics
 """What is recorded besides ticks."""
 
 ITSELF = "recorder"
@@ -195,8 +195,8 @@ class LogWriter:
             case Plan():
                 data = encode_plan(item, self._actuators, time=stamp, wall=wall)
                 self._add(PLANS, wall, data)
-            case Command():
-                self._add(COMMANDS, wall, convert.encode_command(item, wall=wall))
+            case CommandRecord():
+                self._add(COMMANDS, wall, encode_command(item, wall=wall))
             case Feedback():
                 self._add(FEEDBACK, wall, convert.encode_feedback(item, wall=wall))
             case Result():

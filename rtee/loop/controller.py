@@ -9,7 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import assert_never
 
+from rtee.commands import (
+    Abort,
+    Cancel,
+    Command,
+    Freeze,
+    Hold,
+    Jog,
+    SetAcceptsEffort,
+    SetActive,
+    SetHoldingEffort,
+)
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.executor import Executor
@@ -21,7 +33,7 @@ from rtee.loop.plausible import Plausibility
 from rtee.loop.profiles import make_profile
 from rtee.loop.settings import LoopSettings
 from rtee.loop.thermal import Level, Thermal
-from rtee.types import Command, Event, Feedback, Result
+from rtee.types import Event, Feedback, Result
 
 _THERMAL_EVERY = 0.1
 """Temperatures are looked at this often [s]."""
@@ -159,40 +171,41 @@ class Controller:
                 list(plan.involved), stamp, f"the device of {lost[0]} is not active any more"
             )
 
-    def apply(self, command: Command) -> None:
-        """Do what a command says; those that concern nothing do nothing."""
-        stamp = command.stamp
-        match command.kind:
-            case "cancel":
+    def apply(self, command: Command, stamp: float) -> None:
+        """Do what a command says at a time [s]; one that concerns nothing does nothing."""
+        match command:
+            case Cancel(goal_id):
                 plan = self.running
-                if plan is not None and command.text in ("", plan.goal.goal_id):
+                if plan is not None and goal_id in ("", plan.goal.goal_id):
                     self._executor.end(stamp, self._measured, cancelled=True)
                     self._hold(stamp, range(self._profile.size))
-            case "hold":
-                self._executor.end(stamp, self._measured, cancelled=True, reason=command.text)
+            case Hold(reason):
+                self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
                 self._hold(stamp, self._free())
-            case "freeze":
-                self._executor.end(stamp, self._measured, cancelled=True, reason=command.text)
-                frozen = self._indices(command.values)
+            case Freeze(reason, actuators):
+                self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
+                frozen = self._indices(actuators)
                 self._leave_hold(frozen)
                 self._seeding.update(frozen)
-            case "jog":
-                self._jog(command)
-            case "holding":
-                self._grasp = replace(self._grasp, holding_effort=command.values["effort"])
+            case Jog():
+                self._jog(command, stamp)
+            case SetHoldingEffort(fraction):
+                self._grasp = replace(self._grasp, holding_effort=fraction)
                 self._set_efforts()
-            case "active":
-                self._set_active(command)
-            case "accepts":
-                for name, value in command.values.items():
-                    self._accepts[self.hand.actuator_index(name)] = bool(value)
-            case "fail":
-                self._fail(self._indices(command.values), stamp, command.text)
+            case SetActive(active):
+                self._set_active(active)
+            case SetAcceptsEffort(accepts):
+                for name, flag in accepts.items():
+                    self._accepts[self.hand.actuator_index(name)] = flag
+            case Abort(reason, actuators):
+                self._fail(self._indices(actuators), stamp, reason)
+            case never:
+                assert_never(never)
 
-    def _indices(self, values: Mapping[str, float]) -> list[int]:
-        if not values:
+    def _indices(self, actuators: Collection[str]) -> list[int]:
+        if not actuators:
             return list(range(len(self.active)))
-        return [self.hand.actuator_index(name) for name in values]
+        return [self.hand.actuator_index(name) for name in actuators]
 
     def _free(self) -> list[int]:
         """Return the actuators that nothing blocks; the others may be holding something."""
@@ -220,26 +233,25 @@ class Controller:
         self._contact.forget(indices)
         self._set_efforts()
 
-    def _jog(self, command: Command) -> None:
-        wanted = {self.hand.actuator_index(name): v for name, v in command.values.items()}
+    def _jog(self, jog: Jog, stamp: float) -> None:
+        wanted = {self.hand.actuator_index(name): v for name, v in jog.positions.items()}
         targets = {i: value for i, value in wanted.items() if self.active[i]}
         running = self.running is not None
-        self._executor.end(command.stamp, self._measured, preempted=True)
+        self._executor.end(stamp, self._measured, preempted=True)
         self._leave_hold(targets)
-        top = float(command.text) if command.text else math.inf
-        velocity = {i: min(top, self.hand.actuators[i].velocity) for i in targets}
+        velocity = {i: min(jog.max_velocity, self.hand.actuators[i].velocity) for i in targets}
         for i, limit in velocity.items():
             self.max_velocity[i] = limit
         others = set(range(self._profile.size)) - set(targets) if running else ()
         self._profile.go(targets, brake=others, velocity=velocity)
 
-    def _set_active(self, command: Command) -> None:
-        for name, value in command.values.items():
+    def _set_active(self, active: Mapping[str, bool]) -> None:
+        for name, flag in active.items():
             i = self.hand.actuator_index(name)
-            if value and not self.active[i]:
+            if flag and not self.active[i]:
                 self._seeding.add(i)
                 self._plausible.forget((i,))
-            self.active[i] = bool(value)
+            self.active[i] = flag
             self._leave_hold((i,))
 
     def _fail(self, indices: list[int], stamp: float, reason: str) -> None:

@@ -15,6 +15,7 @@ import anyio
 import anyio.abc
 import numpy as np
 
+from rtee.commands import Abort, Command, CommandRecord, Freeze, SetAcceptsEffort, SetActive
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
@@ -27,7 +28,6 @@ from rtee.loop.plan import Plan
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
 from rtee.loop.supervisor import Supervisor
 from rtee.types import (
-    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -97,7 +97,7 @@ class HandTicks:
         }
         self._gather = Gather(list(self.devices.values()))
         self._pending: deque[Plan | Command] = deque()
-        self._begun: list[tuple[Plan | Command, float]] = []
+        self._begun: list[tuple[Plan | CommandRecord, float]] = []
         self._was_active: dict[str, bool] = dict.fromkeys(self.devices, False)
         self._group: anyio.abc.TaskGroup | None = None
         self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
@@ -151,7 +151,7 @@ class HandTicks:
             self._ended = True
             while self._pending:  # no tick came for it
                 self._take_at_once(self._pending.popleft(), self._now())
-            self._take_at_once(Command("freeze", "the loop ended"), self._now())
+            self._take_at_once(Freeze("the loop ended"), self._now())
 
     async def ready(self) -> None:
         """Wait until every device has tried to connect once.
@@ -263,13 +263,13 @@ class HandTicks:
     def _change(self, device: Supervisor, active: bool) -> None:
         names = self._names(device)
         if active:
-            accepts = float("max_effort" in device.driver.capabilities.accepts)
-            self._pending.append(Command("accepts", "", dict.fromkeys(names, accepts)))
-            self._pending.append(Command("active", "", dict.fromkeys(names, 1.0)))
+            accepts = "max_effort" in device.driver.capabilities.accepts
+            self._pending.append(SetAcceptsEffort(dict.fromkeys(names, accepts)))
+            self._pending.append(SetActive(dict.fromkeys(names, True)))
             return
         text = f"device '{device.name}': {device.trouble}"
-        self._pending.append(Command("fail", text, names))
-        self._pending.append(Command("active", "", dict.fromkeys(names, 0.0)))
+        self._pending.append(Abort(text, names))
+        self._pending.append(SetActive(dict.fromkeys(names, False)))
         if any(self._was_active.values()):
             self.behave(self.settings.safety.on_link_lost, text)
 
@@ -277,25 +277,24 @@ class HandTicks:
         """The device did not take a reference: begin again where it is."""
         text, device.rejected = device.rejected, ""
         names = self._names(device)
-        self._pending.append(Command("fail", text, names))
-        self._pending.append(Command("freeze", text, names))
+        self._pending.append(Abort(text, names))
+        self._pending.append(Freeze(text, names))
         now = self._now()
         if now - self._told_refused.get(text, -math.inf) >= 1.0:
             self._told_refused = {text: now}
             self._observers.event(Event("rejected", device.name, text, now, "warning"))
 
     @staticmethod
-    def _names(device: Supervisor) -> dict[str, float]:
-        return {actuator.name: 1.0 for actuator in device.spec.actuators}
+    def _names(device: Supervisor) -> tuple[str, ...]:
+        return tuple(actuator.name for actuator in device.spec.actuators)
 
     def _begin(self, what: Plan | Command, tick: int, stamp: float) -> None:
         if isinstance(what, Plan):
             self._begun.append((what, stamp))
             self.controller.take(what, stamp)
             return
-        command = replace(what, tick=tick, stamp=stamp)
-        self._begun.append((command, stamp))
-        self.controller.apply(command)
+        self._begun.append((CommandRecord(tick, stamp, what), stamp))
+        self.controller.apply(what, stamp)
 
     def _tell_begun(self) -> None:
         begun, self._begun = self._begun, []

@@ -8,13 +8,14 @@ from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping
 
 import anyio
 
+from rtee.commands import Cancel, Freeze, Hold, Jog, SetHoldingEffort
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.loop.hand_ticks import CONFIRM_WITHIN, HandTicks
 from rtee.loop.observer import LoopObserver, TickRecord
 from rtee.loop.plan import OPEN, make_plan
 from rtee.loop.settings import Behaviour
 from rtee.loop.supervisor import Supervisor
-from rtee.types import Command, Event, Goal, Reference, Result
+from rtee.types import Event, Goal, Reference, Result
 
 log = logging.getLogger(__name__)
 
@@ -107,11 +108,11 @@ class HandLoop(HandTicks):
 
     def cancel(self, goal_id: str) -> None:
         """Cancel a goal: the hand brakes and holds the measured posture. Unknown: nothing."""
-        self._pending.append(Command("cancel", goal_id))
+        self._pending.append(Cancel(goal_id))
 
     def hold(self, reason: str = "") -> None:
         """Brake and hold the measured posture; what blocked fingers may hold, they keep."""
-        self._pending.append(Command("hold", reason))
+        self._pending.append(Hold(reason))
 
     def jog(self, positions: Mapping[str, float], max_velocity: float | None = None) -> None:
         """Move some actuators by hand; a running goal is pre-empted.
@@ -132,8 +133,8 @@ class HandLoop(HandTicks):
         if max_velocity is not None and not (max_velocity > 0 and math.isfinite(max_velocity)):
             raise GoalRejected(f"the velocity must be above 0, not {max_velocity:g}")
         self._check_able((self.hand.actuator_index(name) for name in positions), self._able())
-        text = "" if max_velocity is None else repr(float(max_velocity))
-        self._pending.append(Command("jog", text, dict(positions)))
+        limit = math.inf if max_velocity is None else float(max_velocity)
+        self._pending.append(Jog(dict(positions), limit))
 
     # --- devices -----------------------------------------------------------------------------
 
@@ -193,7 +194,7 @@ class HandLoop(HandTicks):
         for device in self.devices.values():
             device.muted = True
         if not last:
-            self._pending.append(Command("freeze", reason))
+            self._pending.append(Freeze(reason))
         try:
             async with anyio.create_task_group() as group:
                 for device in self.devices.values():
@@ -201,7 +202,7 @@ class HandLoop(HandTicks):
         finally:
             if not last:
                 # Whatever moved meanwhile: the reference begins again where the hand is now.
-                self._pending.append(Command("freeze", reason))
+                self._pending.append(Freeze(reason))
                 for device in self.devices.values():
                     device.muted = False
         return list(confirmed.items())
@@ -258,7 +259,7 @@ class HandLoop(HandTicks):
             if own:
                 await supervisor.set_gains(own)
         if holding is not None:
-            self._pending.append(Command("holding", values={"effort": float(holding)}))
+            self._pending.append(SetHoldingEffort(float(holding)))
 
     # --- when nobody drives it ---------------------------------------------------------------
 

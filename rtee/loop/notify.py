@@ -6,9 +6,10 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 
+from rtee.commands import CommandRecord
 from rtee.loop.observer import LoopObserver, TickRecord
 from rtee.loop.plan import Plan
-from rtee.types import Command, DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 log = logging.getLogger(__name__)
 
@@ -68,11 +69,11 @@ class Observers:
             except Exception as error:
                 self._failed(observer, error)
 
-    def command(self, command: Command) -> None:
+    def command(self, record: CommandRecord) -> None:
         """Tell a command."""
         for observer in self._all:
             try:
-                observer.on_command(command)
+                observer.on_command(record)
             except Exception as error:
                 self._failed(observer, error)
 

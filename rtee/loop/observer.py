@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rtee.commands import CommandRecord
 from rtee.types import (
     BoolArray,
-    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -77,7 +77,7 @@ class LoopObserver(Protocol):
     def on_goal(self, goal: Goal, stamp: float) -> None:
         """Take a goal that was accepted, at the tick it takes effect, before its set-points."""
 
-    def on_command(self, command: Command) -> None:
+    def on_command(self, record: CommandRecord) -> None:
         """Take a call that steered the controller; goals and commands come in their order."""
 
     def on_feedback(self, feedback: Feedback) -> None:
@@ -102,7 +102,7 @@ class Observer:
     def on_goal(self, goal: Goal, stamp: float) -> None:
         """Ignore it."""
 
-    def on_command(self, command: Command) -> None:
+    def on_command(self, record: CommandRecord) -> None:
         """Ignore it."""
 
     def on_feedback(self, feedback: Feedback) -> None:

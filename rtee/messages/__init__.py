@@ -1,14 +1,13 @@
 """The one vocabulary of messages: ROS 2 types in CDR, in recordings and on the network alike."""
 
+from rtee.messages.command import decode_command, encode_command
 from rtee.messages.convert import (
-    decode_command,
     decode_device_status,
     decode_event,
     decode_feedback,
     decode_loop_statistics,
     decode_result,
     decode_string,
-    encode_command,
     encode_device_status,
     encode_event,
     encode_feedback,

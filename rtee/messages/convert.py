@@ -11,7 +11,6 @@ from rtee.errors import MessageError
 from rtee.messages.goal import paired, stage_of
 from rtee.messages.schema import message_type
 from rtee.types import (
-    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -27,7 +26,6 @@ _SECOND = 1_000_000_000
 _FEEDBACK = message_type("rtee_msgs/msg/Feedback")
 _RESULT = message_type("rtee_msgs/msg/Result")
 _EVENT = message_type("rtee_msgs/msg/Event")
-_COMMAND = message_type("rtee_msgs/msg/Command")
 _DEVICE_STATUS = message_type("rtee_msgs/msg/DeviceStatus")
 _LOOP_STATISTICS = message_type("rtee_msgs/msg/LoopStatistics")
 _STRING = message_type("std_msgs/msg/String")
@@ -168,37 +166,6 @@ def event_of(fields: Mapping[str, Any]) -> Event:
         text=fields["text"],
         stamp=fields["time"],
         severity=fields["severity"],
-    )
-
-
-def encode_command(command: Command, *, wall: int = 0) -> bytes:
-    """Return a ``rtee_msgs/Command``; ``wall`` is its stamp since 1970 [ns]."""
-    return _COMMAND.encode(
-        {
-            "header": header(wall),
-            "tick": command.tick,
-            "time": command.stamp,
-            "kind": command.kind,
-            "text": command.text,
-            "name": list(command.values),
-            "value": list(command.values.values()),
-        }
-    )
-
-
-def decode_command(data: Data) -> Command:
-    """Return the command in a ``rtee_msgs/Command``; raises `MessageError`."""
-    return command_of(_COMMAND.decode(data))
-
-
-def command_of(fields: Mapping[str, Any]) -> Command:
-    """Return the command in decoded fields; raises `MessageError`."""
-    return Command(
-        kind=fields["kind"],
-        text=fields["text"],
-        values=_numbers("value", fields["name"], fields["value"]),
-        tick=fields["tick"],
-        stamp=fields["time"],
     )
 
 

@@ -163,10 +163,10 @@ string severity              # info, warning or error
 std_msgs/Header header
 uint64 tick                  # tick at which it took effect, before its set-points
 float64 time                 # when that tick was due, CLOCK_MONOTONIC [s]
-string kind                  # cancel, hold, freeze, jog, active, accepts or fail
-string text                  # its text argument, such as a goal's identifier
-string[] name                # its numbers by name
-float64[] value
+string kind                  # cancel, hold, freeze, jog, holding, active, accepts or fail
+string text                  # goal (cancel), reason (hold, freeze, fail), velocity limit (jog)
+string[] name                # actuators, or effort (holding)
+float64[] value              # position [rad | m] (jog), fraction (holding), else 1 or 0
 """,
     "rtee_msgs/msg/DeviceStatus": """\
 # How a device is doing.

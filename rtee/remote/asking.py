@@ -7,40 +7,94 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Protocol
 
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.fingerprint import fingerprint
 from rtee.hand.own import TRIALS, told
+from rtee.loop.handloop import HandLoop
 from rtee.messages.convert import device_status_fields, loop_statistics_fields
 from rtee.remote.actions import action_fields, group_fields, made_of
-from rtee.remote.asked import Asked
+from rtee.remote.asked import Asked, accepted
+from rtee.remote.lease import Lease
+from rtee.remote.loop_thread import LoopThread
 from rtee.remote.planner import info_fields
+from rtee.remote.publishing import Streams
 from rtee.types import Event
-
-if TYPE_CHECKING:
-    from rtee.remote.server import Server
 
 Fields = Mapping[str, Any]
 
 log = logging.getLogger(__name__)
 
 _LONGEST_MARK = 1000
+"""Longest text of a mark [characters]: some lines of a terminal, since plots show it as a label."""
 
 _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
 """Requests whose answer changes only with the actions."""
 
 _MOST_KEPT = 64
+"""Answers kept: more than user interfaces ask for; each takes up to some hundred kilobytes."""
+
+
+class RecordingStatus(Protocol):
+    """How a recorder is doing."""
+
+    @property
+    def recording(self) -> bool:
+        """Whether a recording is being written."""
+
+    @property
+    def path(self) -> Path | None:
+        """The file that is written, if one is."""
+
+    @property
+    def trouble(self) -> str:
+        """What is not recorded and why, in words; empty if everything is."""
+
+
+class Recording(Protocol):
+    """What is needed of a recorder; every method returns at once, in any thread."""
+
+    def start(self) -> None:
+        """Begin a new recording."""
+
+    def stop(self) -> None:
+        """End the recording."""
+
+    def mark(self, text: str) -> None:
+        """Put a mark into the recording."""
+
+    def status(self) -> RecordingStatus:
+        """Return how the recorder is doing."""
 
 
 class Asking:
-    """Answers the requests of the group ``ask``."""
+    """Answers the requests of the group ``ask``.
 
-    def __init__(self, server: Server) -> None:
-        self._server = server
-        self._hand = server.hand
-        self._library = server.loop.library
+    Args:
+        loop: The hand's loop.
+        lease: Who holds the hand.
+        thread: The loop's thread.
+        streams: The streams of states.
+        recording: The recorder, if there is one.
+        profile: How the references move, in words.
+    """
+
+    def __init__(
+        self,
+        loop: HandLoop,
+        lease: Lease,
+        thread: LoopThread,
+        streams: Streams,
+        recording: Recording | None,
+        profile: str,
+    ) -> None:
+        self._loop, self._lease, self._thread = loop, lease, thread
+        self._streams, self._recording, self._profile = streams, recording, profile
+        self._hand, self._library = loop.hand, loop.library
         self._folder = self._library.folder
         self._answered: dict[tuple[str, bytes], bytes] = {}
         self._version = -1
@@ -68,9 +122,9 @@ class Asking:
         """
         name, fields = asked.request.name, asked.fields
         if name == "state":
-            asked.answer_bytes(self._state())
+            asked.send(self._streams.messages.state(self._loop.snapshot()), True)
         elif name in _CONSTANT:
-            asked.answer_bytes(self._kept(asked))
+            asked.send(self._kept(asked), True)
         else:
             asked.answer(self._answers[name](fields))
 
@@ -92,32 +146,33 @@ class Asking:
 
     # --- what is known
 
-    def _state(self) -> bytes:
-        record = self._server.latest
-        if record is None:
-            raise RteeError(f"{self._hand.name}: the loop has not ticked yet")
-        return self._server.streams.messages.state(record)
-
     def _stream(self, fields: Fields) -> Fields:
-        key = self._server.streams.ask(fields["rate"])
-        return {"accepted": True, "error": "", "reason": "", "text": key}
+        return accepted(self._streams.ask(fields["rate"]))
 
     def _status(self, _: Fields) -> Fields:
-        statuses, statistics, holder, goal = self._server.in_loop(self._server.status)
-        recording = self._server.recording()
+        loop = self._loop
+        statuses, statistics, plan = self._thread.call(
+            lambda: (loop.statuses(), loop.statistics(), loop.controller.running)
+        )
+        path = self._recording_path()
         return {
             "hand": self._hand.name,
-            "holder": holder,
-            "goal_id": goal.goal_id if goal else "",
-            "action": goal.action if goal else "",
-            "recording": bool(recording),
-            "recording_path": recording,
-            "recording_trouble": self._server.recording_trouble(),
-            "holding_effort": self._server.loop.controller.holding_effort,
+            "holder": self._lease.holder,
+            "goal_id": plan.goal.goal_id if plan else "",
+            "action": plan.goal.action if plan else "",
+            "recording": bool(path),
+            "recording_path": path,
+            "recording_trouble": self._recording.status().trouble if self._recording else "",
+            "holding_effort": loop.controller.holding_effort,
             "statistics": loop_statistics_fields(statistics),
             "devices": [device_status_fields(status) for status in statuses],
-            "profile": self._server.profile,
+            "profile": self._profile,
         }
+
+    def _recording_path(self) -> str:
+        """Return the file of the recording under way, or an empty string."""
+        status = self._recording.status() if self._recording else None
+        return str(status.path or "") if status and status.recording else ""
 
     def _info(self, fields: Fields) -> Fields:
         names, positions = fields["name"], fields["position"].tolist()
@@ -126,7 +181,7 @@ class Asking:
         return info_fields(self._hand, dict(zip(names, positions, strict=True)))
 
     def _record(self, fields: Fields) -> Fields:
-        recorder, what, text = self._server.recorder, fields["what"], fields["text"]
+        recorder, what, text = self._recording, fields["what"], fields["text"]
         if recorder is None:
             raise RequestRejected(f"{self._hand.name} has no recorder")
         match what:
@@ -144,7 +199,7 @@ class Asking:
                 raise RequestRejected(
                     f"a recording cannot be told to '{what[:50]}'; start, stop or mark it"
                 )
-        return {"accepted": True, "error": "", "reason": "", "text": self._server.recording()}
+        return accepted(self._recording_path())
 
     def _trials(self) -> str:
         """Return the text of the file with what trials found, and of what the files are now."""
@@ -200,7 +255,7 @@ class Asking:
     def _done(self, fields: Fields, text: str) -> Fields:
         text += self._copied()
         self._changed(fields["client"], text)
-        return {"accepted": True, "error": "", "reason": "", "text": text}
+        return accepted(text)
 
     def _copied(self) -> str:
         """Return that the hand was copied to be changed, for once, if it was."""
@@ -212,6 +267,5 @@ class Asking:
         return f"; {text}"
 
     def _changed(self, client: str, text: str) -> None:
-        server = self._server
-        event = Event("actions_changed", client, text, server.now())
-        server.call_soon(server.loop.announce, event)
+        event = Event("actions_changed", client, text, time.monotonic())
+        self._thread.call_soon(self._loop.announce, event)

@@ -38,7 +38,10 @@ from rtee.types import Event, Feedback, Result
 T = TypeVar("T")
 
 _ATTEMPTS = 100
+"""Attempts to close a generator whose step is still ending: together 1 s."""
+
 _PAUSE = 0.01
+"""Time between two of these attempts [s]."""
 
 
 class BlockingGoal:

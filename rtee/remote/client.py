@@ -11,6 +11,7 @@ import math
 import os
 import uuid
 from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any, TypedDict, Unpack
 
 import anyio
@@ -26,6 +27,7 @@ from rtee.remote.link import Link
 from rtee.types import Feedback, Goal, Result, Stage
 
 _PATIENCE = 60.0
+"""Time to wait until devices have recovered [s]; homing a hand takes half of it."""
 
 _GOODBYE = 1.0
 """Time in which a hand that is let go answers, if it is still there [s]."""
@@ -131,7 +133,7 @@ class RemoteHand(Library):
         goal = _goal(action, elements, self.client, options)
         # On its way first: the answer and what follows it wait until this task does.
         answer = self._link.send("do", encode_goal(goal))
-        running = self._goals[goal.goal_id] = RunningGoal(self, goal)
+        running = self._goals[goal.goal_id] = RunningGoal(goal, partial(self.cancel, goal.goal_id))
         try:
             await answer
         except BaseException:

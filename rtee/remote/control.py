@@ -11,30 +11,34 @@ import contextlib
 import math
 import threading
 from collections.abc import Awaitable, Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rtee.errors import ConfigError, GoalRejected, RequestRejected
 from rtee.hand.names import check_name
+from rtee.loop.handloop import HandLoop
 from rtee.messages import decode_goal
 from rtee.remote.asked import Asked
 from rtee.remote.lease import Lease
+from rtee.remote.loop_thread import LoopThread
 from rtee.types import Goal
-
-if TYPE_CHECKING:
-    from rtee.remote.server import Server
 
 Fields = Mapping[str, Any]
 
 _MOST_WAITING = 64
+"""Clients that may wait for their greeting: far more than connect at once, but bounded."""
 
 
 class Control:
-    """Takes the requests of the group ``control``, and knows who holds the hand."""
+    """Takes the requests of the groups ``control`` and ``stop``, and knows who is there.
 
-    def __init__(self, server: Server) -> None:
-        self._server = server
-        self._loop = server.loop
-        self.lease = Lease()
+    Args:
+        loop: The hand's loop.
+        lease: Who holds the hand.
+        thread: The loop's thread.
+    """
+
+    def __init__(self, loop: HandLoop, lease: Lease, thread: LoopThread) -> None:
+        self._loop, self._lease, self._thread = loop, lease, thread
         self._lock = threading.Lock()
         self._clients: set[str] = set()
         self._greeting: dict[str, Asked] = {}
@@ -65,6 +69,16 @@ class Control:
         if done is not None:
             asked.accept(done)
 
+    def stop(self, asked: Asked) -> None:
+        """Stop all devices; whoever asks may, and need not have said hello."""
+        client = asked.fields["client"] or "a client"
+
+        async def run() -> None:
+            confirmed = dict(await self._loop.stop(f"stopped by {client}"))
+            asked.answer({"device": list(confirmed), "confirmed": list(confirmed.values())})
+
+        self._thread.start(run)
+
     def knows(self, client: str) -> bool:
         """Return whether a client is there."""
         return client in self._clients
@@ -81,9 +95,9 @@ class Control:
         """Note that a client is there no more; if it held the hand, nobody drives it now."""
         with self._lock:
             self._clients.discard(client)
-            held = self.lease.gone(client)
+            held = self._lease.gone(client)
         if held:
-            self._server.call_soon(self._loop.client_lost, client)
+            self._thread.call_soon(self._loop.client_lost, client)
 
     def _hello(self, asked: Asked) -> str | None:
         client = check_name(asked.fields["client"], "client")
@@ -96,52 +110,52 @@ class Control:
 
     def _do(self, goal: Goal) -> str:
         check_name(goal.goal_id, "goal")
-        self.lease.check(goal.client)
-        if self.lease.runs(goal.goal_id):
+        self._lease.check(goal.client)
+        if self._lease.runs(goal.goal_id):
             raise GoalRejected(f"the goal '{goal.goal_id}' runs already")
-        self.lease.started(goal.client, goal.goal_id)
+        self._lease.started(goal.client, goal.goal_id)
         try:
             self._loop.submit(goal)
         except Exception:
-            self.lease.ended(goal.goal_id)
+            self._lease.ended(goal.goal_id)
             raise
         return goal.goal_id
 
     def _cancel(self, asked: Asked) -> str:
-        self.lease.check(asked.fields["client"])
+        self._lease.check(asked.fields["client"])
         self._loop.cancel(asked.fields["goal_id"])
         return ""
 
     def _hold(self, asked: Asked) -> str:
-        self.lease.check(asked.fields["client"])
+        self._lease.check(asked.fields["client"])
         self._loop.hold(f"{asked.fields['client']} asked to hold")
         return ""
 
     def _jog(self, asked: Asked) -> str:
         fields = asked.fields
-        self.lease.check(fields["client"])
+        self._lease.check(fields["client"])
         limit = None if math.isnan(fields["limit"]) else fields["limit"]
         self._loop.jog(_values(fields), limit)
-        self.lease.jogged(fields["client"])
+        self._lease.jogged(fields["client"])
         return ""
 
     def _gains(self, asked: Asked) -> None:
         fields = asked.fields
-        self.lease.check(fields["client"])
+        self._lease.check(fields["client"])
         values, device = _values(fields), fields["source"] or None
         self._later(asked, lambda: self._loop.set_gains(values, device))
 
     def _recover(self, asked: Asked) -> None:
-        self.lease.check(asked.fields["client"])
+        self._lease.check(asked.fields["client"])
         device = asked.fields["what"] or None
         self._later(asked, lambda: self._loop.recover(device))
 
     def _take(self, asked: Asked) -> str:
-        self.lease.take(asked.fields["client"])
+        self._lease.take(asked.fields["client"])
         return ""
 
     def _release(self, asked: Asked) -> str:
-        self.lease.release(asked.fields["client"])
+        self._lease.release(asked.fields["client"])
         return ""
 
     def _later(self, asked: Asked, what: Callable[[], Awaitable[None]]) -> None:
@@ -153,7 +167,7 @@ class Control:
             else:
                 asked.accept()
 
-        self._server.call_soon(self._server.start, run)
+        self._thread.start(run)
 
 
 def _values(fields: Fields) -> dict[str, float]:

@@ -28,8 +28,13 @@ SERVICES = Path("/run/rtee")
 """Where hands that run as services are announced, for those who may read it."""
 
 _ATTEMPTS = 20
+"""Attempts to lock the file of a hand, together 0.2 s: who only looks holds it for microseconds."""
+
 _PAUSE = 0.01
+"""Time between two of these attempts [s]."""
+
 _LONGEST = 65536
+"""Longest file of a hand that is read [bytes]; a whole one has some hundred."""
 
 
 @dataclass(frozen=True, slots=True)

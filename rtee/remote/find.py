@@ -21,7 +21,10 @@ VARIABLE = "RTEE_CONNECT"
 """Environment variable that names the endpoint of a hand on another computer."""
 
 _LOOK_EVERY = 0.02
+"""Time between two looks for a hand that does not run yet [s]: nobody notices that wait."""
+
 _ANSWER_WITHIN = 1.0
+"""Time that hands on an endpoint have to answer that they are there [s]."""
 
 
 def hands_running() -> dict[str, Running]:

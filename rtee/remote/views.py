@@ -30,6 +30,7 @@ _LOOK_EVERY = 0.05
 """Time between two looks whether a hand is ready [s]."""
 
 _MOST_WAITING = 1000
+"""States or events that wait for who is slow to take them: 1 s at 1 kHz; older ones are dropped."""
 
 
 @dataclass(frozen=True, slots=True)

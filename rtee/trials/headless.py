@@ -9,6 +9,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
+from rtee.commands import Command, CommandRecord, SetActive
 from rtee.errors import LoopError
 from rtee.hand.model import Hand
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
@@ -16,7 +17,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.observer import LoopObserver, TickRecord
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
-from rtee.types import BoolArray, Command, Feedback, FloatArray, Goal, Result
+from rtee.types import BoolArray, Feedback, FloatArray, Goal, Result
 
 _PATIENCE = 120.0
 
@@ -107,7 +108,7 @@ class HeadlessHand(Generic[P]):
         self._silent = np.full(n, -1, dtype=np.int8)
         self._unmeasured = np.full(n, np.nan)
         self._unmeasured.flags.writeable = False
-        self._command("active", dict.fromkeys(hand.actuator_names, 1.0))
+        self._apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.tick()  # the controller starts from what is measured
 
     @property
@@ -119,11 +120,10 @@ class HeadlessHand(Generic[P]):
         """Call something with the simulated time [s] before every tick: a carrier's script."""
         self._before.append(call)
 
-    def _command(self, kind: str, values: dict[str, float]) -> None:
-        command = Command(kind, values=values, tick=self.ticks, stamp=self.time)
+    def _apply(self, command: Command) -> None:
         for observer in self.observers:
-            observer.on_command(command)
-        self.controller.apply(command)
+            observer.on_command(CommandRecord(self.ticks, self.time, command))
+        self.controller.apply(command, self.time)
 
     def do(self, goal: Goal) -> Result:
         """Execute a goal to its end.

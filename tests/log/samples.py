@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rtee.commands import CommandRecord, Jog
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.log.contents import Contents
@@ -14,7 +15,6 @@ from rtee.log.settings import RecorderSettings
 from rtee.log.writer import LogWriter
 from rtee.loop.observer import TickRecord
 from rtee.types import (
-    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -62,7 +62,7 @@ BEGIN = 50.0
 GOAL = Goal("Trig", ("one",), intensity=0.5, effort={"first": 1.5}, goal_id="g1", client="tests")
 TIMED = Goal("drill", kind="timed", goal_id="g2", timeout=4.0)
 RESULT = Result("g1", "Trig", reached=True, duration=0.5, position={"first": 0.5, "second": 0.0})
-COMMAND = Command("jog", "panel", {"first": 0.25}, tick=70, stamp=BEGIN + 0.7)
+COMMAND = CommandRecord(70, BEGIN + 0.7, Jog({"first": 0.25}, 0.5))
 STATUS = DeviceStatus("motor", "kinematic", Lifecycle.ACTIVE, counters={"frames": 3})
 STATISTICS = LoopStatistics(RATE, RATE, 100)
 

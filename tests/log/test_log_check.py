@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -13,17 +14,22 @@ from loop.hands import Rig, Watcher, device, make_hand, make_library
 
 from log.samples import RATE, recorded, settings
 from rtee.buses.pool import BusPool
+from rtee.commands import Command, CommandRecord, Jog, SetAcceptsEffort
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import LogError, UnknownActuator
 from rtee.hand.model import Hand
 from rtee.log import Entry, Recorder, Recording, read
 from rtee.log.check import check
+from rtee.log.tables import tables
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
-from rtee.types import ActuatorState, Command, Goal
+from rtee.messages.command import plain
+from rtee.types import ActuatorState, Goal
 
 pytestmark = pytest.mark.anyio
+
+RECORDED_BEFORE = Path(__file__).parents[1] / "data" / "every_command.mcap"
 
 
 @pytest.fixture(scope="module")
@@ -182,10 +188,37 @@ async def test_what_cannot_be_computed_anew_is_said(moved: Recording) -> None:
 
 
 async def test_nonsense_in_a_recording_is_said(moved: Recording) -> None:
-    jog = Command("jog", "fast", {"index_tip": 0.3}, tick=5, stamp=moved.actuator_states.time[5])
-    entry = Entry(0.0, 0, jog.stamp, jog)
-    with pytest.raises(LogError, match="cannot be computed anew: could not convert"):
-        check(replace(moved, commands=[*moved.commands, entry]))
-    thumb = replace(jog, kind="accepts", values={"third_thumb": 1.0})
+    def with_command(command: Command) -> Recording:
+        record = CommandRecord(5, float(moved.actuator_states.time[5]), command)
+        entry = Entry(0.0, 0, record.stamp, record)
+        return replace(moved, commands=[*moved.commands, entry])
+
+    with pytest.raises(LogError, match="cannot be computed anew: '<' not supported"):
+        check(with_command(Jog({"index_tip": 0.3}, "fast")))  # type: ignore[arg-type]
     with pytest.raises(UnknownActuator):
-        check(replace(moved, commands=[replace(entry, value=thumb)]))
+        check(with_command(SetAcceptsEffort({"third_thumb": True})))
+
+
+KINDS = {"accepts", "active", "holding", "cancel", "jog", "hold", "fail", "freeze"}
+
+
+def test_a_recording_of_before_commands_had_types_comes_out_again() -> None:
+    """It holds every kind of command, as the version before wrote them."""
+    found = read(RECORDED_BEFORE)
+    assert found.notes == ()
+    commands = [entry.value.command for entry in found.commands]
+    assert {plain(command)[0] for command in commands} == KINDS
+    jogs = [command for command in commands if isinstance(command, Jog)]
+    assert [jog.max_velocity for jog in jogs] == [0.1 + 0.2, math.inf]
+    report = check(found)
+    assert report.same
+    assert (report.ticks, report.goals) == (332, 6)
+
+
+def test_the_table_of_commands_is_as_before() -> None:
+    table = tables(read(RECORDED_BEFORE), ["commands"])["commands"]
+    assert list(table) == ["t", "wall_ns", "kind", "text", "values", "tick", "stamp"]
+    row = list(table["kind"]).index("jog")
+    assert table["text"][row] == "0.30000000000000004"
+    assert table["values"][row] == "index_tip=0.3 thumb_slide=0.01"
+    assert table["tick"][row] == 152

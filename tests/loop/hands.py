@@ -18,6 +18,7 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.buses.pool import BusPool
+from rtee.commands import CommandRecord
 from rtee.drivers.base import Driver
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.load import load_model
@@ -26,7 +27,7 @@ from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer, TickRecord
 from rtee.loop.settings import DeviceSettings, LoopSettings
-from rtee.types import Command, DeviceSpec, Event, Feedback, Goal, Result
+from rtee.types import DeviceSpec, Event, Feedback, Goal, Result
 
 _JOINT = """
   <joint name="{name}" type="{kind}">
@@ -103,7 +104,7 @@ class Watcher(Observer):
     def __init__(self) -> None:
         self.records: list[TickRecord] = []
         self.goals: list[tuple[Goal, float]] = []
-        self.commands: list[Command] = []
+        self.commands: list[CommandRecord] = []
         self.feedback: list[Feedback] = []
         self.results: list[Result] = []
         self.events: list[Event] = []
@@ -114,8 +115,8 @@ class Watcher(Observer):
     def on_goal(self, goal: Goal, stamp: float) -> None:
         self.goals.append((goal, stamp))
 
-    def on_command(self, command: Command) -> None:
-        self.commands.append(command)
+    def on_command(self, record: CommandRecord) -> None:
+        self.commands.append(record)
 
     def on_feedback(self, feedback: Feedback) -> None:
         self.feedback.append(feedback)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 from rtee.actions.library import ActionLibrary
+from rtee.commands import SetActive
 from rtee.hand.model import Hand
 from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
-from rtee.types import Command, Goal, Result
+from rtee.types import Goal, Result
 
 START = 0.1
 
@@ -21,7 +22,7 @@ def test_a_goal_between_permission_and_tick_starts_where_the_hand_is(
     settings = LoopSettings(rate=100.0)
     controller = Controller(hand, settings)
     n = len(hand.actuators)
-    controller.apply(Command("active", values=dict.fromkeys(hand.actuator_names, 1.0)))
+    controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
     controller.take(make_plan(Goal("Trig", ("index",)), hand, library, settings), 0.0)
     position = [START] * n
     unmeasured = [math.nan] * n

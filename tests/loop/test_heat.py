@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtee.commands import SetActive
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 from rtee.log.plain import from_json, to_json
@@ -16,7 +17,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.heat import CurrentHeat
 from rtee.loop.settings import LoopSettings, ThermalSettings
 from rtee.loop.thermal import PLAUSIBLE, Level, Thermal
-from rtee.types import Command, Event
+from rtee.types import Event
 
 
 def settled(current: float, nominal: float = 0.5, **options: float) -> tuple[float, CurrentHeat]:
@@ -89,7 +90,7 @@ def test_an_estimate_derates_and_releases_through_the_controller(hand: Hand) -> 
     thermal = ThermalSettings(nominal_current={"defaults": 0.5}, time_constant=10.0)
     settings = LoopSettings(rate=50.0, thermal=thermal)
     controller, n = Controller(hand, settings), len(hand.actuators)
-    controller.apply(Command("active", values=dict.fromkeys(hand.actuator_names, 1.0)))
+    controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
     rest, unmeasured = hand.rest.tolist(), [math.nan] * n
     efforts = []
     for tick in range(1000):

@@ -8,10 +8,21 @@ from typing import Any
 import pytest
 
 from rtee import messages
+from rtee.commands import (
+    Abort,
+    Cancel,
+    CommandRecord,
+    Freeze,
+    Hold,
+    Jog,
+    SetAcceptsEffort,
+    SetActive,
+    SetHoldingEffort,
+)
 from rtee.errors import MessageError
 from rtee.messages import convert, message_type
+from rtee.messages.command import typed
 from rtee.types import (
-    Command,
     DeviceStatus,
     Event,
     Feedback,
@@ -49,7 +60,18 @@ RESULT = Result(
     position={"thumb_flexion": 0.75},
 )
 EVENT = Event("mark", "user", "the drill slipped", 99.5, "warning")
-COMMAND = Command("jog", "panel", {"thumb_flexion": 0.5}, 7, 12.25)
+COMMANDS = (
+    Cancel("0123"),
+    Hold("a client asked to hold"),
+    Freeze("the loop ended"),
+    Freeze("rejected", ("thumb_flexion",)),
+    Jog({"thumb_flexion": 0.5}),
+    Jog({"thumb_flexion": 0.5, "index": -1.0}, 0.1 + 0.2),
+    SetHoldingEffort(0.3),
+    SetActive({"thumb_flexion": True, "index": False}),
+    SetAcceptsEffort({"thumb_flexion": False}),
+    Abort("the device is lost", ("index",)),
+)
 STATUS = DeviceStatus(
     "svh",
     "schunk_svh",
@@ -79,7 +101,10 @@ PAIRS: list[tuple[Callable[..., bytes], Callable[[bytes], Any], Any]] = [
     (messages.encode_feedback, messages.decode_feedback, Feedback("1", 1.0)),
     (messages.encode_result, messages.decode_result, RESULT),
     (messages.encode_event, messages.decode_event, EVENT),
-    (messages.encode_command, messages.decode_command, COMMAND),
+    *(
+        (messages.encode_command, messages.decode_command, CommandRecord(7, 12.25, command))
+        for command in COMMANDS
+    ),
     (messages.encode_device_status, messages.decode_device_status, STATUS),
     (messages.encode_device_status, messages.decode_device_status, replace(STATUS, age=math.inf)),
     (messages.encode_loop_statistics, messages.decode_loop_statistics, STATISTICS),
@@ -92,6 +117,21 @@ def test_what_is_decoded_is_what_was_encoded(
     encode: Callable[..., bytes], decode: Callable[[bytes], Any], value: Any
 ) -> None:
     assert decode(encode(value)) == value
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "numbers", "reason"),
+    [
+        ("dance", "", {}, "unknown command 'dance'"),
+        ("jog", "fast", {"thumb_flexion": 0.5}, "'jog' makes no sense: .*'fast'"),
+        ("holding", "", {}, "'holding' makes no sense: 'effort'"),
+    ],
+)
+def test_what_is_no_command_is_said(
+    kind: str, text: str, numbers: dict[str, float], reason: str
+) -> None:
+    with pytest.raises(MessageError, match=reason):
+        typed(kind, text, numbers)
 
 
 def test_stamps_are_kept() -> None:

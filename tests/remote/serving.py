@@ -16,9 +16,10 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
+from rtee.log.settings import RecorderStatus
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.observer import Observer
+from rtee.loop.observer import Observer, TickRecord
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.ticker import drive
 from rtee.remote.server import Server
@@ -100,6 +101,11 @@ class Watcher(Observer):
         self.results: list[Result] = []
         self.events: list[Event] = []
 
+        self.ticks = 0
+
+    def on_tick(self, record: TickRecord) -> None:
+        self.ticks += 1
+
     def on_goal(self, goal: Goal, stamp: float) -> None:
         self.goals.append(goal)
 
@@ -108,6 +114,31 @@ class Watcher(Observer):
 
     def on_event(self, event: Event) -> None:
         self.events.append(event)
+
+
+class Told:
+    """Keeps what a recorder is told, and writes nothing."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.path: Path | None = None
+        self.lost = 0
+        self.problem = ""
+
+    def start(self) -> None:
+        self.calls.append("start")
+        self.path = Path("/logs/small.mcap")
+
+    def stop(self) -> None:
+        self.calls.append("stop")
+        self.path = None
+
+    def mark(self, text: str) -> None:
+        self.calls.append(text)
+
+    def status(self) -> RecorderStatus:
+        wanted = self.path is not None or bool(self.problem)
+        return RecorderStatus(wanted, self.path, lost=self.lost, problem=self.problem)
 
 
 @dataclass
@@ -131,6 +162,7 @@ class Served:
     driver: KinematicDriver
     watcher: Watcher
     config: Config
+    recorder: Told | None
 
     async def event(self, kind: str) -> Event:
         """Wait for an event of a kind."""
@@ -151,6 +183,7 @@ async def serving(
     *,
     settings: LoopSettings | None = None,
     config: Config | None = None,
+    recorder: Told | None = None,
 ) -> AsyncIterator[Served]:
     """Run a hand on the network for as long as the context lasts."""
     settings, config = settings or LoopSettings(rate=RATE), config or Config()
@@ -160,9 +193,10 @@ async def serving(
         driver = KinematicDriver(spec, pool)
         loop = HandLoop(hand, library, settings, [(DeviceSettings(spec), driver)])
         loop.add_observer(watcher)
-        async with loop, Server(loop, hand, config) as server, anyio.create_task_group() as group:
+        opened = Server.open(loop, config.remote, recorder)
+        async with loop, opened as server, anyio.create_task_group() as group:
             await loop.ready()
             group.start_soon(drive, [loop], Clock(settings.rate))
-            await until(lambda: server.latest is not None and all(loop.controller.active))
-            yield Served(loop, server, driver, watcher, config)
+            await until(lambda: watcher.ticks > 0 and all(loop.controller.active))
+            yield Served(loop, server, driver, watcher, config, recorder)
             group.cancel_scope.cancel()

@@ -19,14 +19,14 @@ from rtee.errors import ConfigError, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.remote.directory import announced
 
-from .serving import Served, make_hand, make_library, serving
+from .serving import Served, Told, make_hand, make_library, serving
 
 
 @pytest.fixture
 def served(hand: Hand, library: ActionLibrary) -> Iterator[Served]:
     with (
         anyio.from_thread.start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(serving(hand, library)) as served,
+        portal.wrap_async_context_manager(serving(hand, library, recorder=Told())) as served,
     ):
         yield served
 
@@ -96,7 +96,8 @@ def test_status(served: Served) -> None:
     assert "kinematic" in shown
     assert "held by:  nobody" in shown
     assert "log:      off\n" in shown
-    served.server.recording_trouble = lambda: "not written: No space left on device"
+    assert served.recorder is not None
+    served.recorder.problem = "No space left on device"
     assert "log:      not written: No space left on device\n" in run(status)
     found = json.loads(run(status, "--json"))
     assert found["devices"][0]["lifecycle"] == "active"

@@ -13,10 +13,11 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, LeaseHeld, NoHand, RequestRejected
 from rtee.hand.model import Hand
+from rtee.remote.server import Server
 from rtee.remote.session import direct
 from rtee.types import Feedback, Lifecycle
 
-from .serving import RATE, Config, Remote, make_hand, make_library, serving, until
+from .serving import RATE, Config, Remote, Told, make_hand, make_library, serving, until
 
 pytestmark = pytest.mark.anyio
 
@@ -161,7 +162,7 @@ async def test_the_answer_to_a_stop_does_not_wait_behind_others(
 ) -> None:
     taken = threading.Event()  # by a client that is slow to take what it is told
     async with serving(hand, library) as served, rtee.connect("small") as remote:
-        served.server._outbox._worker.put(taken.wait)
+        served.server.outbox.put(taken.wait)
         try:
             with anyio.fail_after(10):
                 assert await remote.stop() == {"sim": True}
@@ -266,7 +267,7 @@ async def test_what_nobody_takes_does_not_pile_up(hand: Hand, library: ActionLib
             watched = session.declare_subscriber(key, direct(at_last))
             while not received.is_set():  # until the subscriptions have got around
                 for number in range(300):
-                    served.server.streams._session.put(key, str(number))
+                    served.server._session.put(key, str(number))
                 received.wait(0.2)  # the event loop is held up
             await until(lambda: taken[-1:] == [b"299"])
             watched.undeclare()
@@ -281,15 +282,18 @@ async def test_a_single_state(hand: Hand, library: ActionLibrary) -> None:
 
 
 async def test_status(hand: Hand, library: ActionLibrary) -> None:
-    async with serving(hand, library) as served, rtee.connect("small") as remote:
-        served.server.recording = lambda: "logs/x.mcap"
-        served.server.recording_trouble = lambda: "3 ticks lost"
+    told = Told()
+    told.start()
+    told.lost = 3
+    serves = serving(hand, library, recorder=told)
+    async with serves as served, rtee.connect("small") as remote:
         running = await remote.start("fist", speed=0.1)
         await until(lambda: bool(served.watcher.goals))
         status = await remote.status()
         assert (status.hand, status.action) == ("small", "fist")
         assert status.goal_id == running.goal.goal_id
-        assert (status.recording, status.recording_trouble) == ("logs/x.mcap", "3 ticks lost")
+        assert status.recording == "/logs/small.mcap"
+        assert status.recording_trouble.startswith("3 ticks lost")
         assert status.statistics.rate == RATE
         assert [device.driver for device in status.devices] == ["kinematic"]
 
@@ -347,7 +351,7 @@ async def test_no_hand_and_several_hands(
 async def test_the_same_hand_runs_once(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library) as served:
         with pytest.raises(ConfigError, match="'small' runs already"):
-            async with type(served.server)(served.loop, hand, Config()):
+            async with Server.open(served.loop, Config().remote):
                 pass
         async with rtee.connect("small") as remote:
             assert (await remote.status()).hand == "small"

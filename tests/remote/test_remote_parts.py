@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+import ast
 import fcntl
 import json
 import os
+import threading
+from functools import partial
+from graphlib import TopologicalSorter
 from pathlib import Path
 
+import anyio
+import anyio.to_thread
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,7 +28,9 @@ from rtee.remote import directory
 from rtee.remote.actions import action_fields, action_of
 from rtee.remote.directory import announced, running, runtime_folder
 from rtee.remote.lease import JOGGING, Lease
+from rtee.remote.loop_thread import LoopThread
 from rtee.remote.planner import info_fields, info_of
+from rtee.remote.worker import Worker
 
 # --- lease
 
@@ -223,6 +231,76 @@ def test_hand_information_survives_the_network(hand: Hand) -> None:
     for value in (9.0, float("nan")):
         with pytest.raises(GoalRejected, match="outside its limits"):
             info_fields(hand, {"near": value})
+
+
+# --- threads
+
+
+def test_a_worker_drops_what_there_is_no_room_for() -> None:
+    busy, go = threading.Event(), threading.Event()
+    done: list[int] = []
+    worker = Worker("test", most=2)
+    worker.put(lambda: (busy.set(), go.wait()))
+    assert busy.wait(10)
+    assert [worker.put(partial(done.append, number)) for number in range(4)] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert worker.dropped == 2
+    go.set()
+    worker.close()
+    assert done == [0, 1]
+
+
+@pytest.mark.anyio
+async def test_other_threads_reach_that_of_the_loop() -> None:
+    thread, here = LoopThread(), threading.get_ident()
+    assert await anyio.to_thread.run_sync(thread.call, threading.get_ident) == here
+    with pytest.raises(GoalRejected, match="no"):
+        await anyio.to_thread.run_sync(thread.call, _refuse)
+
+
+def _refuse() -> None:
+    raise GoalRejected("no")
+
+
+@pytest.mark.anyio
+async def test_what_runs_in_the_background_ends_with_the_server() -> None:
+    begun = anyio.Event()
+    ended: list[str] = []
+
+    async def work() -> None:
+        begun.set()
+        try:
+            await anyio.sleep_forever()
+        finally:
+            ended.append("cancelled")
+
+    thread = LoopThread()
+    await anyio.to_thread.run_sync(thread.start, work)
+    await begun.wait()
+    await thread.close()
+    assert ended == ["cancelled"]
+
+
+# --- modules
+
+
+def test_no_modules_import_each_other_in_a_circle(repository: Path) -> None:
+    """Not even for type checkers only."""
+    imports = {
+        f"rtee.remote.{path.stem}": _imported(path)
+        for path in (repository / "rtee" / "remote").glob("*.py")
+    }
+    assert len(imports) > 10
+    TopologicalSorter(imports).prepare()  # raises CycleError
+
+
+def _imported(path: Path) -> set[str]:
+    found = ast.walk(ast.parse(path.read_text()))
+    return {node.module for node in found if isinstance(node, ast.ImportFrom) and node.module}
 
 
 # --- actions as messages

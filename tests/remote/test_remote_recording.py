@@ -7,36 +7,16 @@ from rtee.actions.library import ActionLibrary
 from rtee.errors import RequestRejected
 from rtee.hand.model import Hand
 
-from .serving import serving, until
+from .serving import Told, serving, until
 
 pytestmark = pytest.mark.anyio
-
-
-class Told:
-    """Keeps what a recorder is told."""
-
-    def __init__(self) -> None:
-        self.calls: list[str] = []
-        self.path = ""
-
-    def start(self) -> None:
-        self.calls.append("start")
-        self.path = "/logs/small.mcap"
-
-    def stop(self) -> None:
-        self.calls.append("stop")
-        self.path = ""
-
-    def mark(self, text: str) -> None:
-        self.calls.append(text)
 
 
 async def test_a_recording_is_started_marked_and_stopped(
     hand: Hand, library: ActionLibrary
 ) -> None:
     told = Told()
-    async with serving(hand, library) as served, rtee.connect("small") as remote:
-        served.server.recorder, served.server.recording = told, lambda: told.path
+    async with serving(hand, library, recorder=told), rtee.connect("small") as remote:
         await remote.record("start")
         assert (await remote.status()).recording == "/logs/small.mcap"
         await remote.record("mark", "the drill slipped")
@@ -58,8 +38,7 @@ async def test_nonsense_does_not_reach_the_recorder(
     hand: Hand, library: ActionLibrary, what: str, text: str, reason: str
 ) -> None:
     told = Told()
-    async with serving(hand, library) as served, rtee.connect("small") as remote:
-        served.server.recorder = told
+    async with serving(hand, library, recorder=told), rtee.connect("small") as remote:
         with pytest.raises(RequestRejected, match=reason):
             await remote.record(what, text)
     assert told.calls == []

@@ -1,0 +1,124 @@
+"""The commands that steer a hand's controller beside its goals.
+
+Goals, commands and measurements determine every reference: a recording of them replays the hand
+bit for bit. Units are SI; actuators are named as in the URDF.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """End a goal as cancelled; the hand brakes and holds the measured posture.
+
+    Attributes:
+        goal_id: The goal; empty: whichever runs. If another one runs, nothing happens.
+    """
+
+    goal_id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Brake and hold the measured posture, but for blocked fingers: those keep pressing.
+
+    Attributes:
+        reason: Why, in words; the result of the goal that ends says so.
+    """
+
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Freeze:
+    """Begin again from the measured positions: the devices have stopped, whatever was sent.
+
+    Attributes:
+        reason: Why, in words; the result of the goal that ends says so.
+        actuators: Actuators concerned; empty: all.
+    """
+
+    reason: str = ""
+    actuators: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Jog:
+    """Move some actuators to positions; a running goal is pre-empted.
+
+    Attributes:
+        positions: Where to, by actuator [rad | m].
+        max_velocity: Velocity not to be exceeded [rad/s | m/s]; ``inf``: the actuators' own limits.
+    """
+
+    positions: Mapping[str, float]
+    max_velocity: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class SetHoldingEffort:
+    """Change the effort kept on what is held.
+
+    Attributes:
+        fraction: Fraction of the effort limit, 0 to 1.
+    """
+
+    fraction: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetActive:
+    """Note whose device may be moved from now on, and whose not.
+
+    Attributes:
+        active: Whether the actuator may be moved, by actuator.
+    """
+
+    active: Mapping[str, bool]
+
+
+@dataclass(frozen=True, slots=True)
+class SetAcceptsEffort:
+    """Note whose device takes effort limits; the others are eased off by their position.
+
+    Attributes:
+        accepts: Whether the actuator's device takes them, by actuator.
+    """
+
+    accepts: Mapping[str, bool]
+
+
+@dataclass(frozen=True, slots=True)
+class Abort:
+    """End the running goal as aborted if it involves one of some actuators.
+
+    Attributes:
+        reason: Why, in words; the goal's result says so.
+        actuators: Actuators concerned; empty: all.
+    """
+
+    reason: str
+    actuators: tuple[str, ...] = ()
+
+
+Command = Cancel | Hold | Freeze | Jog | SetHoldingEffort | SetActive | SetAcceptsEffort | Abort
+"""A call that steers the controller, other than a goal."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRecord:
+    """A command with the tick at which it took effect, before that tick's set-points.
+
+    Attributes:
+        tick: Number of the tick.
+        stamp: When that tick was due, CLOCK_MONOTONIC [s].
+        command: The command.
+    """
+
+    tick: int
+    stamp: float
+    command: Command
