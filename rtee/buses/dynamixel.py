@@ -114,9 +114,9 @@ class DynamixelBus(Bus):
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"not done within {deadline:.3f} s") from None
-        # pyserial lets termios.error through when a port vanishes, which is no OSError.
         except (OSError, TypeError, termios.error) as error:
-            # pyserial raises TypeError when its port was closed under it.
+            # pyserial raises TypeError when its port was closed under it, and lets termios.error
+            # through, which is no OSError, when it vanishes.
             self._broke(str(error))
             raise BusBroken(self.name, f"the link broke: {error}") from error
 
