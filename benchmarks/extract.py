@@ -41,7 +41,8 @@ from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
 from rtee.extract.scene import Scene
 from rtee.extract.search import distinct
-from rtee.extract.space import Space, halton, make_space, real_limits, widened_limits
+from rtee.extract.space import Space, make_space, real_limits, widened_limits
+from rtee.hand.halton import halton
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 

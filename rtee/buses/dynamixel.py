@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import sys
+import termios
 import time
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -16,13 +16,6 @@ from rtee.buses.bus import Bus
 from rtee.buses.link import Line, explained
 from rtee.buses.worker import Worker
 from rtee.errors import BusBroken, BusTimeout, RteeError
-
-if sys.platform == "win32":
-    _PORT_ERROR: type[Exception] = OSError
-else:
-    import termios
-
-    _PORT_ERROR = termios.error  # what pyserial lets through when a port vanishes; no OSError
 
 T = TypeVar("T")
 
@@ -121,8 +114,9 @@ class DynamixelBus(Bus):
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"not done within {deadline:.3f} s") from None
-        except (OSError, TypeError, _PORT_ERROR) as error:
-            # pyserial raises TypeError when its port was closed under it.
+        except (OSError, TypeError, termios.error) as error:
+            # pyserial raises TypeError when its port was closed under it, and lets termios.error
+            # through, which is no OSError, when it vanishes.
             self._broke(str(error))
             raise BusBroken(self.name, f"the link broke: {error}") from error
 

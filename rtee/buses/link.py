@@ -11,7 +11,6 @@ import errno
 import os
 import select
 import socket
-import sys
 import termios
 import threading
 from collections.abc import Callable
@@ -91,7 +90,7 @@ async def open_link(
                 return await loop.create_connection(protocol, host, port)
         port_object = await _opened(url, line, timeout)
         made = protocol()
-        if url.startswith("rfc2217://") or sys.platform == "win32":
+        if url.startswith("rfc2217://"):
             return ThreadTransport(loop, made, port_object), made
         return SerialTransport(loop, made, port_object), made
     except TimeoutError as error:
@@ -129,7 +128,7 @@ def _open_port(url: str, line: Line) -> Any:
         stopbits=line.stopbits,
         timeout=0,
     )
-    if "://" not in url and sys.platform != "win32":
+    if "://" not in url:
         port.exclusive = True
     try:
         port.open()

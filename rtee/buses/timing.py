@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import ctypes
 import os
 import platform
 import struct
-import sys
 import time
 from collections.abc import Callable
 
-_TFD_NONBLOCK = os.O_NONBLOCK
-_TFD_CLOEXEC = getattr(os, "O_CLOEXEC", 0)
+from rtee.buses import timerfd
+
 _PR_SET_TIMERSLACK = 29
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}
-_libc = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
 
 SLICE = 100_000
 """Processor time that a prompt thread asks for at a time, the shortest that Linux gives [ns]."""
@@ -35,8 +32,9 @@ def silence(baudrate: float | None, bits: float = 11.0) -> float:
 
 def wake_exactly() -> None:
     """Have the calling thread's timers go off at their time, not up to 50 µs later (Linux)."""
-    if _libc is not None:
-        _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    libc = timerfd.libc()
+    if libc is not None:
+        libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def ask_for_short_slices() -> bool:
@@ -48,11 +46,11 @@ def ask_for_short_slices() -> bool:
     Returns:
         Whether the system took it; older kernels take it too, and make nothing of it.
     """
-    number = _SCHED_SETATTR.get(platform.machine())
-    if number is None or _libc is None:
+    number, libc = _SCHED_SETATTR.get(platform.machine()), timerfd.libc()
+    if number is None or libc is None:
         return False
     attributes = struct.pack("=IIQiIQQQ", 48, os.SCHED_OTHER, 0, os.nice(0), 0, SLICE, 0, 0)
-    return bool(_libc.syscall(number, 0, attributes, 0) == 0)
+    return bool(libc.syscall(number, 0, attributes, 0) == 0)
 
 
 class Pause:
@@ -62,9 +60,9 @@ class Pause:
     """
 
     def __init__(self) -> None:
-        self._fd = -1
         self._callback: Callable[[], None] | None = None
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: timerfd.Timer | None = None
+        self._handle: asyncio.TimerHandle | None = None
 
     async def until(self, when: float) -> None:
         """Return at ``when`` on CLOCK_MONOTONIC [s], or at once if that has passed."""
@@ -80,36 +78,27 @@ class Pause:
     def start(self, when: float, callback: Callable[[], None]) -> None:
         """Call a function from the event loop at ``when`` on CLOCK_MONOTONIC [s]."""
         loop = asyncio.get_running_loop()
-        left = max(when - time.monotonic(), 1e-9)
         self._callback = callback
-        if _libc is None:
-            self._timer = loop.call_later(left, self._call)
+        if not timerfd.available():
+            self._handle = loop.call_later(max(0.0, when - time.monotonic()), self._call)
             return
-        if self._fd < 0:
-            self._fd = _libc.timerfd_create(time.CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC)
-            if self._fd < 0:
-                raise OSError(ctypes.get_errno(), "timerfd_create failed")
-        seconds = int(left)
-        setting = struct.pack("@qqqq", 0, 0, seconds, max(1, int((left - seconds) * 1e9)))
-        if _libc.timerfd_settime(self._fd, 0, setting, None) != 0:
-            raise OSError(ctypes.get_errno(), "timerfd_settime failed")
-        loop.add_reader(self._fd, self._ready)
+        if self._timer is None:
+            self._timer = timerfd.Timer()
+        self._timer.start(max(1, int(when * 1e9)))  # 0 would stop it
+        loop.add_reader(self._timer.fd, self._ready)
 
     def cancel(self) -> None:
         """Call nothing; idempotent."""
         self._callback = None
+        if self._handle is not None:
+            self._handle.cancel()
+            self._handle = None
         if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        if self._fd >= 0:
-            asyncio.get_running_loop().remove_reader(self._fd)
+            asyncio.get_running_loop().remove_reader(self._timer.fd)
 
     def _ready(self) -> None:
-        try:
-            os.read(self._fd, 8)
-        except BlockingIOError:
-            return  # armed anew meanwhile
-        self._call()
+        if self._timer is not None and self._timer.expiries():  # else armed anew meanwhile
+            self._call()
 
     def _call(self) -> None:
         callback = self._callback
@@ -119,7 +108,7 @@ class Pause:
 
     def close(self) -> None:
         """Give the timer back; idempotent, and it may be used again afterwards."""
-        if self._fd >= 0:
+        if self._timer is not None:
             self.cancel()
-            os.close(self._fd)
-            self._fd = -1
+            self._timer.close()
+            self._timer = None

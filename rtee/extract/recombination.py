@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.extract.descent import Minimum
-from rtee.extract.space import halton
+from rtee.hand.halton import halton
 from rtee.types import FloatArray
 
 Block = NDArray[np.intp]

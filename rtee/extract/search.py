@@ -13,7 +13,8 @@ from rtee.extract.goals import Placed
 from rtee.extract.grain import COARSE, FINE, MEDIUM
 from rtee.extract.polish import polish
 from rtee.extract.recombination import Block, elsewhere, recombined
-from rtee.extract.space import Space, halton
+from rtee.extract.space import Space
+from rtee.hand.halton import halton
 from rtee.types import FloatArray
 
 

@@ -1,49 +1,68 @@
 """Expressions in ``x`` of non-linear couplings (``nlFunPos``), with exact derivatives.
 
-The grammar, in the syntax of muParser, whose ``^`` binds tighter than a sign and to the right::
-
-    sum     = product { ("+" | "-") product }
-    product = signed { ("*" | "/") signed }
-    signed  = { "+" | "-" } power
-    power   = atom [ "^" { "+" | "-" } power ]
-    atom    = number | "x" | constant | function "(" sum { "," sum } ")" | "(" sum ")"
-
-Nothing else is understood, and nothing is ever handed to Python's ``eval``. Values come with the
-derivative by the chain rule (forward mode).
+They are written as muParser reads them: numbers, ``x``, the constants and functions below, ``+ - *
+/ ^`` and parentheses. ``^`` is Python's ``**``, which binds tighter than a sign, and to the right.
+A text of known words in a valid order goes to Python's parser, and the tree that this returns is
+turned into functions node by node: nothing is compiled or run as Python code. Derivatives follow
+from dual numbers (forward mode): each node gives its value and its slope.
 """
 
 from __future__ import annotations
 
+import ast
 import math
 import re
-from typing import Final
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from rtee.errors import ExpressionError
-from rtee.hand.derivative import (
-    CHOICES,
-    CONSTANTS,
-    FUNCTIONS,
-    Dual,
-    Node,
-    choice,
-    constant,
-    function,
-    inverted,
-    negated,
-    power_of,
-    product_of,
-    sum_of,
-    variable,
-)
 from rtee.types import FloatArray
 
 MAX_LENGTH: Final = 4000
-MAX_DEPTH: Final = 50
+"""Longest text [characters]; the longest of a hand in ``config/`` has 180."""
 
-_TOKEN = re.compile(
-    r"\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\S))"
+MAX_DEPTH: Final = 100
+"""Most operations within operations: each takes a frame or two of Python's stack of 1000."""
+
+MAX_POWER: Final = 100
+"""Highest power of ``x`` in a polynomial, which is also the number of its coefficients."""
+
+Dual = tuple[float, float]
+_Function = Callable[[float], float]
+
+CONSTANTS: Final = {"_pi": math.pi, "pi": math.pi, "_e": math.e, "e": math.e}
+
+# name: (value, derivative), after the usual rules of differentiation
+FUNCTIONS: Final[dict[str, tuple[_Function, _Function]]] = {
+    "sin": (math.sin, math.cos),
+    "cos": (math.cos, lambda a: -math.sin(a)),
+    "tan": (math.tan, lambda a: 1.0 + math.tan(a) ** 2),
+    "asin": (math.asin, lambda a: 1.0 / math.sqrt(1.0 - a * a)),
+    "acos": (math.acos, lambda a: -1.0 / math.sqrt(1.0 - a * a)),
+    "atan": (math.atan, lambda a: 1.0 / (1.0 + a * a)),
+    "sinh": (math.sinh, math.cosh),
+    "cosh": (math.cosh, math.sinh),
+    "tanh": (math.tanh, lambda a: 1.0 - math.tanh(a) ** 2),
+    "asinh": (math.asinh, lambda a: 1.0 / math.sqrt(a * a + 1.0)),
+    "acosh": (math.acosh, lambda a: 1.0 / math.sqrt(a * a - 1.0)),
+    "atanh": (math.atanh, lambda a: 1.0 / (1.0 - a * a)),
+    "exp": (math.exp, math.exp),
+    "ln": (math.log, lambda a: 1.0 / a),
+    "log": (math.log, lambda a: 1.0 / a),
+    "log2": (math.log2, lambda a: 1.0 / (a * math.log(2.0))),
+    "log10": (math.log10, lambda a: 1.0 / (a * math.log(10.0))),
+    "sqrt": (math.sqrt, lambda a: 0.5 / math.sqrt(a)),
+    "abs": (abs, lambda a: math.copysign(1.0, a) if a else 0.0),
+}
+CHOICES: Final = {"min": min, "max": max}
+
+_CALLED: Final = FUNCTIONS.keys() | CHOICES.keys()
+_NAMES: Final = _CALLED | CONSTANTS.keys() | {"x"}
+_TOKEN: Final = re.compile(
+    r"\s*(?:([0-9]+\.?[0-9]*(?:[eE][+-]?[0-9]+)?|\.[0-9]+(?:[eE][+-]?[0-9]+)?)|([A-Za-z_]\w*)|(\S))"
 )
 
 
@@ -61,7 +80,11 @@ class Expression:
             ExpressionError: The text is outside the grammar; ``column`` points at the place.
         """
         self.text = text
-        self._node = _Parser(text).parse()
+        try:
+            tree = ast.parse(_as_python(text), mode="eval").body
+        except (SyntaxError, RecursionError, MemoryError):  # in valid order, but too deep for it
+            raise _too_deep() from None
+        self._node = _node(tree, 1)
 
     def __call__(self, x: float) -> float:
         """Return the value at ``x``; ``nan`` where it is not defined."""
@@ -73,7 +96,7 @@ class Expression:
     def dual(self, x: float) -> Dual:
         """Return the value and the derivative at ``x``; ``nan`` where they are not defined."""
         try:
-            return self._node.pair(x)
+            return self._node.dual(x)
         except (ArithmeticError, ValueError):
             return math.nan, math.nan
 
@@ -95,151 +118,283 @@ class Expression:
         return hash(self.text)
 
 
-class _Parser:
-    """Recursive descent over the grammar in the module's docstring."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.depth = 0
-        self.tokens: list[tuple[str, str, int]] = []
-        self.at = 0
-
-    def parse(self) -> Node:
-        if len(self.text) > MAX_LENGTH:
-            raise ExpressionError(f"the expression is longer than {MAX_LENGTH} characters")
-        self.tokens = self._split()
-        if not self.tokens:
-            raise ExpressionError("the expression is empty")
-        node = self._sum()
-        if self.at < len(self.tokens):
-            raise self._unexpected()
-        return node
-
-    def _split(self) -> list[tuple[str, str, int]]:
-        tokens = []
-        for match in _TOKEN.finditer(self.text.rstrip()):
-            number, name, symbol = match.groups()
-            if number:
-                tokens.append(("number", number, match.start(1)))
-            elif name:
-                tokens.append(("name", name, match.start(2)))
-            else:
-                tokens.append(("symbol", symbol, match.start(3)))
-        return tokens
-
-    def _peek(self) -> str:
-        return self.tokens[self.at][1] if self.at < len(self.tokens) else ""
-
-    def _take(self, *symbols: str) -> str:
-        """Consume the next token if it is one of the symbols."""
-        token = self._peek()
-        if token and token in symbols:
-            self.at += 1
-            return token
-        return ""
-
-    def _unexpected(self) -> ExpressionError:
-        if self.at < len(self.tokens):
-            _, token, column = self.tokens[self.at]
-            return ExpressionError(
-                f"unexpected '{token[:20]}' at column {column + 1} of '{_short(self.text)}'",
+def _as_python(text: str) -> str:
+    """Return the text in Python's syntax, made of known words in a valid order only."""
+    if len(text) > MAX_LENGTH:
+        raise ExpressionError(f"the expression is longer than {MAX_LENGTH} characters")
+    words: list[str] = []
+    opened: list[str] = []  # what stands before each open parenthesis
+    previous, value_follows = "", True
+    for match in _TOKEN.finditer(text.rstrip()):
+        number, name, symbol = match.groups(default="")
+        token, column = match[match.lastindex or 0], match.start(match.lastindex or 0)
+        if previous in _CALLED:
+            fits = symbol == "("
+        elif value_follows:
+            fits = symbol in ("", "+", "-", "(")
+        elif symbol == ",":
+            fits = bool(opened) and opened[-1] in CHOICES
+        else:
+            fits = symbol in ("+", "-", "*", "/", "^") or (symbol == ")" and bool(opened))
+        if not fits:
+            raise ExpressionError(
+                f"unexpected '{token[:20]}' at column {column + 1} of '{_short(text)}'",
                 column=column,
             )
-        return ExpressionError(
-            f"'{_short(self.text)}' ends where a value or ')' should follow",
-            column=len(self.text),
-        )
-
-    def _sum(self) -> Node:
-        self.depth += 1
-        if self.depth > MAX_DEPTH:
-            raise ExpressionError(f"the expression is nested deeper than {MAX_DEPTH}")
-        terms = [self._product()]
-        while sign := self._take("+", "-"):
-            term = self._product()
-            terms.append(negated(term) if sign == "-" else term)
-        self.depth -= 1
-        return sum_of(terms)
-
-    def _product(self) -> Node:
-        factors = [self._signed()]
-        while sign := self._take("*", "/"):
-            factor = self._signed()
-            factors.append(inverted(factor) if sign == "/" else factor)
-        return product_of(factors)
-
-    def _signed(self) -> Node:
-        negative = self._signs()
-        node = self._power()
-        return negated(node) if negative else node
-
-    def _signs(self) -> bool:
-        negative = False
-        while sign := self._take("+", "-"):
-            negative ^= sign == "-"
-        return negative
-
-    def _power(self) -> Node:
-        self.depth += 1
-        if self.depth > MAX_DEPTH:
-            raise ExpressionError(f"the expression is nested deeper than {MAX_DEPTH}")
-        node = self._atom()
-        if self._take("^"):
-            negative = self._signs()
-            exponent = self._power()
-            node = power_of(node, negated(exponent) if negative else exponent)
-        self.depth -= 1
-        return node
-
-    def _atom(self) -> Node:
-        if self.at >= len(self.tokens):
-            raise self._unexpected()
-        kind, token, column = self.tokens[self.at]
-        if kind == "number":
-            self.at += 1
-            return constant(self._finite(token, column))
-        if kind == "name":
-            self.at += 1
-            return self._named(token, column)
-        if self._take("("):
-            node = self._sum()
-            self._close()
-            return node
-        raise self._unexpected()
-
-    def _finite(self, token: str, column: int) -> float:
-        value = float(token)
-        if math.isinf(value):
-            raise ExpressionError(
-                f"the number '{token[:20]}' at column {column + 1} is too large", column=column
-            )
-        return value
-
-    def _named(self, name: str, column: int) -> Node:
-        if name == "x":
-            return variable()
-        if name in CONSTANTS:
-            return constant(CONSTANTS[name])
-        if name not in FUNCTIONS and name not in CHOICES:
+        if name and name not in _NAMES:
             known = ", ".join([*sorted(FUNCTIONS), *CHOICES, *CONSTANTS])
             raise ExpressionError(
-                f"unknown '{name[:40]}' at column {column + 1}; there are x, {known}",
-                column=column,
+                f"unknown '{name[:40]}' at column {column + 1}; there are x, {known}", column=column
             )
-        if not self._take("("):
-            raise self._unexpected()
-        arguments = [self._sum()]
-        while name in CHOICES and self._take(","):
-            arguments.append(self._sum())
-        self._close()
-        if name in CHOICES:
-            return choice(CHOICES[name], arguments)
-        return function(*FUNCTIONS[name], arguments[0])
-
-    def _close(self) -> None:
-        if not self._take(")"):
-            raise self._unexpected()
+        if number and math.isinf(float(number)):
+            raise ExpressionError(
+                f"the number '{number[:20]}' at column {column + 1} is too large", column=column
+            )
+        if symbol == "(":
+            opened.append(previous)
+        elif symbol == ")":
+            opened.pop()
+        previous, value_follows = token, symbol not in ("", ")")
+        words.append(repr(float(number)) if number else token.replace("^", "**"))
+    if not words:
+        raise ExpressionError("the expression is empty")
+    if value_follows or opened or previous in _CALLED:
+        raise ExpressionError(
+            f"'{_short(text)}' ends where a value or ')' should follow", column=len(text)
+        )
+    return " ".join(words)
 
 
 def _short(text: str) -> str:
     return text if len(text) <= 60 else text[:59] + "…"
+
+
+def _too_deep() -> ExpressionError:
+    return ExpressionError(f"the expression is nested deeper than {MAX_DEPTH}")
+
+
+class _Node(NamedTuple):
+    """A part of an expression.
+
+    Attributes:
+        value: Its value at ``x``.
+        dual: Its value and its derivative at ``x``.
+        terms: Its coefficients by power, if it is written as a sum of powers of ``x``.
+    """
+
+    value: _Function
+    dual: Callable[[float], Dual]
+    terms: dict[int, float] | None = None
+
+    @property
+    def constant(self) -> bool:
+        """Whether it does not depend on ``x``."""
+        return self.terms is not None and self.terms.keys() == {0}
+
+
+_X: Final = _Node(lambda x: x, lambda x: (x, 1.0), {1: 1.0})
+
+
+def _node(tree: ast.expr, depth: int) -> _Node:
+    """Return what a tree computes; only what is named here is understood."""
+    if depth > MAX_DEPTH:
+        raise _too_deep()
+    inner = partial(_node, depth=depth + 1)
+    match tree:
+        case ast.Constant(value=float(number)):
+            return _number(number)
+        case ast.Name(id="x"):
+            return _X
+        case ast.Name(id=name):
+            return _number(CONSTANTS[name])
+        case ast.UnaryOp(op=ast.UAdd()):
+            return inner(tree.operand)
+        case ast.UnaryOp(op=ast.USub()):
+            return _negated(inner(tree.operand))
+        case ast.BinOp(op=ast.Pow()):
+            return _power(inner(tree.left), inner(tree.right))
+        case ast.BinOp(op=ast.Add() | ast.Sub()):
+            terms = _chain(tree, (ast.Add, ast.Sub))
+            return _sum([_negated(inner(t)) if minus else inner(t) for minus, t in terms])
+        case ast.BinOp(op=ast.Mult() | ast.Div()):
+            factors = _chain(tree, (ast.Mult, ast.Div))
+            return _product([_inverted(inner(t)) if over else inner(t) for over, t in factors])
+        case ast.Call(func=ast.Name(id=name), args=arguments) if name in CHOICES:
+            return _choice(CHOICES[name], [inner(argument) for argument in arguments])
+        case ast.Call(func=ast.Name(id=name), args=[argument]):
+            return _applied(*FUNCTIONS[name], inner(argument))
+    raise ExpressionError(f"unexpected {type(tree).__name__}")
+
+
+def _chain(tree: ast.BinOp, kinds: tuple[type, type]) -> Iterator[tuple[bool, ast.expr]]:
+    """Return what a chain as ``a - b + c`` joins, each with whether the second kind joins it."""
+    parts: list[tuple[bool, ast.expr]] = []
+    node: ast.expr = tree
+    # Python's tree nests chains to the left. A part in parentheses begins after them.
+    while (
+        isinstance(node, ast.BinOp)
+        and isinstance(node.op, kinds)
+        and node.col_offset == tree.col_offset
+    ):
+        parts.append((isinstance(node.op, kinds[1]), node.right))
+        node = node.left
+    return reversed([*parts, (False, node)])
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ExpressionError("a constant part of the expression has no finite value")
+    return value
+
+
+def _number(value: float) -> _Node:
+    return _Node(lambda _x: value, lambda _x: (value, 0.0), {0: _finite(value)})
+
+
+def _made(parts: list[_Node], value: _Function, dual: Callable[[float], Dual]) -> _Node:
+    """Return a node made of parts; a number if these don't depend on ``x``."""
+    if not all(part.constant for part in parts):
+        return _Node(value, dual)
+    try:
+        return _number(value(0.0))
+    except (ArithmeticError, ValueError) as error:
+        raise ExpressionError(f"a constant part of the expression has no value: {error}") from None
+
+
+def _polynomial(terms: dict[int, float]) -> _Node:
+    """Return a sum of powers of ``x``, evaluated by Horner's rule."""
+    degree = max(terms)
+    if degree == 0:
+        return _number(terms[0])
+    if degree > MAX_POWER:
+        raise ExpressionError(f"a power of x is above {MAX_POWER}")
+    factors = [_finite(terms.get(power, 0.0)) for power in range(degree, -1, -1)]
+
+    def value_of(x: float) -> float:
+        value = 0.0
+        for factor in factors:
+            value = value * x + factor
+        return value
+
+    def dual(x: float) -> Dual:
+        value, slope = 0.0, 0.0
+        for factor in factors:
+            slope = slope * x + value
+            value = value * x + factor
+        return value, slope
+
+    return _Node(value_of, dual, terms)
+
+
+def _sum(parts: list[_Node]) -> _Node:
+    polynomials = [part.terms for part in parts if part.terms is not None]
+    if len(polynomials) == len(parts):
+        total: dict[int, float] = {}
+        for terms in polynomials:
+            for power, factor in terms.items():
+                total[power] = total.get(power, 0.0) + factor
+        return _polynomial(total)
+    values, duals = [part.value for part in parts], [part.dual for part in parts]
+
+    def dual(x: float) -> Dual:
+        found = [dual(x) for dual in duals]
+        return math.fsum([a for a, _ in found]), math.fsum([da for _, da in found])
+
+    return _made(parts, lambda x: math.fsum([value(x) for value in values]), dual)
+
+
+def _product(parts: list[_Node]) -> _Node:
+    monomials = [part.terms for part in parts if part.terms is not None and len(part.terms) == 1]
+    if len(monomials) == len(parts):
+        power = sum(power for terms in monomials for power in terms)
+        return _polynomial({power: math.prod(f for terms in monomials for f in terms.values())})
+    values, duals = [part.value for part in parts], [part.dual for part in parts]
+
+    def value_of(x: float) -> float:
+        product = 1.0
+        for value in values:
+            product *= value(x)
+        return product
+
+    def dual(x: float) -> Dual:
+        product, slope = 1.0, 0.0
+        for dual in duals:
+            a, da = dual(x)
+            slope = slope * a + product * da
+            product *= a
+        return product, slope
+
+    return _made(parts, value_of, dual)
+
+
+def _negated(part: _Node) -> _Node:
+    if part.terms is not None:
+        return _polynomial({power: -factor for power, factor in part.terms.items()})
+    inner, inner_dual, _ = part
+
+    def dual(x: float) -> Dual:
+        a, da = inner_dual(x)
+        return -a, -da
+
+    return _made([part], lambda x: -inner(x), dual)
+
+
+def _inverted(part: _Node) -> _Node:
+    inner, inner_dual, _ = part
+
+    def dual(x: float) -> Dual:
+        a, da = inner_dual(x)
+        return 1.0 / a, -da / (a * a)
+
+    return _made([part], lambda x: 1.0 / inner(x), dual)
+
+
+def _power(base: _Node, exponent: _Node) -> _Node:
+    if exponent.constant:
+        return _constant_power(base, exponent.value(0.0))
+    (base_value, base_dual, _), (exponent_value, exponent_dual, _) = base, exponent
+
+    def dual(x: float) -> Dual:
+        a, da = base_dual(x)
+        b, db = exponent_dual(x)
+        value = math.pow(a, b)
+        slope = value * math.log(a) * db if db else 0.0
+        if da:
+            slope += b * math.pow(a, b - 1.0) * da
+        return value, slope
+
+    return _Node(lambda x: math.pow(base_value(x), exponent_value(x)), dual)
+
+
+def _constant_power(base: _Node, power: float) -> _Node:
+    if base.terms == {1: 1.0} and power.is_integer() and 0 <= power <= MAX_POWER:
+        return _polynomial({int(power): 1.0})
+    inner, inner_dual, _ = base
+
+    def dual(x: float) -> Dual:
+        a, da = inner_dual(x)
+        slope = power * math.pow(a, power - 1.0) if power else 0.0
+        return math.pow(a, power), slope * da
+
+    return _made([base], lambda x: math.pow(inner(x), power), dual)
+
+
+def _applied(value: _Function, derivative: _Function, part: _Node) -> _Node:
+    """Return a function of a part."""
+    inner, inner_dual, _ = part
+
+    def dual(x: float) -> Dual:
+        a, da = inner_dual(x)
+        return value(a), derivative(a) * da
+
+    return _made([part], lambda x: value(inner(x)), dual)
+
+
+def _choice(choose: Callable[[list[Any]], Any], parts: list[_Node]) -> _Node:
+    """Return the least or greatest part, with its derivative."""
+    values, duals = [part.value for part in parts], [part.dual for part in parts]
+    return _made(
+        parts,
+        lambda x: choose([value(x) for value in values]),
+        lambda x: choose([dual(x) for dual in duals]),
+    )

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.hand.geometry import HandGeometry
+from rtee.hand.halton import halton
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
@@ -20,7 +21,7 @@ ALWAYS: Final = "touching at every configuration"
 AT_REST: Final = "touching at rest"
 
 _CONFIGURATIONS: Final = 64
-_PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71)
+"""Postures compared before two links count as touching at every one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,22 +122,9 @@ def _transform(pose: pin.SE3) -> coal.Transform3s:
 
 
 def _spread(hand: Hand) -> list[FloatArray]:
-    """Return postures spread evenly over the limits: the corners of all, then a Halton sequence."""
+    """Return postures all over the limits: at the lower, at the upper, then a Halton sequence."""
     lower = np.where(np.isfinite(hand.lower), hand.lower, -np.pi)
     upper = np.where(np.isfinite(hand.upper), hand.upper, np.pi)
-    fractions = [np.zeros(len(lower)), np.ones(len(lower))]
-    fractions += [
-        np.array([_radical_inverse(i, _PRIMES[k % len(_PRIMES)]) for k in range(len(lower))])
-        for i in range(1, _CONFIGURATIONS - 1)
-    ]
-    return [lower + fraction * (upper - lower) for fraction in fractions]
-
-
-def _radical_inverse(index: int, base: int) -> float:
-    """Return the digits of ``index`` in ``base`` mirrored at the point (Halton, 1960)."""
-    value, weight = 0.0, 1.0 / base
-    while index:
-        index, digit = divmod(index, base)
-        value += digit * weight
-        weight /= base
-    return value
+    corners = np.array([np.zeros_like(lower), np.ones_like(lower)])
+    fractions = np.vstack([corners, halton(len(lower), _CONFIGURATIONS - len(corners))])
+    return list(lower + fractions * (upper - lower))

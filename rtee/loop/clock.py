@@ -10,8 +10,8 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from rtee.buses import timerfd
 from rtee.errors import ConfigError
-from rtee.loop import timerfd
 from rtee.loop.settings import MAX_RATE, MIN_RATE
 
 _NANOSECONDS = 1_000_000_000
@@ -107,7 +107,7 @@ class Clock:
             return
         loop = asyncio.get_running_loop()
         start = time.monotonic_ns() + self.period_ns
-        timer = timerfd.PeriodicTimer(start, self.period_ns)
+        timer = timerfd.Timer(start, self.period_ns)
         ended: asyncio.Future[None] = loop.create_future()
         number = -1
 
@@ -139,7 +139,7 @@ class Clock:
     async def _with_timerfd(self) -> AsyncIterator[Tick]:
         loop = asyncio.get_running_loop()
         start = time.monotonic_ns() + self.period_ns
-        timer = timerfd.PeriodicTimer(start, self.period_ns)
+        timer = timerfd.Timer(start, self.period_ns)
         expired = 0
         waiter: asyncio.Future[None] | None = None
 

@@ -15,7 +15,7 @@ import pytest
 
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
-from rtee.buses.timing import SLICE
+from rtee.buses.timing import SLICE, Pause
 from rtee.buses.worker import Worker
 from tests.buses.devices import Echo
 
@@ -57,3 +57,30 @@ async def test_the_thread_that_reads_a_can_bus_asks_for_short_slices() -> None:
         while slice_asked_for(thread.native_id) != promptly():
             assert time.monotonic() < end
             await asyncio.sleep(0.005)
+
+
+@pytest.mark.anyio
+async def test_a_pause_ends_after_its_time_and_can_be_used_again() -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    pause = Pause()
+    for _ in range(2):
+        for when in (time.monotonic() + 0.0004, time.monotonic() + 0.01, 0.0):
+            await pause.until(when)
+            assert time.monotonic() >= when
+        called = asyncio.Event()
+        pause.start(time.monotonic() + 60.0, called.set)
+        pause.start(-1.0, called.set)  # anew, at a time that has passed
+        await asyncio.wait_for(called.wait(), 30.0)
+        pause.close()
+        pause.close()
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+@pytest.mark.anyio
+async def test_a_cancelled_pause_calls_nothing() -> None:
+    pause, other = Pause(), Pause()
+    pause.start(time.monotonic() + 0.001, lambda: pytest.fail("called"))
+    pause.cancel()
+    await other.until(time.monotonic() + 0.01)
+    pause.close()
+    other.close()

@@ -32,7 +32,10 @@ KERNELS = {
 
 OFFLINE = [
     *(p for p in (ROOT / "rtee" / "extract").glob("*.py") if not p.name.startswith("report")),
-    *(ROOT / "rtee" / "hand" / f"{n}.py" for n in ("geometry", "kinematics", "linalg", "touching")),
+    *(
+        ROOT / "rtee" / "hand" / f"{n}.py"
+        for n in ("geometry", "halton", "kinematics", "linalg", "touching")
+    ),
 ]
 """What decides which primitives are found, and what is written about them."""
 

@@ -6,7 +6,6 @@ import pytest
 from rtee.extract.descent import Objective, Slope, descend
 from rtee.extract.grain import FINE
 from rtee.extract.polish import polish
-from rtee.extract.space import halton
 from rtee.types import FloatArray
 
 
@@ -93,14 +92,3 @@ def test_polishing_improves_where_descent_stalls() -> None:
     function = pieces(slopes, offsets)
     found = polish(function, np.array([0.9, 0.45]), evaluations=60)
     assert found.value == pytest.approx(0.075, abs=1e-4)
-
-
-def test_halton_points_fill_the_cube_evenly() -> None:
-    points = halton(8, 512)
-    assert points.shape == (512, 8)
-    assert len(np.unique(points, axis=0)) == 512
-    for i in range(8):
-        for j in range(i):
-            counts, *_ = np.histogram2d(points[:, i], points[:, j], bins=4, range=[[0, 1]] * 2)
-            assert counts.min() >= 16
-            assert counts.max() <= 52

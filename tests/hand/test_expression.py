@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,6 +30,11 @@ from rtee.hand.expression import Expression
         (".5e1 + 1.", 0.0, 6.0),
         ("_pi", 0.0, math.pi),
         ("2^x", 3.0, 8.0),
+        ("007 + 0.50", 0.0, 7.5),
+        ("\t2 *\n x ", 3.0, 6.0),
+        ("10 - (x - 2) - 1", 3.0, 8.0),
+        ("8 / (x / 2) / 2", 4.0, 2.0),
+        ("min(x^x, 3)", 0.0, 1.0),
     ],
 )
 def test_value(text: str, x: float, value: float) -> None:
@@ -53,6 +59,22 @@ def test_value(text: str, x: float, value: float) -> None:
         ("1e999", 0),
         ("x; x", 1),
         ("lambda: 0", 0),
+        ("2x", 1),
+        ("0x10", 1),
+        ("1_000", 1),
+        ("1j", 1),
+        ("x, x", 1),
+        ("(x, x)", 2),
+        ("min(x, 2,)", 9),
+        ("min(*x)", 4),
+        ("min(^x)", 4),
+        ("x(2)", 1),
+        ("sin + 1", 4),
+        ("x.real", 1),
+        ("x[0]", 1),
+        ("x if x else 1", 2),
+        ("x // 2", 3),
+        ("sin", 3),
     ],
 )
 def test_outside_the_grammar(text: str, column: int) -> None:
@@ -68,6 +90,10 @@ def test_outside_the_grammar(text: str, column: int) -> None:
         "-" * 3000 + "x",
         "x^" * 1900 + "x",
         "x+" * 9000 + "x",
+        "sin(" * 99 + "x" + ")" * 99,
+        "-(" * 150 + "x" + ")" * 150,
+        "x*sin(x)/" * 400 + "x",
+        "max(1+x*" * 400 + "x" + ")" * 400,
         "1/0*x",
     ],
 )
@@ -79,6 +105,20 @@ def test_monsters_are_refused_or_read(text: str) -> None:
         assert len(refusal) < 200
     else:
         assert math.isfinite(value)
+
+
+@pytest.mark.parametrize("text", ["-(" * 150 + "x" + ")" * 150, "x^" * 200 + "x", "-" * 200 + "x"])
+def test_depth_is_bounded(text: str) -> None:
+    with pytest.raises(ExpressionError, match="nested deeper than") as caught:
+        Expression(text)
+    assert len(str(caught.value)) < 200
+
+
+def test_many_points_have_the_values_of_each() -> None:
+    expression = Expression("ln(x) + x^2")
+    x = np.array([[-1.0, 0.5, 2.0], [0.0, 1.0, 3.0]])
+    expected = [[expression(v) for v in row] for row in x.tolist()]
+    np.testing.assert_array_equal(expression.values(x), expected)
 
 
 def test_long_sums_need_no_depth() -> None:

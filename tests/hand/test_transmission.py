@@ -3,12 +3,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hand.models import GRIPPER, SRDF, line_of
 from rtee.errors import ExpressionError, ModelError, UnknownJoint, UserError
+from rtee.hand.load import load_hand
 from rtee.hand.model import Hand, JointRole
 
 Load = Callable[..., Hand]
@@ -70,6 +72,48 @@ def test_chain_of_non_linear_mimics(load: Load) -> None:
     slopes = [1, 1.4, 2.8, np.cos(1.98) * 2.8]
     np.testing.assert_allclose(transmission.joints(u), expected)
     np.testing.assert_allclose(transmission.jacobian(u).ravel(), slopes)
+
+
+def bell(x: float, height: float, middle: float, width: float) -> float:
+    return height * 2.71828 ** -(((x - middle) / width) ** 2)
+
+
+HERI_CURVES: dict[str, Callable[[float], float]] = {
+    "min(0.56, 0.08519*": lambda x: min(
+        0.56,
+        bell(x, 0.08519, 0.9172, 0.1817)
+        + bell(x, 21500000000000, 32.2, 5.513)
+        - bell(x, 714900, -17.93, 4.61)
+        + bell(x, 0.2555, 0.7317, 1.105),
+    ),
+    "-0.1028*": lambda x: -0.1028 * x**4 + 0.4311 * x**3 - 0.6019 * x**2 + 0.9364 * x - 0.01132,
+    "-0.06965*": lambda x: (
+        -0.06965 * x**5 + 0.4258 * x**4 - 0.7659 * x**3 + 0.3528 * x**2 + 0.4078 * x + 0.007414
+    ),
+    "min(1.22, 0.3378*": lambda x: min(
+        1.22, 0.3378 * x**4 - 1.179 * x**3 + 1.103 * x**2 + 0.7363 * x + 0.01468
+    ),
+    "-0.3366*": lambda x: -0.3366 * x**4 + 1.674 * x**3 - 2.506 * x**2 + 1.552 * x - 0.02812,
+}
+
+
+def test_the_curves_of_heri_have_the_values_of_their_formulas() -> None:
+    hand = load_hand(Path(__file__).parents[2] / "config" / "heri_ii")
+    transmission = hand.transmission
+    random, h, compared = np.random.default_rng(1), 1e-6, 0
+    for u in random.uniform(hand.lower, hand.upper, (50, len(hand.actuators))):
+        q, slopes = transmission.joints(u), transmission.jacobian(u)
+        for row, joint in enumerate(hand.joints):
+            mimic, actuator = hand.urdf.joints[joint.name].mimic, transmission.moves(row)
+            if mimic is None or mimic.expression is None or actuator is None:
+                continue
+            (curve,) = (f for begin, f in HERI_CURVES.items() if mimic.expression.startswith(begin))
+            x = float(u[actuator])
+            assert q[row] == pytest.approx(curve(x), rel=1e-12, abs=1e-12)
+            quotient = (curve(x + h) - curve(x - h)) / (2 * h)
+            assert slopes[row, actuator] == pytest.approx(quotient, rel=1e-4, abs=1e-4)
+            compared += 1
+    assert compared == 50 * 11
 
 
 def test_passive_joints_stand_and_their_mimics_with_them(load: Load) -> None:

@@ -9,8 +9,8 @@ import time
 
 import pytest
 
+from rtee.buses import timerfd
 from rtee.errors import ConfigError
-from rtee.loop import timerfd
 from rtee.loop.clock import Clock, ManualClock, Tick, ticking
 
 pytestmark = pytest.mark.anyio
@@ -115,7 +115,7 @@ async def test_the_descriptor_is_given_back() -> None:
 def test_a_closed_timer_stays_closed() -> None:
     if not timerfd.available():
         pytest.skip("no timerfd here")
-    timer = timerfd.PeriodicTimer(time.monotonic_ns() + 10**9, 10**6)
+    timer = timerfd.Timer(time.monotonic_ns() + 10**9, 10**6)
     assert timer.expiries() == 0
     timer.close()
     timer.close()
