@@ -20,12 +20,12 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.extract.jobs import processors, spread
-from rtee.extract.report_image import Contact
 from rtee.extract.report_page import CLOSE_SHARE, Card, Section, Shot, page
-from rtee.extract.report_pictures import SIZE, Studio
 from rtee.extract.report_trials import Tried, section
 from rtee.hand.model import Hand
 from rtee.hand.names import common_prefix
+from rtee.render.hand import SIZE, HandRenderer
+from rtee.render.image import Contact
 from rtee.types import FloatArray
 
 if TYPE_CHECKING:
@@ -82,13 +82,13 @@ def make_report(
     """
     sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}
     every = [view for plans in sections.values() for plan in plans for view in plan.views]
-    studio = Studio(hand, size, postures=[view.u for view in every])
+    renderer = HandRenderer(hand, size, postures=[view.u for view in every])
     rest = _View(hand.rest, hand.finger_names)
 
     def shoot(view: _View) -> Shot:
         if view is rest:
-            return Shot(studio.picture(hand.rest, file_format="WEBP"))
-        return _shot(studio, view)
+            return Shot(renderer.picture(hand.rest, file_format="WEBP"))
+        return _shot(renderer, view)
 
     shots = spread(
         shoot, [rest, *every], jobs or processors(), progress or (lambda done, total: None)
@@ -115,8 +115,8 @@ def make_report(
     return page(hand, shots[0].image, cards, notes, extraction.seconds, section(trials))
 
 
-def _shot(studio: Studio, view: _View) -> Shot:
-    image = studio.picture(
+def _shot(renderer: HandRenderer, view: _View) -> Shot:
+    image = renderer.picture(
         view.u,
         highlight=view.fingers,
         contacts=[view.contact] if view.contact else [],
@@ -125,8 +125,8 @@ def _shot(studio: Studio, view: _View) -> Shot:
     )
     if not (view.contact and view.tips):
         return Shot(image, caption=view.caption)
-    corner = studio.free_corner(view.u, view.contact, view.fingers, CLOSE_SHARE)
-    close = studio.close_up(view.u, view.contact, view.tips, file_format="WEBP")
+    corner = renderer.free_corner(view.u, view.contact, view.fingers, CLOSE_SHARE)
+    close = renderer.close_up(view.u, view.contact, view.tips, file_format="WEBP")
     return Shot(image, close, view.caption, corner)
 
 
