@@ -20,8 +20,15 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.extract.jobs import processors, spread
-from rtee.extract.report_page import CLOSE_SHARE, Card, Section, Shot, page
-from rtee.extract.report_trials import Tried, section
+from rtee.extract.report_page import (
+    CLOSE_SHARE,
+    Card,
+    Section,
+    Shot,
+    Tried,
+    load_template,
+    page,
+)
 from rtee.hand.model import Hand
 from rtee.hand.names import common_prefix
 from rtee.render.hand import SIZE, HandRenderer
@@ -80,6 +87,7 @@ def make_report(
         ConfigError: The extra ``plot`` is not installed.
         ModelError: A mesh cannot be read.
     """
+    template = load_template()
     sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}
     every = [view for plans in sections.values() for plan in plans for view in plan.views]
     renderer = HandRenderer(hand, size, postures=[view.u for view in every])
@@ -112,7 +120,7 @@ def make_report(
         for title, plans in sections.items()
     ]
     notes = (*hand.notes, *extraction.notes)
-    return page(hand, shots[0].image, cards, notes, extraction.seconds, section(trials))
+    return page(template, hand, shots[0].image, cards, notes, extraction.seconds, trials)
 
 
 def _shot(renderer: HandRenderer, view: _View) -> Shot:

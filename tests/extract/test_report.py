@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import re
+import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -18,9 +20,10 @@ from rtee.actions.types import (
     Step,
     Timed,
 )
+from rtee.errors import MissingExtra
 from rtee.extract.extraction import Extraction
 from rtee.extract.report import make_report
-from rtee.extract.report_trials import Tried
+from rtee.extract.report_page import Tried
 from rtee.hand.model import Hand
 from tests.render.models import claw
 
@@ -141,3 +144,25 @@ def test_report_tells_what_trials_found(hand: Hand, tmp_path: Path) -> None:
         assert words in page.text
     assert "sphere<br>30" in text
     assert 'title="lost; it fell while it was lifted"' in text
+
+
+def test_a_pinch_that_collides_names_two_pairs_and_folds_more(hand: Hand) -> None:
+    (pinch, _), _ = actions(hand)
+    pairs = (("palm", "left"), ("palm", "right"), ("left", "right"))
+    for count, said in ((2, "palm and left; palm and right collide"), (3, "3 pairs of links")):
+        evidence = replace(pinch.evidence[0], colliding=pairs[:count])
+        found = Extraction((replace(pinch, evidence=(evidence,)),), 0.5)
+        text = make_report(hand, found, size=(100, 100))
+        page = Page()
+        page.feed(text)
+        assert not page.open
+        assert f"not clear: {said}" in page.text
+        assert ("<summary>not clear" in text) == (count == 3)
+
+
+def test_without_jinja2_it_says_what_to_install(
+    hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    with pytest.raises(MissingExtra, match=r"a report needs the extra \'plot\'"):
+        make_report(hand, Extraction((), 0.0))
