@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,6 @@ from rtee.actions.sideways import sideways_words
 from rtee.actions.types import (
     Action,
     Composed,
-    Evidence,
     Generic,
     Posture,
     Primitive,
@@ -40,18 +40,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """A card to be made, with the pictures to be taken."""
-
-    title: str
-    fingers: tuple[str, ...]
-    views: tuple[_View, ...]
-    posture: Posture | None = None
-    evidence: Evidence | None = None
-    description: str = ""
-
-
-@dataclass(frozen=True)
 class _View:
     """A picture to be taken."""
 
@@ -60,6 +48,10 @@ class _View:
     caption: str = ""
     contact: Contact | None = None
     tips: tuple[str, ...] = ()
+
+
+_Plan = tuple[Card, tuple[_View, ...]]
+"""A card without pictures, and the pictures to be taken for it."""
 
 
 def make_report(
@@ -89,7 +81,7 @@ def make_report(
     """
     template = load_template()
     sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}
-    every = [view for plans in sections.values() for plan in plans for view in plan.views]
+    every = [view for plans in sections.values() for _, views in plans for view in views]
     renderer = HandRenderer(hand, size, postures=[view.u for view in every])
     rest = _View(hand.rest, hand.finger_names)
 
@@ -104,18 +96,7 @@ def make_report(
     taken = iter(shots[1:])
     cards = [
         Section(
-            title,
-            [
-                Card(
-                    plan.title,
-                    plan.fingers,
-                    tuple(next(taken) for _ in plan.views),
-                    plan.posture,
-                    plan.evidence,
-                    plan.description,
-                )
-                for plan in plans
-            ],
+            title, [replace(card, shots=tuple(islice(taken, len(views)))) for card, views in plans]
         )
         for title, plans in sections.items()
     ]
@@ -158,20 +139,20 @@ def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
     view = _View(_position(hand, primitive.posture), fingers, contact=contact, tips=tips)
     title = " + ".join(primitive.elements)
     said = sideways_words(hand, primitive, common_prefix(hand.actuator_names))
-    return _Plan(title, fingers, (view,), primitive.posture, evidence, said)
+    return Card(title, fingers, (), primitive.posture, evidence, said), (view,)
 
 
 def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
     """Return the composed, timed and generic actions by kind."""
     groups: dict[str, list[_Plan]] = {}
+    plan: _Plan
     for action in actions:
         match action:
             case Composed() | Generic():
                 fingers = _moved(hand, action.posture)
                 view = _View(_position(hand, action.posture), fingers)
-                plan = _Plan(
-                    action.name, fingers, (view,), action.posture, description=_said(action)
-                )
+                said = _said(action)
+                plan = Card(action.name, fingers, (), action.posture, None, said), (view,)
             case Timed():
                 plan = _timed(hand, action)
             case _:
@@ -202,7 +183,7 @@ def _timed(hand: Hand, action: Timed) -> _Plan:
         views.append(_View(u, _moved(hand, step.posture), caption))
     involved = {finger for view in views for finger in view.fingers}
     fingers = tuple(name for name in hand.finger_names if name in involved)
-    return _Plan(action.name, fingers, tuple(views), description=action.description)
+    return Card(action.name, fingers, description=action.description), tuple(views)
 
 
 def _position(hand: Hand, posture: Posture) -> FloatArray:

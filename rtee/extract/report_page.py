@@ -74,7 +74,7 @@ class Card:
 
     title: str
     fingers: tuple[str, ...]
-    shots: tuple[Shot, ...]
+    shots: tuple[Shot, ...] = ()
     posture: Posture | None = None
     evidence: Evidence | None = None
     description: str = ""
