@@ -66,11 +66,10 @@ class Table:
 
         Args:
             head: The columns' titles.
-            widths: At least how wide columns are [characters], so that columns stand below one
-                another on a terminal, too; a title is never cut.
+            widths: At least how wide the first columns are [characters], so that they stand below
+                one another on a terminal, too.
         """
         self._widths = [*widths, *(0 for _ in head[len(widths) :])]
-        self._widths = [max(w, len(title)) for w, title in zip(self._widths, head, strict=True)]
         self.row(*head)
         self.row(*("---" for _ in head))
 

@@ -138,7 +138,7 @@ def main() -> None:
     as_the_loop()
     if not arguments.no_throughput:
         head = ("rate", "limit", "of it", "median", "end", "but for it", "driver", "failed")
-        table = Table("device", *head, widths=(44, 5, 5, 6))
+        table = Table("device", *head, widths=(44, 5, 5, 6, 6, 4, 10, 6))
         for name, case in whole_hands(devices, arguments.only).items():
             table.row(name, *asyncio.run(_row(case, arguments.seconds)))
     if not arguments.no_matrix:

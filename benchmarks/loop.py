@@ -399,7 +399,9 @@ def main() -> None:
     print(f"Python {sys.version.split()[0]}; {arguments.hand}; {arguments.seconds:g} s each;")
     print("lateness and busy time in µs, memory in MB, log in MB a minute (all hands)\n")
     lateness = ("lateness p50", "p99", "p99.9", "max")
-    table = Table("", "ticks", "missed", *lateness, "busy p50", "p99", "memory", "log")
+    table = Table(
+        "", "ticks", "missed", *lateness, "busy p50", "p99", "memory", "log", widths=(37,)
+    )
 
     def reference(when: str) -> None:
         found = cyclictest(min(arguments.seconds, arguments.reference))

@@ -267,7 +267,9 @@ def matrix(names: list[str], cycles: int, rounds: int, jobs: int) -> None:
         return
     print(f"\nanother hand's lateness [µs], {rounds} stretches of either kind\n")
     heads = [f"{p} {what}" for p in ("p50", "p99") for what in ("without", "with", "change")]
-    table = Table("device", "fault", *heads, "verdict", widths=(DEVICE, FAULT))
+    table = Table(
+        "device", "fault", *heads, "verdict", widths=(DEVICE, FAULT, 11, 8, 13, 11, 8, 13)
+    )
     words: Counter[str] = Counter()
     for pair in pairs:
         try:

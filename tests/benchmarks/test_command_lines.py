@@ -81,7 +81,7 @@ def test_a_table_is_markdown_in_columns(
     table = Table("device", "rate", widths=(8,))
     table.row("svh", 428)
     assert capsys.readouterr().out == (
-        "| device   | rate |\n| ---      | ---  |\n| svh      | 428  |\n"
+        "| device   | rate |\n| ---      | --- |\n| svh      | 428 |\n"
     )
     with pytest.raises(ValueError, match="zip"):
         table.row("svh")
