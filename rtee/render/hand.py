@@ -32,6 +32,12 @@ _FADED: Final = 0.82
 _GREY: Final = "#c9ccd1"
 _MARK: Final = 0.06
 """How far the mark of a contact reaches, as a part of the picture's size."""
+_NEAR: Final = 0.09
+"""Radius around a contact that a close-up shows, over the hand's diagonal: about a fingertip."""
+_BLOCKING: Final = 0.03
+"""Radius around a contact that should not be hidden in a close-up, over the hand's diagonal."""
+_FAR: Final = 10.0
+"""Beyond every hand [m]."""
 _WANTED: Final = 4.0
 """How much more the surface of wanted fingers counts than that of others."""
 
@@ -161,7 +167,7 @@ class HandRenderer:
         point, normal = np.array(contact[0]), np.array(contact[1])
         chosen = np.isin(mesh.links, [self._mesh.links.index(tip) for tip in tips])
         others = mesh.corners[~chosen]
-        reach = 0.09 * self._extent
+        reach = _NEAR * self._extent
         back = self._free_side(point, normal, others)
         ring = _around(back) * reach
         camera = fit_camera(point + ring, back, self._up, size)
@@ -243,18 +249,20 @@ class HandRenderer:
     def _free_side(self, point: FloatArray, normal: FloatArray, others: FloatArray) -> FloatArray:
         """Return the direction across the normal in which the contact is seen best."""
         first = np.cross(normal, self._up)
-        if float(np.linalg.norm(first)) < 0.2:
+        if float(np.linalg.norm(first)) < 0.2:  # the normal points up, but for 12°
             first = np.cross(normal, self._back)
         first /= np.linalg.norm(first)
         second = np.cross(normal, first)
         turns = np.arange(24) * (2 * math.pi / 24)
         sides = np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second
-        liking = sides @ self._back + 0.3 * (sides @ self._up)
+        # As near as may be to where the other pictures are taken from, rather from above; but that
+        # the contact is not hidden counts more than both. The weights are chosen by eye.
+        score = sides @ self._back + 0.3 * (sides @ self._up)
         if len(others):
-            occluded = _occluded_share(point, sides, others, 0.03 * self._extent)
-            liking = liking - 3.0 * occluded
-        side: FloatArray = sides[int(np.argmax(liking))]
-        tilted = side + 0.25 * self._back
+            occluded = _occluded_share(point, sides, others, _BLOCKING * self._extent)
+            score = score - 3.0 * occluded
+        side: FloatArray = sides[int(np.argmax(score))]
+        tilted = side + 0.25 * self._back  # a little depth, without looking along the normal
         tilted = tilted - 0.3 * (tilted @ normal) * normal
         return tilted / np.linalg.norm(tilted)
 
@@ -270,7 +278,7 @@ def _occluded_share(
         around = point + _around(side)[::2] * radius
         around = np.concatenate([point[None], around])
         toward = np.broadcast_to(side, around.shape)
-        share.append(float(caster.occluded(around + 0.1 * radius * side, toward, 10.0).mean()))
+        share.append(float(caster.occluded(around + 0.1 * radius * side, toward, _FAR).mean()))
     return np.array(share)
 
 

@@ -20,6 +20,10 @@ Point = tuple[float, float, float]
 Contact = tuple[Point, Point]
 """Point [m] and unit normal of a contact, in the hand's base frame."""
 
+_RING: Final = {False: 0.020, True: 0.030}
+"""Radius of a contact's ring over the picture's height; larger in a picture of little else."""
+_FINE: Final = 3
+"""Marks are drawn this much larger and made smaller, for smooth edges."""
 _GHOST: Final = 0.16
 """Coverage of a silhouette: faint enough not to be taken for the hand."""
 
@@ -84,14 +88,14 @@ def _marked(image: Any, camera: Camera, contact: Contact, *, large: bool) -> Any
     """Return the picture with a ring around a contact and arrows along its normal."""
     from PIL import Image, ImageDraw
 
-    fine = 3
-    radius = (0.030 if large else 0.020) * image.height * fine
-    pen = max(1.6 * fine, radius / 6)
+    fine = _FINE
+    radius = _RING[large] * image.height * fine
+    pen = max(1.6 * fine, radius / 6)  # no thinner than 1.6 pixels
     point, normal = np.array(contact[0]), np.array(contact[1])
     at = camera.project(point[None])[0]
     side = camera.project((point + 1e-3 * normal)[None])[0] - at
     length = float(np.hypot(*side))
-    # Only the surroundings are drawn, finely, and made smaller afterwards.
+    # Only the surroundings are drawn: arrows end three radii from the contact (`_arrow`).
     half = math.ceil((3.2 * radius + 4 * pen) / fine)
     corner = np.floor(at).astype(int) - half
     layer = Image.new("RGBA", (2 * half * fine, 2 * half * fine), (255, 255, 255, 0))
@@ -119,7 +123,7 @@ def _arrow(
     grown: float,
     colour: tuple[int, int, int, int],
 ) -> None:
-    """Draw an arrow from outside to the ring."""
+    """Draw an arrow from three radii outside to the ring, larger by ``grown`` on all sides."""
     across = np.array([-side[1], side[0]])
     head = centre + side * (1.35 * radius - grown)
     neck = centre + side * 2.1 * radius
