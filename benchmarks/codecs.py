@@ -8,24 +8,22 @@ finds the next good frame but one at the latest.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from common import Table, command_line
+
 from rtee.testing.fuzz import fuzz
 from tests.testing.decoders import DECODERS
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--only")
-    arguments = parser.parse_args()
-    names = ("frames", "decoded", "refused", "kept", "lost", "per s")
-    print("decoder".ljust(26) + "".join(f"{name:>10}" for name in names))
+    arguments = command_line(__doc__, frames=1_000_000, only=str).parse_args()
+    names = ("decoder", "frames", "decoded", "refused", "kept", "lost", "per s", "failures")
+    table = Table(*names, widths=(26, 8, 8, 8, 8, 8, 8))
     bad = 0
     for decoder in DECODERS:
         if arguments.only and arguments.only not in decoder.name:
@@ -33,13 +31,8 @@ def main() -> int:
         start = time.perf_counter()
         found = fuzz(decoder, arguments.frames)
         rate = found.frames / (time.perf_counter() - start)
-        print(
-            f"{decoder.name:26}{found.frames:10}{found.accepted:10}{found.rejected:10}"
-            f"{found.kept:10}{found.lost:10}{rate:10.0f}",
-            flush=True,
-        )
-        for failure in found.failures:
-            print(f"    {failure}")
+        numbers = (found.frames, found.accepted, found.rejected, found.kept, found.lost)
+        table.row(decoder.name, *numbers, f"{rate:.0f}", "; ".join(map(str, found.failures)))
         bad += bool(found.failures)
     return bad
 

@@ -32,12 +32,12 @@ mostly wait; the lateness of another hand afterwards, one fault at a time and no
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import statistics
 import time
 from collections.abc import Callable
 
+from common import Table, command_line
 from devices import as_the_loop, cases, whole_hands
 from farend import ApartPool
 from matrix import matrix
@@ -49,8 +49,8 @@ OWN_PACE = frozenset({"allegro"})
 """Drivers of devices that send by themselves, at the rate that the driver names."""
 
 
-async def throughput(case: DeviceCase, seconds: float) -> str:
-    """Return a row of the table."""
+async def throughput(case: DeviceCase, seconds: float) -> list[object]:
+    """Return the cells of a row of the table but the device's name."""
     async with ApartPool() as pool, Session(case, pool=pool) as session:
         await session.start()
         near, far = case.between()
@@ -102,8 +102,7 @@ async def throughput(case: DeviceCase, seconds: float) -> str:
         if said[0] > answers:
             end = f"{1e6 * (said[1] - late) / (said[0] - answers):.0f}"
             but = f"{100.0 * need / (taken - (said[1] - late)):.0f} %"
-        row = f"{fresh / taken:7.0f} {limit:>8} {mean:>7} {share:>7} {end:>5} {but:>11}"
-        return f"{row} {best:8.0f}  {failed}"
+        return [f"{fresh / taken:.0f}", limit, mean, share, end, but, f"{best:.0f}", failed]
 
 
 async def middling(session: Session, goals: list[Reference], used: Callable[[], float]) -> float:
@@ -116,32 +115,32 @@ async def middling(session: Session, goals: list[Reference], used: Callable[[], 
     return statistics.median(needs)
 
 
-async def _row(case: DeviceCase, seconds: float) -> str:
+async def _row(case: DeviceCase, seconds: float) -> list[object]:
     try:
         async with asyncio.timeout(60):
             return await throughput(case, seconds)
     except Exception as error:
-        return f"FAILED: {type(error).__name__}: {error}"[:90]
+        return [*"–––––––", f"FAILED: {type(error).__name__}: {error}"[:90]]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=3.0)
-    parser.add_argument("--cycles", type=int, default=10_000)
-    parser.add_argument("--rounds", type=int, default=12)
-    parser.add_argument("--jobs", type=int, default=4)
-    parser.add_argument("--only")
-    parser.add_argument("--no-matrix", action="store_true")
-    parser.add_argument("--no-throughput", action="store_true")
-    arguments = parser.parse_args()
+    arguments = command_line(
+        __doc__,
+        seconds=3.0,
+        cycles=10_000,
+        rounds=12,
+        jobs=4,
+        only=str,
+        no_matrix=False,
+        no_throughput=False,
+    ).parse_args()
     devices = cases(None)
     as_the_loop()
     if not arguments.no_throughput:
-        head = f"{'rate':>7} {'limit':>8} {'of it':>7} {'median':>7} {'end':>5} {'but for it':>11}"
-        head += f" {'driver':>8}  failed"
-        print(f"{'device':44} {head}")
+        head = ("rate", "limit", "of it", "median", "end", "but for it", "driver", "failed")
+        table = Table("device", *head, widths=(44, 5, 5, 6, 6, 4, 10, 6))
         for name, case in whole_hands(devices, arguments.only).items():
-            print(f"{name:44} {asyncio.run(_row(case, arguments.seconds))}", flush=True)
+            table.row(name, *asyncio.run(_row(case, arguments.seconds)))
     if not arguments.no_matrix:
         wanted = [name for name in devices if not arguments.only or arguments.only in name]
         matrix(wanted, arguments.cycles, arguments.rounds, arguments.jobs)

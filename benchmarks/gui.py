@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from common import Table, command_line
 from gui_common import chromium, gui_of, mover, program, remote_window, shown, used
 from gui_relay import Relay
 
@@ -84,8 +85,8 @@ class Part:
             self.cpu.append((used(gui) - before) / (end - begin))
 
 
-def row(name: str, part: Part, ticks: np.ndarray) -> str:
-    """Return a row of the table: what the ticks in all rounds of a part were like."""
+def row(name: str, part: Part, ticks: np.ndarray) -> list[str]:
+    """Return the cells of a row: what the ticks in all rounds of a part were like."""
     woken = ticks[:, 0] * 1e-9
     rounds = [ticks[(woken >= begin) & (woken < end)] for begin, end in part.spans]
     late = np.concatenate(rounds)[:, 1] * 1e-3
@@ -93,8 +94,7 @@ def row(name: str, part: Part, ticks: np.ndarray) -> str:
     missed = [int(r[:, 2].sum()) for r in rounds]
     cells = [name, f"{len(late)}", f"{sum(missed)}", " ".join(map(str, missed))]
     cells += [f"{np.percentile(late, share):.0f}" for share in (50, 99, 99.9)]
-    cells += [each, f"{100 * statistics.median(part.cpu):.1f} %" if part.cpu else "–"]
-    return f"| {' | '.join(cells)} |"
+    return [*cells, each, f"{100 * statistics.median(part.cpu):.1f} %" if part.cpu else "–"]
 
 
 def one_round(parts: dict[str, Part], folder: Path, given: argparse.Namespace, page: Page) -> None:
@@ -111,9 +111,9 @@ def one_round(parts: dict[str, Part], folder: Path, given: argparse.Namespace, p
             opened.measure(given.seconds, gui)
 
 
-def counted(folder: Path, hand: str, page: Page) -> list[str]:
-    """Return a table of what a window on another computer and Chromium were sent in a while."""
-    lines = ["| window | frames/s | kB/s | messages/s, most frequent first |", "|" + " --- |" * 4]
+def counted(folder: Path, hand: str, page: Page) -> list[list[str]]:
+    """Return the rows of a table of what each kind of window was sent in a while."""
+    rows = []
     windows = {
         PARTS[2]: lambda address: remote_window(address, folder),
         PARTS[3]: lambda address: shown(page, address),
@@ -128,10 +128,8 @@ def counted(folder: Path, hand: str, page: Page) -> list[str]:
                 frames = relay.take()
             size = sum(map(len, frames)) / COUNTED / 1e3
             often = [f"{kind} {n / COUNTED:.0f}" for kind, n in kinds(frames).most_common(6)]
-            lines.append(
-                f"| {name} | {len(frames) / COUNTED:.0f} | {size:.0f} | {', '.join(often)} |"
-            )
-    return lines
+            rows.append([name, f"{len(frames) / COUNTED:.0f}", f"{size:.0f}", ", ".join(often)])
+    return rows
 
 
 def measured(folder: Path, given: argparse.Namespace) -> None:
@@ -152,26 +150,21 @@ def measured(folder: Path, given: argparse.Namespace) -> None:
     print(f"`{given.hand}` at {RATE:.0f} Hz, ", end="")
     print(f"{'SCHED_FIFO' if fifo else 'an ordinary process'}, {given.rounds} rounds of ", end="")
     print(f"{given.seconds:.0f} s, Chromium at nice {given.nice}\n")
-    print(
-        "| part | ticks | missed | in each round | lateness p50 [µs] | p99 [µs] | p99.9 [µs] "
-        "| p99 of each round [µs] | the GUI's CPU |"
-    )
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    head = ["part", "ticks", "missed", "in each round", "lateness p50 [µs]", "p99 [µs]"]
+    table = Table(*head, "p99.9 [µs]", "p99 of each round [µs]", "the GUI's CPU")
     for name, part in parts.items():
-        print(row(name, part, ticks))
+        table.row(*row(name, part, ticks))
     print(f"\nWhat the windows were sent in {COUNTED:.0f} s:\n")
-    print("\n".join(sent))
+    table = Table("window", "frames/s", "kB/s", "messages/s, most frequent first")
+    for cells in sent:
+        table.row(*cells)
 
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=6.0)
-    parser.add_argument("--hand", default="schunk_svh")
-    parser.add_argument("--nice", type=int, default=19)
-    parser.add_argument("--realtime", action="store_true")
-    given = parser.parse_args()
+    given = command_line(
+        __doc__, rounds=3, seconds=6.0, hand="schunk_svh", nice=19, realtime=False
+    ).parse_args()
     with tempfile.TemporaryDirectory(prefix="rtee-") as place:
         os.environ["XDG_RUNTIME_DIR"] = place
         measured(Path(place), given)

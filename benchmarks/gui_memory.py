@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from common import command_line
 from gui_common import (
     COMMAND,
     MEGA,
@@ -113,12 +114,9 @@ def _is_browser(pid: int) -> bool:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=270.0)
-    parser.add_argument("--warm", type=float, default=60.0)
-    parser.add_argument("--hand", default="schunk_svh")
-    parser.add_argument("--chromium", action="store_true")
-    given = parser.parse_args()
+    given = command_line(
+        __doc__, seconds=270.0, warm=60.0, hand="schunk_svh", chromium=False
+    ).parse_args()
     with tempfile.TemporaryDirectory(prefix="rtee-") as place:
         os.environ["XDG_RUNTIME_DIR"] = place
         measured(Path(place), given)

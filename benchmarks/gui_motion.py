@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from common import Table, command_line
 from gui_common import COMMAND, chromium, program, shown
 
 import rtee
@@ -196,8 +197,7 @@ def measured(folder: Path, given: argparse.Namespace) -> None:
                 page.get_by_text("PinchTight", exact=True).first.wait_for(state="hidden")
                 ways["a click in Chromium here"] = tried(given, hand, lambda: clicked(page), folder)
     print(f"`{name}`, {given.tries} tries each; median (most) [ms]\n")
-    print(f"| stage | {' | '.join(ways)} |")
-    print("| --- |" + " --- |" * len(ways))
+    table = Table("stage", *ways)
     rows = {
         stage: [[t[i] for t in tries] for tries in ways.values()] for i, stage in enumerate(STAGES)
     }
@@ -210,17 +210,12 @@ def measured(folder: Path, given: argparse.Namespace) -> None:
             f"{1e3 * statistics.median(c):.1f} ({1e3 * max(c):.1f})" if any(c) else "–"
             for c in columns
         ]
-        print(f"| {stage} | {' | '.join(cells)} |")
+        table.row(stage, *cells)
 
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--tries", type=int, default=20)
-    parser.add_argument("--hand", default="schunk_svh")
-    parser.add_argument("--nice", type=int, default=19)
-    parser.add_argument("--still", type=float, default=1e-3)
-    given = parser.parse_args()
+    given = command_line(__doc__, tries=20, hand="schunk_svh", nice=19, still=1e-3).parse_args()
     with tempfile.TemporaryDirectory(prefix="rtee-") as place:
         os.environ["XDG_RUNTIME_DIR"] = place
         measured(Path(place), given)

@@ -30,6 +30,7 @@ from typing import Any
 import anyio
 import anyio.to_thread
 import zenoh
+from common import Table, command_line
 from witness import child
 
 import rtee
@@ -211,23 +212,20 @@ async def measure_network(endpoint: str, count: int) -> tuple[list[float], list[
     return there, back
 
 
-def show(what: str, times: Sequence[float]) -> None:
+def show(table: Table, what: str, times: Sequence[float]) -> None:
     """Print a row [ms]."""
     ordered = sorted(times)
     p95 = ordered[int(0.95 * (len(ordered) - 1))]
     median = statistics.median(ordered)
-    print(f"| {what} | {median * 1e3:.3f} | {p95 * 1e3:.3f} | {ordered[-1] * 1e3:.3f} |")
+    table.row(what, *(f"{value * 1e3:.3f}" for value in (median, p95, ordered[-1])))
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--hand", default="schunk_svh")
+    parser = command_line(
+        __doc__, hand="schunk_svh", rate=1000.0, goals=300, realtime=False, record=False
+    )
     parser.add_argument("--action", nargs="+", default=["Trig", "index"])
-    parser.add_argument("--rate", type=float, default=1000.0)
-    parser.add_argument("--goals", type=int, default=300)
-    parser.add_argument("--realtime", action="store_true")
-    parser.add_argument("--record", action="store_true", help="also record every tick")
     parser.add_argument("--log", default="", help=argparse.SUPPRESS)
     parser.add_argument("--role", choices=("measure", "serve", "echo"), default="measure")
     arguments = parser.parse_args()
@@ -261,18 +259,15 @@ def measure(arguments: argparse.Namespace) -> None:
         found, stamps = json.loads(hand.communicate()[0].splitlines()[-1])
     ways = [(begin, handed, *found[goal]) for goal, begin, handed in sent]
     how = "real-time set-up" if arguments.realtime else "ordinary process"
-    print(f"| {arguments.rate:g} Hz, {how} [ms] | median | p95 | worst |")
-    print("| --- | --- | --- | --- |")
+    table = Table(f"{arguments.rate:g} Hz, {how} [ms]", "median", "p95", "worst", widths=(54,))
     due = [(stamps[goal] - begin) * 1e-9 for goal, begin, _ in sent]
-    show("goal to first changed reference: its stamp", due)
-    show(
-        "goal to first changed reference: handed to the driver",
-        [(w[-1] - w[0]) * 1e-9 for w in ways],
-    )
+    show(table, "goal to first changed reference: its stamp", due)
+    handed = [(way[-1] - way[0]) * 1e-9 for way in ways]
+    show(table, "goal to first changed reference: handed to the driver", handed)
     for k, stage in enumerate(STAGES):
-        show(f"– {stage}", [(way[k + 1] - way[k]) * 1e-9 for way in ways])
-    show("a bare Zenoh query, there", there)
-    show("a bare Zenoh query, there and back", back)
+        show(table, f"– {stage}", [(way[k + 1] - way[k]) * 1e-9 for way in ways])
+    show(table, "a bare Zenoh query, there", there)
+    show(table, "a bare Zenoh query, there and back", back)
 
 
 if __name__ == "__main__":

@@ -59,8 +59,10 @@ class Difference:
     low: float
     high: float
 
-    def __str__(self) -> str:
-        return f"{self.without:6.0f}{self.beside:6.0f} [{self.low:+5.0f},{self.high:+5.0f}]"
+    def cells(self) -> tuple[str, str, str]:
+        """Return the cells of a table: without, with, and the interval of the change."""
+        change = f"{self.low:+.0f} … {self.high:+.0f}"
+        return f"{self.without:.0f}", f"{self.beside:.0f}", change
 
 
 class Beside:

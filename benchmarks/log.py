@@ -8,7 +8,6 @@ recorder `mcap`'s writer with rosbags' serialisation of the same messages.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import os
 import random
@@ -23,6 +22,7 @@ from pathlib import Path
 
 import anyio
 import numpy as np
+from common import Table, command_line
 
 from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
@@ -164,23 +164,22 @@ def read_with_mcap(path: Path) -> int:
 
 
 def reading(minute: Path, long: Path, minutes: float) -> None:
-    print("## Reading\n\n| what | how | time [s] | messages |\n| --- | --- | --- | --- |")
+    print("## Reading\n")
+    table = Table("what", "how", "time [s]", "messages")
     recording = read(long)
     count = 3 * len(recording.reference)
     del recording
     seconds = timed(lambda: read(long))
-    print(
-        f"| {minutes:g} min | `rtee.log.read`, all topics into arrays | {seconds:.2f} | {count} |"
-    )
+    table.row(f"{minutes:g} min", "`rtee.log.read`, all topics", f"{seconds:.2f}", count)
     seconds = timed(lambda: read(minute))
-    print(f"| 1 min | `rtee.log.read` | {seconds:.2f} | |")
+    table.row("1 min", "`rtee.log.read`", f"{seconds:.2f}", "")
     for name, call in (("rosbags", read_with_rosbags), ("mcap-ros2-support", read_with_mcap)):
         found = [0]
 
         def run(call: Callable[[Path], int] = call, found: list[int] = found) -> None:
             found[0] = call(minute)
 
-        print(f"| 1 min | {name}, every message decoded | {timed(run):.2f} | {found[0]} |")
+        table.row("1 min", f"{name}, every message decoded", f"{timed(run):.2f}", found[0])
     print()
 
 
@@ -188,7 +187,7 @@ def cost(hand: Hand, told: list[object], folder: Path, rate: float) -> None:
     """Measure processor time per tick: in the loop's thread and in the writer's."""
     ticks = [each for each in told if isinstance(each, TickRecord)][: round(10 * rate)]
     print("## What recording costs\n\nProcessor time per tick, 3 messages, in microseconds.\n")
-    print("| what | loop's thread | writer's thread |\n| --- | --- | --- |")
+    table = Table("what", "loop's thread", "writer's thread")
     recorder = Recorder(hand, RecorderSettings(folder / "cost"), rate=rate)
     spent = [0.0]
     recorder.open()
@@ -202,8 +201,9 @@ def cost(hand: Hand, told: list[object], folder: Path, rate: float) -> None:
     recorder._queue.put(lambda: spent.append(time.thread_time()))
     recorder.close()
     loop = float(np.median(in_loop)) / 1e3
-    print(f"| rtee's recorder | {loop:.1f} | {spent[-1] / len(ticks) * 1e6:.1f} |")
-    print(f"| `mcap.Writer` with rosbags | | {with_mcap(hand, ticks, folder):.1f} |\n")
+    table.row("rtee's recorder", f"{loop:.1f}", f"{spent[-1] / len(ticks) * 1e6:.1f}")
+    table.row("`mcap.Writer` with rosbags", "", f"{with_mcap(hand, ticks, folder):.1f}")
+    print()
 
 
 def with_mcap(hand: Hand, ticks: list[TickRecord], folder: Path) -> float:
@@ -292,17 +292,14 @@ def kills(hand: str, count: int, rate: float) -> None:
                 (int(numbers[-1]) + 1 - len(recording.reference)) / rate if numbers else 0.0
             )
     print(f"## `kill -9` at {count} random moments\n")
-    print("| recovered whole | lost, median [s] | lost, most [s] |\n| --- | --- | --- |")
-    print(f"| {count - failed} of {count} | {np.median(lost):.2f} | {max(lost):.2f} |\n")
+    table = Table("recovered whole", "lost, median [s]", "lost, most [s]")
+    table.row(f"{count - failed} of {count}", f"{np.median(lost):.2f}", f"{max(lost):.2f}")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hand", default="schunk_svh")
-    parser.add_argument("--rate", type=float, default=1000.0)
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--kills", type=int, default=30)
-    given = parser.parse_args()
+    given = command_line(
+        __doc__, hand="schunk_svh", rate=1000.0, minutes=10.0, kills=30
+    ).parse_args()
     rate = given.rate
     with tempfile.TemporaryDirectory(prefix="rtee-log-") as name:
         folder = Path(name)
@@ -311,9 +308,11 @@ def main() -> None:
         busy = write(hand, list(restless(hand, rate, 20.0)), folder / "restless", rate)
         print(f"# Recordings of {hand.name}, {rate:g} Hz\n")
         print(f"{len(hand.actuators)} actuators, {len(hand.joints)} joints, every tick.\n")
-        print("## Size\n\n| what | MB a minute |\n| --- | --- |")
-        print(f"| goals one after the other, kinematic | {minute.stat().st_size / 1e6:.1f} |")
-        print(f"| every number changes at every tick | {3 * busy.stat().st_size / 1e6:.1f} |\n")
+        print("## Size\n")
+        table = Table("what", "MB a minute")
+        table.row("goals one after the other, kinematic", f"{minute.stat().st_size / 1e6:.1f}")
+        table.row("every number changes at every tick", f"{3 * busy.stat().st_size / 1e6:.1f}")
+        print()
         long = write(hand, told, folder / "long", rate, repeat=max(1, round(given.minutes)))
         reading(minute, long, max(1, round(given.minutes)))
         long.unlink()

@@ -34,7 +34,6 @@ starts programs that keep CPUs busy meanwhile.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -48,6 +47,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from common import Table, command_line
 from witness import Missed, Witness, child, judged
 
 from rtee.hand.catalog import find_hand
@@ -333,15 +333,16 @@ def run(
     return Row(printed, memory, size / seconds * 60, missed)
 
 
-def cyclictest(seconds: float, period_us: int = 1000) -> str | None:
-    """Return cyclictest's latencies as cells of the table, or ``None`` where it isn't installed."""
+def cyclictest(seconds: float, period_us: int = 1000) -> list[str]:
+    """Return cyclictest's latencies as cells of the table."""
+    nothing = ["not installed", *"–––––––––"]
     if shutil.which("cyclictest") is None:
-        return None
+        return nothing
     loops = max(1000, int(seconds * 1e6 / period_us))
     command = ["cyclictest", "-q", "-m", "-p80", f"-i{period_us}", f"-l{loops}", "-h2000"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        return None
+        return nothing
     counts = [
         (int(match[1]), int(match[2])) for match in re.finditer(r"(?m)^(\d+)\s+(\d+)", done.stdout)
     ]
@@ -357,19 +358,18 @@ def cyclictest(seconds: float, period_us: int = 1000) -> str | None:
     worst = max(int(x) for x in re.findall(r"# Max Latencies: (\d+)", done.stdout) or ["0"])
     beyond = sum(int(x) for x in re.findall(r"# Histogram Overflows: (\d+)", done.stdout))
     missed = beyond + sum(count for latency, count in counts if latency >= period_us)
-    cells = " | ".join(str(found.get(percent, ">2000")) for percent in (50, 99, 99.9))
     share = f"{missed} ({100 * missed / loops:.3f} %)"
-    return f"{loops} | {share} | {cells} | {worst} | – | – | – | –"
+    latencies = [str(found.get(percent, ">2000")) for percent in (50, 99, 99.9)]
+    return [f"{loops}", share, *latencies, f"{worst}", *"––––"]
 
 
-def cells(row: Row) -> str:
+def cells(row: Row) -> list[str]:
     """Return the cells of a row."""
     s = row.printed
     share = 100 * s["missed"] / max(1, s["ticks"] + s["missed"])
-    micro = [s[name] for name in ("p50", "p99", "p999", "worst", "busy50", "busy99")]
+    micro = [f"{s[name]}" for name in ("p50", "p99", "p999", "worst", "busy50", "busy99")]
     points = [row.memory[0], *row.memory[11:12], row.memory[-1]]
     memory = " → ".join(f"{value:.1f}" for value in points)
-    numbers = " | ".join(map(str, micro))
     missed = f"{s['missed']} ({share:.3f} %)"
     if any(one.computer is not None for one in row.missed):
         whose = {
@@ -377,35 +377,35 @@ def cells(row: Row) -> str:
             for words, computer in (("the computer's", True), ("own", False), ("unseen", None))
         }
         missed += ": " + ", ".join(f"{count} {words}" for words, count in whose.items() if count)
-    return f"{s['ticks']} | {missed} | {numbers} | {memory} | {row.log_rate:.1f}"
+    return [f"{s['ticks']}", missed, *micro, memory, f"{row.log_rate:.1f}"]
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of every run [s]")
-    parser.add_argument("--hand", default="schunk_svh")
-    parser.add_argument("--hogs", type=int, default=0, help="programs that keep CPUs busy")
+    parser = command_line(
+        __doc__,
+        seconds=60.0,
+        hand="schunk_svh",
+        hogs=0,
+        witness=False,
+        reference=60.0,
+        flight=float,
+    )
     parser.add_argument("--only", nargs="+", choices=SETS, default=list(SETS))
     parser.add_argument("--beside", nargs="*", choices=BESIDE, default=[])
-    parser.add_argument("--witness", action="store_true", help="cyclictest beside the loop")
-    parser.add_argument(
-        "--reference", type=float, default=60.0, help="length of cyclictest, at most [s]"
-    )
-    parser.add_argument("--flight", type=float, help="what the flight recorder keeps [s]")
     arguments = parser.parse_args()
     load = os.getloadavg()[0]
     print(f"{os.cpu_count()} CPUs, load {load:.1f} before, {os.uname().release},", end=" ")
     print(f"Python {sys.version.split()[0]}; {arguments.hand}; {arguments.seconds:g} s each;")
     print("lateness and busy time in µs, memory in MB, log in MB a minute (all hands)\n")
-    head = "ticks | missed | lateness p50 | p99 | p99.9 | max | busy p50 | p99 | memory | log"
-    print(f"| | {head} |")
-    print("|" + " --- |" * 11, flush=True)
+    lateness = ("lateness p50", "p99", "p99.9", "max")
+    table = Table(
+        "", "ticks", "missed", *lateness, "busy p50", "p99", "memory", "log", widths=(37,)
+    )
 
     def reference(when: str) -> None:
         found = cyclictest(min(arguments.seconds, arguments.reference))
-        text = found or "not installed" + " |" * 9
-        print(f"| cyclictest, SCHED_FIFO 80, {when} | {text} |", flush=True)
+        table.row(f"cyclictest, SCHED_FIFO 80, {when}", *found)
 
     hogs = [child([sys.executable, "-c", HOG]) for _ in range(arguments.hogs)]
     reference("before")
@@ -416,7 +416,7 @@ def main() -> None:
         for how in chosen:
             seconds, flight = arguments.seconds, arguments.flight
             row = run(how, arguments.hand, seconds, folder, flight, arguments.witness)
-            print(f"| rtee, {how.label} | {cells(row)} |", flush=True)
+            table.row(f"rtee, {how.label}", *cells(row))
             print("  memory every 10 s:", *(f"{m:.1f}" for m in row.memory), file=sys.stderr)
             own = [one for one in row.missed if one.computer is not True]
             for one in own[:SHOWN]:

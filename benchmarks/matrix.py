@@ -27,6 +27,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 
+from common import Table
 from devices import cases
 from lateness import Beside, Lateness, verdict
 
@@ -43,6 +44,8 @@ STRETCH = 0.15
 """Shortest stretch of a measurement of the lateness [s]."""
 FASTEST = 100.0
 """Pace of the driver while the lateness is measured, at most [Hz]."""
+DEVICE, FAULT = 32, 14
+"""Widths of the columns that name devices and faults [characters]."""
 MENDED = ("retries", "timeouts", "checksum_errors", "strays")
 
 
@@ -238,39 +241,44 @@ def matrix(names: list[str], cycles: int, rounds: int, jobs: int) -> None:
         for fault in (*WIRE_FAULTS, *TRIALS)
         if fault in TRIALS or applies(devices[name], fault)
     ]
-    print(f"\n5 % faults, {cycles} cycles each\n{'':18}{'survived':10}{'recovered':11}named")
+    print(f"\n5 % faults, {cycles} cycles each\n")
+    table = Table(
+        "device",
+        "fault",
+        "survived",
+        "recovered",
+        "named",
+        "good",
+        widths=(DEVICE, FAULT, 8, 9, 40),
+    )
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context) as workers:
         done: dict[tuple[str, str], Future[Outcome]] = {
             pair: workers.submit(job, *pair, cycles) for pair in pairs
         }
-        bad = [pair for pair in pairs if not _printed(pair, pairs, done[pair].result())]
-    print(f"{len(pairs) - len(bad)} of {len(pairs)} as they must be")
+        bad = 0
+        for pair in pairs:
+            found = done[pair].result()
+            bad += not found.good
+            said = (found.survived, found.recovered, found.named, "yes" if found.good else "BAD")
+            table.row(*pair, *said)
+    print(f"\n{len(pairs) - bad} of {len(pairs)} as they must be")
     if not rounds:
         return
-    print(f"\nanother hand's lateness [µs], {rounds} stretches of either kind")
-    heads = [f"{p + ' without':>13}{'with':>6} {'change':13}" for p in ("p50", "p99")]
-    print(f"{'':11}" + "    ".join(heads))
+    print(f"\nanother hand's lateness [µs], {rounds} stretches of either kind\n")
+    heads = [f"{p} {what}" for p in ("p50", "p99") for what in ("without", "with", "change")]
+    table = Table(
+        "device", "fault", *heads, "verdict", widths=(DEVICE, FAULT, 11, 8, 13, 11, 8, 13)
+    )
     words: Counter[str] = Counter()
     for pair in pairs:
-        if pair[0] != pairs[max(pairs.index(pair) - 1, 0)][0] or pair == pairs[0]:
-            print(pair[0])
         try:
             differences = asyncio.run(beside(devices[pair[0]], pair[1], rounds)).differences()
         except Exception as error:
-            print(f"    {pair[1]:14}{type(error).__name__}: {error}"[:90], flush=True)
+            table.row(*pair, *"––––––", f"failed: {type(error).__name__}: {error}"[:90])
             words["failed"] += 1
             continue
         said = verdict(differences)
         words[said] += 1
-        print(f"    {pair[1]:14}" + "    ".join(map(str, differences)) + f"   {said}", flush=True)
-    print(", ".join(f"{count} {word}" for word, count in words.most_common()))
-
-
-def _printed(pair: tuple[str, str], pairs: list[tuple[str, str]], found: Outcome) -> bool:
-    name, fault = pair
-    if pair == next(one for one in pairs if one[0] == name):
-        print(name)
-    mark = "" if found.good else "   <-- BAD"
-    print(f"    {fault:14}{found.survived:10}{found.recovered:11}{found.named}{mark}", flush=True)
-    return found.good
+        table.row(*pair, *(cell for each in differences for cell in each.cells()), said)
+    print("\n" + ", ".join(f"{count} {word}" for word, count in words.most_common()))

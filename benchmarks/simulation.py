@@ -5,13 +5,13 @@ Run: ``python benchmarks/simulation.py [--seconds S]``; prints Markdown.
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import tempfile
 import time
 from pathlib import Path
 
 import anyio
+from common import Table, command_line
 
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
@@ -62,15 +62,11 @@ def lockstep(driver: str, seconds: float) -> tuple[str, float]:
 
 def main() -> None:
     """Print the figures as Markdown."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of a lockstep run")
-    parser.add_argument("--pairs", type=int, default=2, help="lockstep runs with each driver")
-    arguments = parser.parse_args()
-    print("| hand | grasp | simulated seconds per second of one processor |")
-    print("| --- | --- | --- |")
+    arguments = command_line(__doc__, seconds=20.0, pairs=2).parse_args()
+    table = Table("hand", "grasp", "simulated seconds per second of one processor")
     for name, action, shape in HEADLESS:
         factor = headless(name, action, shape)
-        print(f"| {name} | {action} on {shape} | {factor:.1f} |", flush=True)
+        table.row(name, f"{action} on {shape}", f"{factor:.1f}")
     print("\nSVH at 500 Hz with loop and log, the two drivers in turns:\n")
     for _ in range(arguments.pairs):
         for driver in ("kinematic", "mujoco"):

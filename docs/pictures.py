@@ -14,9 +14,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Timed
-from rtee.extract.report_pictures import render
 from rtee.hand.catalog import find_hand
 from rtee.hand.load import load_hand
+from rtee.render.hand import render_hand
 
 ASSETS = Path(__file__).with_name("assets")
 HANDS = (
@@ -42,7 +42,7 @@ def picture(name: str) -> Image.Image:
     assert not isinstance(action, Timed)
     grasp = np.array([action.posture.position[a] for a in hand.actuator_names])
     u = hand.rest + CLOSURE * (grasp - hand.rest)
-    return Image.open(io.BytesIO(render(hand, u, SIZE)))
+    return Image.open(io.BytesIO(render_hand(hand, u, SIZE)))
 
 
 def main() -> None:

@@ -40,9 +40,9 @@ def run(folder: Path, *, pictures: bool = True) -> Outcome:
         headless = HeadlessHand(ready.hand, ready.library, ready.settings, simulation, [recorder])
         headless.before_tick(lambda _: trigger.append(around.trigger))
         if pictures:
-            from rtee.trials.pictures import Camera
+            from rtee.trials.pictures import SimulationRenderer
 
-            camera = Camera(simulation, ready.hand, np.zeros((1, 3)))
+            camera = SimulationRenderer(simulation, ready.hand, np.zeros((1, 3)))
             due = dict(MOMENTS)
 
             def look(time: float) -> None:

@@ -44,15 +44,15 @@ def run(folder: Path, *, pictures: bool = True, most: int | None = None) -> Outc
             name = " ".join((action.name, *elements))
             outcome.check(result.reached and error <= TOLERANCE, f"{name}: {error:.4f} rad off")
     if pictures:
-        from rtee.extract.report_pictures import Studio
+        from rtee.render.hand import HandRenderer
 
         first = {p.kind: p for p in reversed(primitives)}
         shown = [first[kind] for kind in SHOWN if kind in first]
         shown.append(ready.library.find("schunkGrasp"))
         postures = [np.array([a.posture.position[n] for n in hand.actuator_names]) for a in shown]
-        studio = Studio(hand, (330, 360), postures)
+        renderer = HandRenderer(hand, (330, 360), postures)
         stills = [
-            (" ".join((a.name, *getattr(a, "elements", ()))), studio.picture(u, ghost=True))
+            (" ".join((a.name, *getattr(a, "elements", ()))), renderer.picture(u, ghost=True))
             for a, u in zip(shown, postures, strict=True)
         ]
         strip(folder / "schunk_svh.png", stills, outcome)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,6 @@ from rtee.actions.sideways import sideways_words
 from rtee.actions.types import (
     Action,
     Composed,
-    Evidence,
     Generic,
     Posture,
     Primitive,
@@ -20,28 +20,23 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.extract.jobs import processors, spread
-from rtee.extract.report_image import Contact
-from rtee.extract.report_page import CLOSE_SHARE, Card, Section, Shot, page
-from rtee.extract.report_pictures import SIZE, Studio
-from rtee.extract.report_trials import Tried, section
+from rtee.extract.report_page import (
+    CLOSE_SHARE,
+    Card,
+    Section,
+    Shot,
+    Tried,
+    load_template,
+    page,
+)
 from rtee.hand.model import Hand
 from rtee.hand.names import common_prefix
+from rtee.render.hand import SIZE, HandRenderer
+from rtee.render.image import Contact
 from rtee.types import FloatArray
 
 if TYPE_CHECKING:
     from rtee.extract.extraction import Extraction
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """A card to be made, with the pictures to be taken."""
-
-    title: str
-    fingers: tuple[str, ...]
-    views: tuple[_View, ...]
-    posture: Posture | None = None
-    evidence: Evidence | None = None
-    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -53,6 +48,10 @@ class _View:
     caption: str = ""
     contact: Contact | None = None
     tips: tuple[str, ...] = ()
+
+
+_Plan = tuple[Card, tuple[_View, ...]]
+"""A card without pictures, and the pictures to be taken for it."""
 
 
 def make_report(
@@ -80,15 +79,16 @@ def make_report(
         ConfigError: The extra ``plot`` is not installed.
         ModelError: A mesh cannot be read.
     """
+    template = load_template()
     sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}
-    every = [view for plans in sections.values() for plan in plans for view in plan.views]
-    studio = Studio(hand, size, postures=[view.u for view in every])
+    every = [view for plans in sections.values() for _, views in plans for view in views]
+    renderer = HandRenderer(hand, size, postures=[view.u for view in every])
     rest = _View(hand.rest, hand.finger_names)
 
     def shoot(view: _View) -> Shot:
         if view is rest:
-            return Shot(studio.picture(hand.rest, file_format="WEBP"))
-        return _shot(studio, view)
+            return Shot(renderer.picture(hand.rest, file_format="WEBP"))
+        return _shot(renderer, view)
 
     shots = spread(
         shoot, [rest, *every], jobs or processors(), progress or (lambda done, total: None)
@@ -96,27 +96,16 @@ def make_report(
     taken = iter(shots[1:])
     cards = [
         Section(
-            title,
-            [
-                Card(
-                    plan.title,
-                    plan.fingers,
-                    tuple(next(taken) for _ in plan.views),
-                    plan.posture,
-                    plan.evidence,
-                    plan.description,
-                )
-                for plan in plans
-            ],
+            title, [replace(card, shots=tuple(islice(taken, len(views)))) for card, views in plans]
         )
         for title, plans in sections.items()
     ]
     notes = (*hand.notes, *extraction.notes)
-    return page(hand, shots[0].image, cards, notes, extraction.seconds, section(trials))
+    return page(template, hand, shots[0].image, cards, notes, extraction.seconds, trials)
 
 
-def _shot(studio: Studio, view: _View) -> Shot:
-    image = studio.picture(
+def _shot(renderer: HandRenderer, view: _View) -> Shot:
+    image = renderer.picture(
         view.u,
         highlight=view.fingers,
         contacts=[view.contact] if view.contact else [],
@@ -125,8 +114,8 @@ def _shot(studio: Studio, view: _View) -> Shot:
     )
     if not (view.contact and view.tips):
         return Shot(image, caption=view.caption)
-    corner = studio.free_corner(view.u, view.contact, view.fingers, CLOSE_SHARE)
-    close = studio.close_up(view.u, view.contact, view.tips, file_format="WEBP")
+    corner = renderer.free_corner(view.u, view.contact, view.fingers, CLOSE_SHARE)
+    close = renderer.close_up(view.u, view.contact, view.tips, file_format="WEBP")
     return Shot(image, close, view.caption, corner)
 
 
@@ -150,20 +139,20 @@ def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
     view = _View(_position(hand, primitive.posture), fingers, contact=contact, tips=tips)
     title = " + ".join(primitive.elements)
     said = sideways_words(hand, primitive, common_prefix(hand.actuator_names))
-    return _Plan(title, fingers, (view,), primitive.posture, evidence, said)
+    return Card(title, fingers, (), primitive.posture, evidence, said), (view,)
 
 
 def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
     """Return the composed, timed and generic actions by kind."""
     groups: dict[str, list[_Plan]] = {}
+    plan: _Plan
     for action in actions:
         match action:
             case Composed() | Generic():
                 fingers = _moved(hand, action.posture)
                 view = _View(_position(hand, action.posture), fingers)
-                plan = _Plan(
-                    action.name, fingers, (view,), action.posture, description=_said(action)
-                )
+                said = _said(action)
+                plan = Card(action.name, fingers, (), action.posture, None, said), (view,)
             case Timed():
                 plan = _timed(hand, action)
             case _:
@@ -194,7 +183,7 @@ def _timed(hand: Hand, action: Timed) -> _Plan:
         views.append(_View(u, _moved(hand, step.posture), caption))
     involved = {finger for view in views for finger in view.fingers}
     fingers = tuple(name for name in hand.finger_names if name in involved)
-    return _Plan(action.name, fingers, tuple(views), description=action.description)
+    return Card(action.name, fingers, description=action.description), tuple(views)
 
 
 def _position(hand: Hand, posture: Posture) -> FloatArray:

@@ -1,22 +1,29 @@
-"""The report's page: one HTML file that needs nothing beside it."""
+"""The report's page: one HTML file that needs nothing beside it, from ``report.html.jinja``."""
 
 from __future__ import annotations
 
 import base64
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from html import escape
-from typing import Final
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 from rtee.actions.describe import clearance_text
 from rtee.actions.types import Evidence, Posture
-from rtee.extract import report_tables as tables
-from rtee.extract.report_style import STYLE
-from rtee.hand.model import Hand
+from rtee.errors import MissingExtra
+from rtee.hand.colours import finger_colours
+from rtee.hand.model import Hand, JointRole
 from rtee.hand.names import common_prefix
+from rtee.hand.urdf import UrdfMimic
+from rtee.types import ActuatorSpec, JointKind
 
-EXPLAINED: Final = {
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+_TEMPLATE: Final = Path(__file__).with_name("report.html.jinja")
+
+_EXPLAINED: Final = {
     "Trig": "All actuators that move only this finger, as far as they go.",
     "TipFlex": "Only the actuator nearest the fingertip bends.",
     "FingFlex": "Only the actuator nearest the palm bends; the finger moves as a whole.",
@@ -31,12 +38,8 @@ EXPLAINED: Final = {
     "Generic": "Set-points given directly.",
 }
 
-
 CLOSE_SHARE: Final = 0.4
 """How much of a picture's width and height a close-up covers."""
-
-_FEW: Final = 2
-"""How many pairs of colliding links are named at once."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Card:
 
     title: str
     fingers: tuple[str, ...]
-    shots: tuple[Shot, ...]
+    shots: tuple[Shot, ...] = ()
     posture: Posture | None = None
     evidence: Evidence | None = None
     description: str = ""
@@ -87,152 +90,150 @@ class Section:
     """
 
     title: str
-    cards: Sequence[Card] = field(default_factory=tuple)
+    cards: Sequence[Card] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """How one action did with one object.
+
+    Attributes:
+        action: The action with its elements, in words.
+        object: The object, as on the command line.
+        held: It was lifted, held and shaken, and stayed in the hand.
+        note: What else there is to say: how far it slipped, or why it was lost.
+    """
+
+    action: str
+    object: str
+    held: bool
+    note: str = ""
+
+
+def load_template() -> Template:
+    """Return the template of the page, which `page` fills in.
+
+    Raises:
+        MissingExtra: The extra ``plot`` is not installed.
+    """
+    try:
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    except ImportError:
+        raise MissingExtra("a report", "plot") from None
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATE.parent),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters |= {
+        "bar": _bar,
+        "effort": _effort,
+        "law": _law,
+        "quantity": _quantity,
+        "size": _size,
+        "source": _source,
+        "tags": _tags,
+    }
+    return environment.get_template(_TEMPLATE.name)
 
 
 def page(
+    template: Template,
     hand: Hand,
     picture: bytes,
     sections: Iterable[Section],
     notes: Sequence[str],
     seconds: float,
-    trials: str = "",
+    trials: Iterable[Tried] = (),
 ) -> str:
     """Return the page.
 
     Args:
+        template: What `load_template` gave.
         hand: The hand.
         picture: A WebP file of the hand at rest.
         sections: The actions by kind.
         notes: What was noticed, one sentence each.
         seconds: How long the extraction took [s].
-        trials: The section on trials, as HTML.
+        trials: What became of the actions when they were tried.
     """
-    title = escape(hand.description or hand.name)
-    found = tuple(sections)
-    body = "".join(_section(hand, section) for section in found)
-    return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}: grasping actions</title><style>{STYLE}</style></head><body><main>
-<h1>{title}</h1>
-<div class="soft">What this hand can do, found in {escape(hand.urdf.path.name)}
-in {seconds:.2f} s</div>
-{_hero(hand, picture, found)}
-<h2>Fingers</h2><div class="panel">{tables.fingers(hand)}</div>
-<h2>Actuators</h2><div class="panel">{tables.actuators(hand)}</div>
-<h2>What moves what</h2><div class="panel">{tables.moves(hand)}</div>
-{_folded("Joints that follow an actuator", tables.couplings(hand))}
-{_folded("Notes on the model", _list(notes))}
-{trials}
-{body}
-<footer>Angles in degrees, lengths in millimetres, positions in the frame of
-<code>{escape(hand.base)}</code>. In the bars the black tick is the rest posture.</footer>
-</main></body></html>
-"""
-
-
-def _hero(hand: Hand, picture: bytes, sections: Sequence[Section]) -> str:
-    counts = (
-        (len(hand.fingers), "fingers"),
-        (len(hand.actuators), "actuators"),
-        (len(hand.joints), "moving joints"),
+    tried = list(trials)
+    rows: dict[str, dict[str, Tried]] = {}
+    for one in tried:
+        rows.setdefault(one.action, {})[one.object] = one
+    return template.render(
+        title=hand.description or hand.name,
+        hand=hand,
+        colours=finger_colours(hand),
+        prefix=common_prefix(hand.actuator_names),
+        followers=[
+            joint
+            for joint in hand.joints
+            if joint.role in (JointRole.PASSIVE, JointRole.IGNORED)
+            or hand.urdf.joints[joint.name].mimic is not None
+        ],
+        picture=picture,
+        sections=list(sections),
+        explained=_EXPLAINED,
+        notes=notes,
+        seconds=seconds,
+        trials=tried,
+        tried_by_action=rows,
     )
-    tiles = "".join(f'<div class="tile"><b>{n}</b><span>{what}</span></div>' for n, what in counts)
-    legend = "".join(f"<li>{tables.named(hand, finger)}</li>" for finger in hand.finger_names)
-    return (
-        f'<div class="hero panel"><img src="{_source(picture)}" alt="The hand at rest">'
-        f'<div><div class="tiles">{tiles}</div><ul class="legend">{legend}</ul>'
-        f"{_contents(sections)}</div></div>"
-    )
-
-
-def _contents(sections: Sequence[Section]) -> str:
-    """Return links to the kinds of actions with how many there are of each."""
-    links = "".join(
-        f'<li><a href="#{escape(section.title)}">{escape(_heading(section))}</a>'
-        f'<span class="count">{len(section.cards)}</span></li>'
-        for section in sections
-    )
-    return f'<nav><ul class="contents">{links}</ul></nav>' if links else ""
-
-
-def _heading(section: Section) -> str:
-    return section.title.replace("_", " ")
-
-
-def _folded(title: str, content: str) -> str:
-    if not content:
-        return ""
-    return f'<details><summary>{title}</summary><div class="panel">{content}</div></details>'
-
-
-def _list(sentences: Sequence[str]) -> str:
-    if not sentences:
-        return ""
-    return "<ul>" + "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences) + "</ul>"
-
-
-def _section(hand: Hand, section: Section) -> str:
-    text = EXPLAINED.get(section.title.partition("_")[0], "")
-    cards = "".join(_card(hand, card) for card in section.cards)
-    return (
-        f'<h2 id="{escape(section.title)}">{escape(_heading(section))} '
-        f'<span class="soft">({len(section.cards)})</span></h2>'
-        f'<p class="soft">{escape(text)}</p><div class="grid">{cards}</div>'
-    )
-
-
-def _card(hand: Hand, card: Card) -> str:
-    dots = "".join(tables.dot(hand, finger) for finger in card.fingers)
-    text = f'<div class="soft">{escape(card.description)}</div>' if card.description else ""
-    wide = {1: "", 2: " pair"}.get(len(card.shots), " wide")
-    posture = _posture(hand, card.posture) if card.posture else ""
-    evidence = _evidence(card.evidence) if card.evidence else ""
-    return (
-        f'<article class="card{wide}">{_shots(card)}<div class="body">'
-        f"<h3>{dots}{escape(card.title)}</h3>{text}{evidence}{posture}</div></article>"
-    )
-
-
-def _shots(card: Card) -> str:
-    if len(card.shots) == 1:
-        shot = card.shots[0]
-        close = (
-            f'<img class="close {shot.corner}" src="{_source(shot.close_up)}" '
-            'alt="The contact from near">'
-            if shot.close_up
-            else ""
-        )
-        image = f'<img src="{_source(shot.image)}" alt="{escape(card.title)}">'
-        return f'<div class="shots">{image}{close}</div>'
-    figures = "".join(
-        f'<figure><img src="{_source(shot.image)}" alt="{escape(shot.caption)}">'
-        f"<figcaption>{escape(shot.caption)}</figcaption></figure>"
-        for shot in card.shots
-    )
-    return f'<div class="steps">{figures}</div>'
 
 
 def _source(image: bytes) -> str:
+    """Return a WebP file as the address of an image."""
     return "data:image/webp;base64," + base64.b64encode(image).decode()
 
 
-def _posture(hand: Hand, posture: Posture) -> str:
-    rows = []
-    prefix = common_prefix(hand.actuator_names)
-    for name in posture.involved:
-        actuator = hand.actuator(name)
-        value = posture.position[name]
-        shown = tables.quantity(value, actuator.kind)
-        short = tables.code(name.removeprefix(prefix), breaks=True)
-        rows.append(
-            [f'<span title="{escape(name)}">{short}</span>', shown, tables.bar(actuator, value)]
-        )
-    return tables.table(["actuator", "position", ""], rows, numbers=(1,))
+def _quantity(value: float, kind: JointKind, unit: str = "") -> str:
+    """Return a position, or a rate with ``unit`` ``/s``, in the units people read."""
+    if not math.isfinite(value):
+        return "unlimited"
+    if kind is JointKind.PRISMATIC:
+        return f"{value * 1e3:.1f} mm{unit}"
+    return f"{math.degrees(value):.1f}°{unit}"
 
 
-def _evidence(evidence: Evidence) -> str:
+def _effort(actuator: ActuatorSpec) -> str:
+    if not math.isfinite(actuator.effort):
+        return "not given"
+    unit = "N" if actuator.kind is JointKind.PRISMATIC else "N·m"
+    return f"{actuator.effort:g} {unit}"
+
+
+def _bar(value: float, actuator: ActuatorSpec) -> dict[str, str] | None:
+    """Return the bar from rest to a value over the actuator's range [%]; none without limits."""
+    if not math.isfinite(actuator.lower) or not math.isfinite(actuator.upper):
+        return None
+    span = actuator.upper - actuator.lower
+    rest, at = ((v - actuator.lower) / span * 100 for v in (actuator.rest, value))
+    bar = {"left": min(rest, at), "width": abs(at - rest), "rest": rest}
+    return {name: f"{percent:.1f}" for name, percent in bar.items()}
+
+
+def _law(mimic: UrdfMimic) -> str:
+    """Return a joint's position as a function of that of the joint x that it follows."""
+    if mimic.expression is not None:
+        return mimic.expression
+    offset = f"{mimic.offset:+g}" if mimic.offset else ""
+    return f"{mimic.multiplier:g} · x{offset}"
+
+
+def _size(name: str) -> tuple[str, str]:
+    """Return the kind of an object and its size [mm]; an object without a size is all kind."""
+    kind, _, size = name.partition(":")
+    try:
+        return kind, "×".join(f"{float(part) * 1e3:g}" for part in size.split("x"))
+    except ValueError:
+        return name, ""
+
+
+def _tags(evidence: Evidence) -> list[str]:
+    """Return what was found at a posture, in a few words each."""
     tags = []
     if evidence.depth > 0:
         tags.append(f"depth {evidence.depth * 1e3:.1f} mm")
@@ -249,21 +250,4 @@ def _evidence(evidence: Evidence) -> str:
         tags.append(f"{closure} a ball at friction {opposition.friction:g}")
     if evidence.clearance is not None:
         tags.append(f"clearance {clearance_text(evidence.clearance)}")
-    shown = "".join(f'<span class="tag">{escape(tag)}</span>' for tag in tags)
-    return shown + _warning(evidence)
-
-
-def _warning(evidence: Evidence) -> str:
-    """Return what else collides; many pairs of links are folded."""
-    pairs = [f"{a} and {b}" for a, b in evidence.colliding]
-    if evidence.clear:
-        text = "" if evidence.path_clear else "the way there is not clear"
-    elif len(pairs) <= _FEW:
-        text = f"not clear: {'; '.join(pairs)} collide"
-    else:
-        listed = "".join(f"<li>{escape(pair)}</li>" for pair in pairs)
-        return (
-            f'<details class="tag warn"><summary>not clear: {len(pairs)} pairs of links collide'
-            f"</summary><ul>{listed}</ul></details>"
-        )
-    return f'<span class="tag warn">{escape(text)}</span>' if text else ""
+    return tags

@@ -12,16 +12,16 @@ import numpy as np
 
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import TABLE
-from rtee.extract.report_camera import fitted, view
-from rtee.extract.report_image import linear, picture_file
-from rtee.extract.report_mesh import HandSurface, Surface, smooth_normals
-from rtee.extract.report_render import Look, Painter
-from rtee.extract.report_trace import Tracer, check_pictures
-from rtee.hand.colours import PALM, finger_colours, finger_of_link
 from rtee.hand.files import write_atomically
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
+from rtee.render.camera import choose_view, fit_camera
+from rtee.render.hand import link_colours
+from rtee.render.image import encode, linear_rgb
+from rtee.render.mesh import HandMesh, Mesh, smooth_normals
+from rtee.render.raycast import RayCaster, check_pictures
+from rtee.render.renderer import Renderer, Shading
 from rtee.trials.headless import HeadlessHand
 from rtee.types import FloatArray
 
@@ -37,8 +37,8 @@ _FAR = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, 0.14], [0.16, 0.1, 0.14], [0.24, 
 """Ways of the hand in a transfer."""
 
 
-class Camera:
-    """Takes pictures of one simulation, all from the same place.
+class SimulationRenderer:
+    """Renders one simulation, always from the same place.
 
     Attributes:
         simulation: What is seen.
@@ -62,26 +62,25 @@ class Camera:
         check_pictures()
         self.simulation = simulation
         self._hand = hand
-        self._surface = HandSurface(HandGeometry(hand, visual=True))
+        self._mesh = HandMesh(HandGeometry(hand, visual=True))
         self._extras = self._find_extras()
-        back = view(self._surface.geometry)[0]
+        back = choose_view(self._mesh.geometry)[0]
         turn = simulation.surroundings.base_pose[:3, :3]
         self._up = np.array([0.0, 0.0, 1.0])
         back = turn @ back
         back[2] = abs(back[2])
         table = [i for i, (geom, *_) in enumerate(self._extras) if self._is_table(geom)]
-        surface = self._posed(leave_out=table)
-        points = surface.corners.reshape(-1, 3)
+        mesh = self._posed(leave_out=table)
+        points = mesh.corners.reshape(-1, 3)
         points = np.concatenate([points, *(points + way for way in reach)])
-        self._camera = fitted(points, back / np.linalg.norm(back), self._up, size)
-        self._extent = float(np.linalg.norm(np.ptp(surface.corners.reshape(-1, 3), axis=0)))
-        self._look = self._colours()
+        self._camera = fit_camera(points, back / np.linalg.norm(back), self._up, size)
+        extent = float(np.linalg.norm(np.ptp(mesh.corners.reshape(-1, 3), axis=0)))
+        self._shading = Shading.studio(self._colours(), self._camera, self._up, extent)
 
     def picture(self) -> bytes:
         """Return a PNG file of how it is now."""
-        tracer = Tracer(self._posed())
-        picture = Painter(tracer, self._camera, self._look).paint()
-        return picture_file(picture, "#ffffff", self._camera, (), "PNG")
+        picture = Renderer(RayCaster(self._posed()), self._camera, self._shading).render()
+        return encode(picture, "#ffffff", self._camera, (), "PNG")
 
     def _is_table(self, geom: int) -> bool:
         return bool(self.simulation.model.geom(geom).name == TABLE)
@@ -96,10 +95,10 @@ class Camera:
                 found.append((geom, vertices[faces], smooth_normals(vertices, faces)))
         return found
 
-    def _posed(self, leave_out: Sequence[int] = ()) -> Surface:
+    def _posed(self, leave_out: Sequence[int] = ()) -> Mesh:
         simulation = self.simulation
         base = simulation.surroundings.base_pose
-        hand = self._surface.at(simulation.hand_position)
+        hand = self._mesh.at(simulation.hand_position)
         corners = [hand.corners @ base[:3, :3].T + base[:3, 3]]
         normals, links = [hand.normals @ base[:3, :3].T], [hand.links]
         for index, (geom, points, directions) in enumerate(self._extras):
@@ -108,27 +107,20 @@ class Camera:
             turn = simulation.data.geom_xmat[geom].reshape(3, 3)
             corners.append(points @ turn.T + simulation.data.geom_xpos[geom])
             normals.append(directions @ turn.T)
-            links.append(np.full(len(points), len(self._surface.links) + index))
-        return Surface(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
+            links.append(np.full(len(points), len(self._mesh.links) + index))
+        return Mesh(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
 
-    def _colours(self) -> Look:
-        colours, owner = finger_colours(self._hand), finger_of_link(self._hand)
-        rows = [
-            linear(colours[owner[link]] if owner.get(link) else PALM)
-            for link in self._surface.links
-        ]
+    def _colours(self) -> FloatArray:
+        rows = [*link_colours(self._hand, self._mesh.links)]
         for geom, *_ in self._extras:
             rgba = self.simulation.model.geom_rgba[geom][:3]
             code = "#" + "".join(f"{round(255 * float(v)):02x}" for v in rgba)
-            rows.append(linear(_TABLE_COLOUR if self._is_table(geom) else code))
-        light = -0.55 * self._camera.right + 0.75 * self._up - 0.62 * self._camera.forward
-        return Look(
-            np.array(rows), light / np.linalg.norm(light), self._up, None, 0.45 * self._extent
-        )
+            rows.append(linear_rgb(_TABLE_COLOUR if self._is_table(geom) else code))
+        return np.array(rows)
 
 
 def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
-    """Return the triangles of a geom in its own frame."""
+    """Return the triangles of a geom in its own orthonormal_basis."""
     size = model.geom_size[geom]
     match int(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_BOX:
@@ -194,7 +186,7 @@ class Stills:
         self.taken: list[tuple[str, bytes]] = []
         self._hand = hand
         self._reach = reach
-        self._camera: Camera | None = None
+        self._renderer: SimulationRenderer | None = None
 
     @classmethod
     def of_trial(cls, hand: Hand) -> Stills:
@@ -211,6 +203,6 @@ class Stills:
         if moment == "start":
             self.taken.clear()
         simulation = headless.simulation
-        if self._camera is None or self._camera.simulation is not simulation:
-            self._camera = Camera(simulation, self._hand, self._reach)
-        self.taken.append((moment, self._camera.picture()))
+        if self._renderer is None or self._renderer.simulation is not simulation:
+            self._renderer = SimulationRenderer(simulation, self._hand, self._reach)
+        self.taken.append((moment, self._renderer.picture()))

@@ -1,4 +1,4 @@
-"""From light to picture files, with contacts marked."""
+"""From linear light to picture files, with contacts marked."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from rtee.extract.report_camera import Camera
+from rtee.render.camera import Camera
 from rtee.types import FloatArray
 
 if TYPE_CHECKING:
@@ -20,31 +20,36 @@ Point = tuple[float, float, float]
 Contact = tuple[Point, Point]
 """Point [m] and unit normal of a contact, in the hand's base frame."""
 
+_RING: Final = {False: 0.020, True: 0.030}
+"""Radius of a contact's ring over the picture's height; larger in a picture of little else."""
+_FINE: Final = 3
+"""Marks are drawn this much larger and made smaller, for smooth edges."""
 _GHOST: Final = 0.16
+"""Coverage of a silhouette: faint enough not to be taken for the hand."""
 
 
-def with_silhouette(picture: FloatArray, behind: FloatArray) -> FloatArray:
-    """Return a picture with a silhouette behind it."""
+def with_silhouette(picture: FloatArray, silhouette: FloatArray) -> FloatArray:
+    """Return a picture with a silhouette, given by its coverage, behind it."""
     result = picture.copy()
-    cover = (1 - picture[..., 3:]) * (_GHOST * behind)[..., None]
-    result[..., :3] += cover * linear("#7d8590")
-    result[..., 3:] += cover
+    coverage = (1 - picture[..., 3:]) * (_GHOST * silhouette)[..., None]
+    result[..., :3] += coverage * linear_rgb("#7d8590")
+    result[..., 3:] += coverage
     return result
 
 
-def linear(colour: str) -> FloatArray:
-    """Return a colour ``#rrggbb`` as linear light (IEC 61966-2-1)."""
+def linear_rgb(colour: str) -> FloatArray:
+    """Return an sRGB colour ``#rrggbb`` as linear light, 0 to 1 (IEC 61966-2-1)."""
     shown = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
 
-def _shown(light: FloatArray) -> FloatArray:
-    """Return linear light as it is stored in a picture (IEC 61966-2-1)."""
+def _srgb(light: FloatArray) -> FloatArray:
+    """Return linear light as sRGB, 0 to 1 (IEC 61966-2-1)."""
     light = np.clip(light, 0, 1)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def picture_file(
+def encode(
     picture: FloatArray,
     background: str | None,
     camera: Camera,
@@ -56,8 +61,8 @@ def picture_file(
     """Return a picture file.
 
     Args:
-        picture: Linear colours times cover, and cover ``(height, width, 4)``.
-        background: Colour behind the surface; ``None`` for transparent.
+        picture: Linear colours times coverage, and coverage ``(height, width, 4)``.
+        background: Colour behind the mesh; ``None`` for transparent.
         camera: Where the picture was taken from.
         contacts: Contacts to mark.
         file_format: Format of the file.
@@ -65,12 +70,12 @@ def picture_file(
     """
     from PIL import Image
 
-    cover = np.clip(picture[..., 3:], 0, 1)
+    coverage = np.clip(picture[..., 3:], 0, 1)
     if background is None:
-        colour = np.where(cover > 1e-6, picture[..., :3] / np.maximum(cover, 1e-6), 0.0)
-        data = np.concatenate([_shown(colour), cover], axis=2)
+        colour = np.where(coverage > 1e-6, picture[..., :3] / np.maximum(coverage, 1e-6), 0.0)
+        data = np.concatenate([_srgb(colour), coverage], axis=2)
     else:
-        data = _shown(picture[..., :3] + (1 - cover) * linear(background))
+        data = _srgb(picture[..., :3] + (1 - coverage) * linear_rgb(background))
     image = Image.fromarray(np.round(data * 255).astype(np.uint8))
     for contact in contacts:
         image = _marked(image, camera, contact, large=large)
@@ -83,14 +88,14 @@ def _marked(image: Any, camera: Camera, contact: Contact, *, large: bool) -> Any
     """Return the picture with a ring around a contact and arrows along its normal."""
     from PIL import Image, ImageDraw
 
-    fine = 3
-    radius = (0.030 if large else 0.020) * image.height * fine
-    pen = max(1.6 * fine, radius / 6)
+    fine = _FINE
+    radius = _RING[large] * image.height * fine
+    pen = max(1.6 * fine, radius / 6)  # no thinner than 1.6 pixels
     point, normal = np.array(contact[0]), np.array(contact[1])
     at = camera.project(point[None])[0]
     side = camera.project((point + 1e-3 * normal)[None])[0] - at
     length = float(np.hypot(*side))
-    # Only the surroundings are drawn, finely, and made smaller afterwards.
+    # Only the surroundings are drawn: arrows end three radii from the contact (`_arrow`).
     half = math.ceil((3.2 * radius + 4 * pen) / fine)
     corner = np.floor(at).astype(int) - half
     layer = Image.new("RGBA", (2 * half * fine, 2 * half * fine), (255, 255, 255, 0))
@@ -118,7 +123,7 @@ def _arrow(
     grown: float,
     colour: tuple[int, int, int, int],
 ) -> None:
-    """Draw an arrow from outside to the ring."""
+    """Draw an arrow from three radii outside to the ring, larger by ``grown`` on all sides."""
     across = np.array([-side[1], side[0]])
     head = centre + side * (1.35 * radius - grown)
     neck = centre + side * 2.1 * radius

@@ -1,4 +1,4 @@
-"""Rays against the surface of a hand, on the processor: by Embree, or without it in numpy."""
+"""Ray casting against a mesh on the processor: by Embree or, without it, in numpy."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.errors import MissingExtra
-from rtee.extract.report_mesh import Surface
-from rtee.extract.report_rays import FirstHits, NumpyScene
-from rtee.extract.report_sampling import normalised
+from rtee.render.bvh import ClosestHits, NumpyScene
+from rtee.render.mesh import Mesh
+from rtee.render.sampling import normalised
 from rtee.types import FloatArray
 
 log = logging.getLogger(__name__)
@@ -23,12 +23,21 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays hit: points, normals and links of those that hit something."""
+    """Where rays hit something first; rays that hit nothing are left out.
 
-    which: NDArray[np.int64]
+    Attributes:
+        rays: Indices of the rays ``(k,)``.
+        points: Points that they hit ``(k, 3)`` [m].
+        normals: Unit normals there, interpolated over the triangle ``(k, 3)``.
+        face_normals: Unit normals of the triangles ``(k, 3)``; both kinds face the ray's origin.
+        links: Indices of the links that they hit ``(k,)``.
+        depth: Distances along the rays ``(k,)`` [m].
+    """
+
+    rays: NDArray[np.int64]
     points: FloatArray
     normals: FloatArray
-    flat: FloatArray
+    face_normals: FloatArray
     links: NDArray[np.int64]
     depth: FloatArray
 
@@ -36,10 +45,10 @@ class Hits:
 class Scene(Protocol):
     """Triangles that rays may hit."""
 
-    def first(self, origins: FloatArray, directions: FloatArray) -> FirstHits:
-        """Return what rays ``(k, 3)`` hit first."""
+    def closest(self, origins: FloatArray, directions: FloatArray) -> ClosestHits:
+        """Return the closest hit of each ray ``(k, 3)``."""
 
-    def blocked(self, origins: FloatArray, directions: FloatArray, reach: float) -> Mask:
+    def occluded(self, origins: FloatArray, directions: FloatArray, reach: float) -> Mask:
         """Return which rays hit something within a distance [m]."""
 
 
@@ -54,13 +63,13 @@ class EmbreeScene:
         # The mesh must live as long as the scene.
         self._mesh: Any = TriangleMesh(self._scene, corners.astype(np.float32))
 
-    def first(self, origins: FloatArray, directions: FloatArray) -> FirstHits:
-        """See `Scene.first`."""
+    def closest(self, origins: FloatArray, directions: FloatArray) -> ClosestHits:
+        """See `Scene.closest`."""
         found = self._scene.run(_f32(origins), _f32(directions), output=1)
-        return FirstHits(found["primID"], found["u"], found["v"], found["tfar"])
+        return ClosestHits(found["primID"], found["u"], found["v"], found["tfar"])
 
-    def blocked(self, origins: FloatArray, directions: FloatArray, reach: float) -> Mask:
-        """See `Scene.blocked`."""
+    def occluded(self, origins: FloatArray, directions: FloatArray, reach: float) -> Mask:
+        """See `Scene.occluded`."""
         far = np.full(len(origins), reach, dtype=np.float32)
         found = self._scene.run(_f32(origins), _f32(directions), far, query="OCCLUDED")
         hit: Mask = np.asarray(found) >= 0
@@ -77,12 +86,12 @@ def check_pictures() -> None:
         import PIL.Image  # noqa: F401
     except ImportError:
         raise MissingExtra("a picture", "plot") from None
-    if not embree():
-        tell_once()
+    if not has_embree():
+        warn_once()
 
 
 @cache
-def embree() -> bool:
+def has_embree() -> bool:
     """Return whether Embree is there; on ARM it has no package."""
     try:
         import embreex.rtcore_scene  # noqa: F401
@@ -92,50 +101,54 @@ def embree() -> bool:
 
 
 @cache
-def tell_once() -> None:
-    """Say that pictures take long."""
+def warn_once() -> None:
+    """Warn once that pictures take long."""
     log.warning(
         "embreex is not installed: pictures are traced in numpy, which takes some seconds each"
     )
 
 
-class Tracer:
-    """Rays against one surface."""
+class RayCaster:
+    """Casts rays against one mesh.
 
-    def __init__(self, surface: Surface) -> None:
-        self.surface = surface
-        kind = EmbreeScene if embree() else NumpyScene
-        self._scene: Scene = kind(surface.corners)
+    Attributes:
+        mesh: The mesh.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        kind = EmbreeScene if has_embree() else NumpyScene
+        self._scene: Scene = kind(mesh.corners)
 
     def cast(self, origin: FloatArray, directions: FloatArray) -> Hits:
-        """Return what rays from one point hit first."""
+        """Return the closest hits of rays from one point."""
         origins = np.broadcast_to(origin, directions.shape)
-        found = self._scene.first(origins, directions)
-        which = np.flatnonzero(found.face >= 0)
-        face = found.face[which]
-        u, v = found.u[which, None], found.v[which, None]
-        depth = found.depth[which].astype(np.float64)
-        corners = self.surface.normals[face]
+        found = self._scene.closest(origins, directions)
+        rays = np.flatnonzero(found.face >= 0)
+        face = found.face[rays]
+        u, v = found.u[rays, None], found.v[rays, None]
+        depth = found.depth[rays].astype(np.float64)
+        corners = self.mesh.normals[face]
         normals = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
-        triangle = self.surface.corners[face]
+        triangle = self.mesh.corners[face]
         flat = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
-        seen = directions[which]
+        seen = directions[rays]
         # Meshes are not always wound outwards: turn what shows its back.
         backwards = np.einsum("ij,ij->i", flat, seen) > 0
         flat[backwards] *= -1
         normals[backwards] *= -1
         return Hits(
-            which,
+            rays,
             origin + seen * depth[:, None],
             normalised(normals),
             normalised(flat),
-            self.surface.links[face],
+            self.mesh.links[face],
             depth,
         )
 
-    def blocked(self, points: FloatArray, directions: FloatArray, reach: float) -> Mask:
+    def occluded(self, points: FloatArray, directions: FloatArray, reach: float) -> Mask:
         """Return which rays hit something within a distance."""
-        return self._scene.blocked(points, directions, reach)
+        return self._scene.occluded(points, directions, reach)
 
 
 def _f32(values: FloatArray) -> NDArray[np.float32]:

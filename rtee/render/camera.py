@@ -16,10 +16,17 @@ FIELD: Final = math.radians(22.0)
 """Vertical field of view [rad]."""
 
 _AZIMUTH: Final = math.radians(28.0)
+"""How far the camera is turned to the side, so that fingers don't hide one another [rad]."""
 _ELEVATION: Final = math.radians(16.0)
+"""How far the camera looks from above, so that depth is seen [rad]."""
 _MARGIN: Final = 1.08
+"""The picture's size over that of what must fit into it."""
 _FIRST_PART: Final = 0.3
-"""Where fingertips move on this part of the way is where fingers close; later they curl back."""
+"""Part of the way on which fingertips show where fingers close; later they curl back."""
+_SNAP: Final = math.radians(35.0)
+"""A hand that points along an axis of its base but for this angle stands upright [rad]."""
+_ONE_WAY: Final = 0.45
+"""Fingertips that together move less than this part of their ways close towards one another."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,9 @@ class Camera:
         return np.stack([x, y], axis=1)
 
 
-def fitted(points: FloatArray, back: FloatArray, up: FloatArray, size: tuple[int, int]) -> Camera:
+def fit_camera(
+    points: FloatArray, back: FloatArray, up: FloatArray, size: tuple[int, int]
+) -> Camera:
     """Return the camera that sees all points as large as they fit.
 
     Args:
@@ -91,12 +100,7 @@ def _between(across: FloatArray, depth: FloatArray, half: float) -> tuple[float,
     return (upper - lower) / 2, -(upper + lower) / (2 * half)
 
 
-_SNAP: Final = math.radians(35.0)
-_ONE_WAY: Final = 0.45
-"""Fingertips that together move less than this part of their ways close towards one another."""
-
-
-def view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
+def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
     """Choose where to look at a hand from, so that closing is seen well.
 
     Where all fingers close the same way, as in a human hand, it is seen from where they close to;

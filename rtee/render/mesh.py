@@ -1,4 +1,4 @@
-"""Triangles of a hand with normals that are smooth where the surface is."""
+"""A hand as one mesh of triangles, with normals that are smooth where its surface is."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CREASE: Final = math.radians(35.0)
 
 
 @dataclass(frozen=True)
-class Surface:
+class Mesh:
     """Triangles with a normal at every corner.
 
     Attributes:
@@ -33,11 +33,11 @@ class Surface:
     links: IntArray
 
 
-class HandSurface:
-    """The collision geometry of a hand, posed as one surface.
+class HandMesh:
+    """The geometry of a hand, posed as one mesh.
 
     Attributes:
-        geometry: The hand's collision geometry.
+        geometry: The hand's visual or collision geometry.
         links: The links that have some, in the order of the URDF's tree.
     """
 
@@ -49,8 +49,8 @@ class HandSurface:
             vertices, faces = geometry.triangles(link)
             self._parts.append((vertices[faces], smooth_normals(vertices, faces)))
 
-    def at(self, u: FloatArray) -> Surface:
-        """Return the surface at a posture, in the hand's base frame.
+    def at(self, u: FloatArray) -> Mesh:
+        """Return the mesh at a posture, in the hand's base frame.
 
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
@@ -64,7 +64,7 @@ class HandSurface:
             corners.append(points @ pose[:3, :3].T + pose[:3, 3])
             normals.append(directions @ pose[:3, :3].T)
             links.append(np.full(len(points), index))
-        return Surface(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
+        return Mesh(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
 
 
 def smooth_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:

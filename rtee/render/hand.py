@@ -1,44 +1,48 @@
-"""Pictures of a hand in a posture, with the contact marked."""
+"""Pictures of a hand in a posture, with contacts marked."""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from rtee.extract.report_camera import Camera, fitted, view
-from rtee.extract.report_image import (
-    Contact,
-    FileFormat,
-    linear,
-    picture_file,
-    with_silhouette,
-)
-from rtee.extract.report_mesh import HandSurface, Surface
-from rtee.extract.report_render import Look, Painter
-from rtee.extract.report_trace import Tracer, check_pictures
 from rtee.hand.colours import PALM, finger_colours, finger_of_link
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
+from rtee.render.camera import Camera, choose_view, fit_camera
+from rtee.render.image import Contact, FileFormat, encode, linear_rgb, with_silhouette
+from rtee.render.mesh import HandMesh, Mesh
+from rtee.render.raycast import RayCaster, check_pictures
+from rtee.render.renderer import Renderer, Shading
 from rtee.types import FloatArray
 
 SIZE: Final = (430, 400)
+"""Width and height of a picture of a hand [pixels]."""
 CLOSE_UP: Final = (230, 215)
+"""Width and height of a picture of a contact [pixels]."""
 
 CORNERS: Final = ("top right", "top left", "bottom right", "bottom left")
 
 _FADED: Final = 0.82
+"""Share of grey in the colour of what is not highlighted."""
+_GREY: Final = "#c9ccd1"
 _MARK: Final = 0.06
 """How far the mark of a contact reaches, as a part of the picture's size."""
+_NEAR: Final = 0.09
+"""Radius around a contact that a close-up shows, over the hand's diagonal: about a fingertip."""
+_BLOCKING: Final = 0.03
+"""Radius around a contact that should not be hidden in a close-up, over the hand's diagonal."""
+_FAR: Final = 10.0
+"""Beyond every hand [m]."""
 _WANTED: Final = 4.0
 """How much more the surface of wanted fingers counts than that of others."""
 
 
-def render(
+def render_hand(
     hand: Hand,
     u: FloatArray,
     size: tuple[int, int] = SIZE,
@@ -66,14 +70,22 @@ def render(
         MissingExtra: The extra ``plot`` is not installed.
         ModelError: A mesh cannot be read.
     """
-    studio = Studio(hand, size, [u])
-    return studio.picture(
+    renderer = HandRenderer(hand, size, [u])
+    return renderer.picture(
         u, highlight=highlight, contacts=contacts, ghost=ghost, background=background
     )
 
 
-class Studio:
-    """Takes pictures of one hand, all from the same place; several threads may do so at once.
+def link_colours(hand: Hand, links: Iterable[str]) -> FloatArray:
+    """Return the linear colour of each link ``(l, 3)``: that of its finger, or of the palm."""
+    colours, owner = finger_colours(hand), finger_of_link(hand)
+    return np.array(
+        [linear_rgb(colours[owner[link]] if owner.get(link) else PALM) for link in links]
+    )
+
+
+class HandRenderer:
+    """Renders one hand, always from the same place; several threads may do so at once.
 
     Attributes:
         hand: The hand.
@@ -98,20 +110,20 @@ class Studio:
         self.hand = hand
         self.size = size
         self._lock = threading.Lock()
-        self._last: tuple[bytes, Tracer] | None = None
-        self._surface = HandSurface(HandGeometry(hand, visual=True))
-        self._back, self._up = view(self._surface.geometry)
+        self._last: tuple[bytes, RayCaster] | None = None
+        self._mesh = HandMesh(HandGeometry(hand, visual=True))
+        self._back, self._up = choose_view(self._mesh.geometry)
         rest = self._corners(hand.rest)
         points = np.concatenate([rest, *(self._corners(u) for u in postures)])
-        self._camera = fitted(points, self._back, self._up, size)
+        self._camera = fit_camera(points, self._back, self._up, size)
         self._extent = float(np.linalg.norm(np.ptp(rest, axis=0)))
         self._ground = float((points @ self._up).min())
 
     @cached_property
     def _silhouette(self) -> FloatArray:
-        return Painter(
-            self._traced(self.hand.rest), self._camera, self._look(self._camera, None)
-        ).cover()
+        """Coverage of the hand at rest."""
+        shading = self._shading(self._camera, ground=self._ground)
+        return Renderer(self._caster(self.hand.rest), self._camera, shading).coverage()
 
     def picture(
         self,
@@ -123,13 +135,12 @@ class Studio:
         background: str | None = "#ffffff",
         file_format: FileFormat = "PNG",
     ) -> bytes:
-        """Return a picture file of the hand; see `render`."""
-        picture = Painter(
-            self._traced(u), self._camera, self._look(self._camera, highlight)
-        ).paint()
+        """Return a picture file of the hand; see `render_hand`."""
+        shading = self._shading(self._camera, highlight, ground=self._ground)
+        picture = Renderer(self._caster(u), self._camera, shading).render()
         if ghost:
             picture = with_silhouette(picture, self._silhouette)
-        return picture_file(picture, background, self._camera, contacts, file_format)
+        return encode(picture, background, self._camera, contacts, file_format)
 
     def close_up(
         self,
@@ -151,18 +162,17 @@ class Studio:
             background: Colour behind the hand; ``None`` for transparent.
             file_format: Format of the file.
         """
-        tracer = self._traced(u)
-        surface = tracer.surface
+        caster = self._caster(u)
+        mesh = caster.mesh
         point, normal = np.array(contact[0]), np.array(contact[1])
-        chosen = np.isin(surface.links, [self._surface.links.index(tip) for tip in tips])
-        others = surface.corners[~chosen]
-        reach = 0.09 * self._extent
+        chosen = np.isin(mesh.links, [self._mesh.links.index(tip) for tip in tips])
+        others = mesh.corners[~chosen]
+        reach = _NEAR * self._extent
         back = self._free_side(point, normal, others)
         ring = _around(back) * reach
-        camera = fitted(point + ring, back, self._up, size)
-        look = self._look(camera, None, tips)
-        picture = Painter(tracer, camera, _without_ground(look)).paint()
-        return picture_file(picture, background, camera, [contact], file_format, large=True)
+        camera = fit_camera(point + ring, back, self._up, size)
+        picture = Renderer(caster, camera, self._shading(camera, links=tips)).render()
+        return encode(picture, background, camera, [contact], file_format, large=True)
 
     def free_corner(
         self, u: FloatArray, contact: Contact, fingers: Collection[str], share: float
@@ -178,12 +188,12 @@ class Studio:
         Returns:
             ``top right``, ``top left``, ``bottom right`` or ``bottom left``.
         """
-        surface = self._traced(u).surface
+        mesh = self._caster(u).mesh
         owner = finger_of_link(self.hand)
-        wanted = np.array([owner.get(link) in fingers for link in self._surface.links])
-        a, b, c = np.moveaxis(surface.corners, 1, 0)
+        wanted = np.array([owner.get(link) in fingers for link in self._mesh.links])
+        a, b, c = np.moveaxis(mesh.corners, 1, 0)
         weights = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        weights = weights * np.where(wanted[surface.links], _WANTED, 1.0)
+        weights = weights * np.where(wanted[mesh.links], _WANTED, 1.0)
         points = np.concatenate([(a + b + c) / 3.0, [contact[0]]])
         spots = self._camera.project(points) / self.size
         spots[-1] += np.where(spots[-1] < 0.5, -_MARK, _MARK)
@@ -195,74 +205,80 @@ class Studio:
             covered[corner] = float(weights[across & down].sum())
         return min(CORNERS, key=covered.__getitem__)
 
-    def _traced(self, u: FloatArray) -> Tracer:
-        """Return the rays' surface at a posture; the last one is kept."""
+    def _caster(self, u: FloatArray) -> RayCaster:
+        """Return what casts rays against the hand at a posture; the last one is kept."""
         key = u.tobytes()
         last = self._last
         if last is None or last[0] != key:
-            last = self._last = (key, Tracer(self._posed(u)))
+            last = self._last = (key, RayCaster(self._posed(u)))
         return last[1]
 
-    def _posed(self, u: FloatArray) -> Surface:
+    def _posed(self, u: FloatArray) -> Mesh:
         with self._lock:  # kinematics keeps what it computes
-            return self._surface.at(u)
+            return self._mesh.at(u)
 
     def _corners(self, u: FloatArray) -> FloatArray:
         return self._posed(u).corners.reshape(-1, 3)
 
-    def _look(
-        self, camera: Camera, highlight: Collection[str] | None, links: Collection[str] = ()
-    ) -> Look:
-        colours = finger_colours(self.hand)
+    def _shading(
+        self,
+        camera: Camera,
+        highlight: Collection[str] | None = None,
+        *,
+        links: Collection[str] = (),
+        ground: float | None = None,
+    ) -> Shading:
+        """Return colours and light; fingers that are not to be highlighted are faded.
+
+        Args:
+            camera: Where the picture is taken from.
+            highlight: Fingers in full colour; ``None`` for all.
+            links: Links of fingers in full colour; none for all.
+            ground: Height of the ground [m]; ``None`` for no ground.
+        """
         owner = finger_of_link(self.hand)
-        rows = []
-        for link in self._surface.links:
+        colours = link_colours(self.hand, self._mesh.links)
+        for row, link in enumerate(self._mesh.links):
             finger = owner.get(link)
-            colour = linear(colours[finger] if finger else PALM)
-            faded = finger is not None and highlight is not None and finger not in highlight
-            if faded or (links and link not in links and finger is not None):
-                colour = _FADED * linear("#c9ccd1") + (1 - _FADED) * colour
-            rows.append(colour)
-        light = -0.55 * camera.right + 0.75 * self._up - 0.62 * camera.forward
-        return Look(
-            colours=np.array(rows),
-            light=light / np.linalg.norm(light),
-            up=self._up,
-            ground=self._ground,
-            reach=0.45 * self._extent,
-        )
+            if finger is not None and (
+                (highlight is not None and finger not in highlight) or (links and link not in links)
+            ):
+                colours[row] = _FADED * linear_rgb(_GREY) + (1 - _FADED) * colours[row]
+        return Shading.studio(colours, camera, self._up, self._extent, ground)
 
     def _free_side(self, point: FloatArray, normal: FloatArray, others: FloatArray) -> FloatArray:
         """Return the direction across the normal in which the contact is seen best."""
         first = np.cross(normal, self._up)
-        if float(np.linalg.norm(first)) < 0.2:
+        if float(np.linalg.norm(first)) < 0.2:  # the normal points up, but for 12°
             first = np.cross(normal, self._back)
         first /= np.linalg.norm(first)
         second = np.cross(normal, first)
         turns = np.arange(24) * (2 * math.pi / 24)
         sides = np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second
-        liking = sides @ self._back + 0.3 * (sides @ self._up)
+        # As near as may be to where the other pictures are taken from, rather from above; but that
+        # the contact is not hidden counts more than both. The weights are chosen by eye.
+        score = sides @ self._back + 0.3 * (sides @ self._up)
         if len(others):
-            blocked = _blocked_share(point, sides, others, 0.03 * self._extent)
-            liking = liking - 3.0 * blocked
-        side: FloatArray = sides[int(np.argmax(liking))]
-        tilted = side + 0.25 * self._back
+            occluded = _occluded_share(point, sides, others, _BLOCKING * self._extent)
+            score = score - 3.0 * occluded
+        side: FloatArray = sides[int(np.argmax(score))]
+        tilted = side + 0.25 * self._back  # a little depth, without looking along the normal
         tilted = tilted - 0.3 * (tilted @ normal) * normal
         return tilted / np.linalg.norm(tilted)
 
 
-def _blocked_share(
+def _occluded_share(
     point: FloatArray, sides: FloatArray, corners: FloatArray, radius: float
 ) -> FloatArray:
     """Return how much of the surroundings of a point is hidden, seen from each side."""
-    surface = Surface(corners, np.zeros_like(corners), np.zeros(len(corners), dtype=np.int64))
-    tracer = Tracer(surface)
+    mesh = Mesh(corners, np.zeros_like(corners), np.zeros(len(corners), dtype=np.int64))
+    caster = RayCaster(mesh)
     share = []
     for side in sides:
         around = point + _around(side)[::2] * radius
         around = np.concatenate([point[None], around])
         toward = np.broadcast_to(side, around.shape)
-        share.append(float(tracer.blocked(around + 0.1 * radius * side, toward, 10.0).mean()))
+        share.append(float(caster.occluded(around + 0.1 * radius * side, toward, _FAR).mean()))
     return np.array(share)
 
 
@@ -275,7 +291,3 @@ def _around(axis: FloatArray) -> FloatArray:
     turns = np.arange(12) * (math.pi / 6)
     ring: FloatArray = np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second
     return ring
-
-
-def _without_ground(look: Look) -> Look:
-    return Look(look.colours, look.light, look.up, None, look.reach)

@@ -1,4 +1,4 @@
-"""Rays against triangles in numpy alone, for computers that Embree has no package for."""
+"""A bounding volume hierarchy in numpy, for computers that Embree has no package for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtee.types import FloatArray
 
 _LEAF: Final = 4
-"""Triangles in a leaf of the tree: below, boxes cost more than they save."""
+"""Triangles in a leaf of the tree: with fewer, boxes cost more than they save."""
 
 _AT_ONCE: Final = 1 << 13
 """Rays traced together: so few that their arrays stay in the processor's cache (measured)."""
@@ -34,8 +34,8 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class FirstHits:
-    """What each ray hits first.
+class ClosestHits:
+    """The closest hit of each ray.
 
     Attributes:
         face: Index of the triangle ``(k,)``; -1 for none.
@@ -51,7 +51,7 @@ class FirstHits:
 
 
 class NumpyScene:
-    """Triangles in a tree of boxes, which rays go through level by level, many at once.
+    """Triangles in a tree of boxes that many rays descend at once, level by level.
 
     The triangles are put in the order of the Morton codes of their centres; each leaf takes
     `_LEAF` of them, and each box holds the two below. The tree is complete, so it needs no links.
@@ -84,15 +84,15 @@ class NumpyScene:
             levels.append((low, high))
         self._levels = [((low + high) / 2, (high - low) / 2) for low, high in levels[::-1]]
 
-    def first(self, origins: FloatArray, directions: FloatArray) -> FirstHits:
-        """Return what rays hit first.
+    def closest(self, origins: FloatArray, directions: FloatArray) -> ClosestHits:
+        """Return the closest hit of each ray.
 
         Args:
             origins: Where they begin ``(k, 3)`` [m].
             directions: Unit vectors ``(k, 3)``.
         """
         n = len(directions)
-        found = FirstHits(
+        found = ClosestHits(
             np.full(n, -1, dtype=np.int64),
             np.zeros(n, dtype=np.float32),
             np.zeros(n, dtype=np.float32),
@@ -110,7 +110,7 @@ class NumpyScene:
             found.depth[which] = depth[order]
         return found
 
-    def blocked(
+    def occluded(
         self, origins: FloatArray, directions: FloatArray, reach: float
     ) -> NDArray[np.bool_]:
         """Return which rays hit something within a distance [m]."""

@@ -1,0 +1,79 @@
+"""What the benchmarks share: how their command lines are read, and how their tables are printed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+HELP = {
+    "chromium": "measure Chromium's window, too",
+    "cycles": "exchanges with each fault",
+    "flight": "what the flight recorder keeps [s]",
+    "frames": "frames for each decoder",
+    "goals": "goals that are sent",
+    "hand": "name of the hand",
+    "hogs": "programs that keep CPUs busy",
+    "jobs": "processes at a time",
+    "kills": "recordings that are killed",
+    "minutes": "length of the recording that is read [min]",
+    "nice": "priority of Chromium, 0 (as all others) to 19 (lowest)",
+    "no_matrix": "leave the faults out",
+    "no_throughput": "leave the throughput out",
+    "only": "what has this in its name, and nothing else",
+    "pairs": "runs with each driver, by turns",
+    "rate": "ticks per second [Hz]",
+    "realtime": "with real-time scheduling, as on a robot PC",
+    "record": "also record every tick",
+    "reference": "length of cyclictest, at most [s]",
+    "rounds": "how often everything is measured, by turns",
+    "seconds": "length of each measurement [s]",
+    "still": "motion is more than this [rad | m]",
+    "tries": "how often each command is given",
+    "warm": "time before anything is measured [s]",
+    "witness": "cyclictest beside the loop",
+}
+"""What the options of the benchmarks are."""
+
+
+def command_line(doc: str | None, **options: object) -> argparse.ArgumentParser:
+    """Return the parser of a benchmark's command line.
+
+    Args:
+        doc: The benchmark's docstring, printed by ``--help``.
+        **options: Options (see `HELP`) and their defaults, whose types they take; ``False`` makes a
+            flag, a type an option that is ``None`` unless it is given.
+    """
+    parser = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for name, value in options.items():
+        flag, said = f"--{name.replace('_', '-')}", HELP[name]
+        if value is False:
+            parser.add_argument(flag, action="store_true", help=said)
+        elif isinstance(value, type):
+            parser.add_argument(flag, type=value, help=said)
+        else:
+            said = f"{said} (default: %(default)s)"
+            parser.add_argument(flag, type=type(value), default=value, help=said)
+    return parser
+
+
+class Table:
+    """A Markdown table that is printed row by row, as the results come in."""
+
+    def __init__(self, *head: str, widths: Sequence[int] = ()) -> None:
+        """Print the head.
+
+        Args:
+            head: The columns' titles.
+            widths: At least how wide the first columns are [characters], so that they stand below
+                one another on a terminal, too.
+        """
+        self._widths = [*widths, *(0 for _ in head[len(widths) :])]
+        self.row(*head)
+        self.row(*("---" for _ in head))
+
+    def row(self, *cells: object) -> None:
+        """Print a row, at once."""
+        texts = [str(cell).ljust(w) for cell, w in zip(cells, self._widths, strict=True)]
+        print(f"| {' | '.join(texts)} |", flush=True)

@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtee.errors import MissingExtra
+from rtee.hand.colours import PALETTE, finger_colours
+from rtee.hand.model import Hand
+from rtee.render import raycast
+from rtee.render.camera import farthest
+from rtee.render.hand import HandRenderer, render_hand
+from tests.render.models import claw
+
+Image = pytest.importorskip("PIL.Image")
+
+
+@pytest.fixture
+def hand(tmp_path: Path) -> Hand:
+    return claw(tmp_path)
+
+
+def pixels(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+
+
+def share(picture: np.ndarray, colour: str) -> float:
+    """Return the share of pixels whose hue is about that of a colour."""
+    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
+    shown = picture.reshape(-1, 3).astype(float)
+    shown -= shown.min(axis=1, keepdims=True)
+    wanted -= wanted.min()
+    strong = np.linalg.norm(shown, axis=1) > 60
+    alike = shown @ wanted > 0.97 * np.linalg.norm(shown, axis=1) * np.linalg.norm(wanted)
+    return float((strong & alike).mean())
+
+
+def test_picture_shows_every_finger_in_its_colour(hand: Hand) -> None:
+    png = render_hand(hand, hand.rest, (240, 200))
+    assert png.startswith(b"\x89PNG")
+    picture = pixels(png)
+    assert picture.shape == (200, 240, 3)
+    for colour in finger_colours(hand).values():
+        assert share(picture, colour) > 0.01
+    assert (picture[:3] > 240).all()  # the background is white
+    assert render_hand(hand, hand.rest, (240, 200)) == png
+
+
+def test_fingers_that_are_not_highlighted_are_faded(hand: Hand) -> None:
+    picture = pixels(render_hand(hand, hand.rest, (240, 200), highlight=["left"]))
+    assert share(picture, PALETTE[0]) > 0.01
+    assert share(picture, PALETTE[1]) < 0.001
+
+
+def test_the_ghost_shows_where_the_hand_rests(hand: Hand) -> None:
+    closed = farthest(hand)
+    renderer = HandRenderer(hand, (240, 200))
+    plain, ghost = (pixels(renderer.picture(closed, ghost=g)) for g in (False, True))
+    darker = (plain - ghost).min(axis=2) > 10
+    assert 0.01 < darker.mean() < 0.4
+
+
+def test_a_contact_is_marked_where_it_is(hand: Hand) -> None:
+    contact = ((0.0, 0.0, 0.06), (1.0, 0.0, 0.0))
+    renderer = HandRenderer(hand, (300, 260))
+    plain = pixels(renderer.picture(hand.rest))
+    marked = pixels(renderer.picture(hand.rest, contacts=[contact]))
+    y, x = np.nonzero(np.abs(plain - marked).max(axis=2) > 40)
+    at = renderer._camera.project(np.array([contact[0]]))[0]
+    assert np.hypot(x.mean() - at[0], y.mean() - at[1]) < 3
+    assert len(x) > 30
+
+
+def test_transparent_background(hand: Hand) -> None:
+    picture = Image.open(io.BytesIO(render_hand(hand, hand.rest, (120, 100), background=None)))
+    alpha = np.asarray(picture)[..., 3]
+    assert picture.mode == "RGBA"
+    assert alpha.min() == 0
+    assert alpha.max() == 255
+
+
+def test_a_contact_is_seen_from_near(hand: Hand) -> None:
+    renderer = HandRenderer(hand, (300, 260))
+    u = np.array([0.5, 0.5])
+    near = renderer.close_up(u, ((0.0, 0.0, 0.06), (1.0, 0.0, 0.0)), ["left", "right"])
+    picture = pixels(near)
+    assert share(picture, PALETTE[0]) > 0.05
+    assert share(picture, PALETTE[1]) > 0.05
+
+
+@pytest.mark.parametrize("point", [(-0.03, 0.0, 0.06), (0.03, 0.0, 0.06), (0.0, 0.0, -0.01)])
+def test_a_close_up_covers_neither_the_contact_nor_more_than_need_be(
+    hand: Hand, point: tuple[float, float, float]
+) -> None:
+    renderer = HandRenderer(hand, (300, 260))
+    contact = (point, (1.0, 0.0, 0.0))
+    corner = renderer.free_corner(hand.rest, contact, ["left"], 0.4)
+    x, y = renderer._camera.project(np.array([point]))[0] / (300, 260)
+    assert not ((x > 0.6 if "right" in corner else x < 0.4) and (y > 0.6) == ("bottom" in corner))
+    far = renderer.free_corner(hand.rest, ((0.0, 0.0, 0.02), (1.0, 0.0, 0.0)), ["left"], 0.4)
+    assert far != renderer.free_corner(
+        hand.rest, ((0.0, 0.0, 0.02), (1.0, 0.0, 0.0)), ["right"], 0.4
+    )
+
+
+def test_without_the_extra_it_says_what_to_install(
+    hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "PIL.Image", None)
+    with pytest.raises(MissingExtra, match=r'extra \'plot\': pip install "rtee\[plot\]"'):
+        render_hand(hand, hand.rest)
+
+
+def test_without_embree_it_is_told_and_the_picture_is_the_same(
+    hand: Hand, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("embreex")
+    wanted = pixels(render_hand(hand, hand.rest, (120, 100)))
+    monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
+    raycast.has_embree.cache_clear()
+    raycast.warn_once.cache_clear()
+    try:
+        found = [pixels(render_hand(hand, hand.rest, (120, 100))) for _ in range(2)]
+    finally:
+        raycast.has_embree.cache_clear()
+    assert [record.message for record in caplog.records if "embreex" in record.message] == [
+        "embreex is not installed: pictures are traced in numpy, which takes some seconds each"
+    ]
+    assert (found[0] == found[1]).all()
+    # Rays along an edge may fall to either side.
+    assert (np.abs(found[0] - wanted).max(axis=2) > 8).mean() < 0.002
