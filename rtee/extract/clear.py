@@ -35,6 +35,9 @@ _GOOD: Final = 0.85
 _POOL: Final = 4
 _SHORT: Final = 2e-3
 _FOLLOWED: Final = 1
+_TOIL: Final = 1500
+"""What one search may ask of meshes as given, in units of a question whether two touch."""
+
 _IMPROVED: Final = 2
 """How many of the clear poses that were found are improved."""
 
@@ -101,6 +104,12 @@ class ClearSearch:
         self._patience = patience
         self._constraints = Constraints(scene, motion, goal, space, watch)
         self._fresh: list[FloatArray] = []
+        self._limit = 0
+
+    @property
+    def _tired(self) -> bool:
+        """Whether meshes as given were asked so much that the search is to end."""
+        return self._scene.toil >= self._limit
 
     def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
         """Return clear poses, the best one whose way is clear first, if there is any.
@@ -114,7 +123,10 @@ class ClearSearch:
         """
         free: list[FloatArray] = []
         behind: list[FloatArray] = []
+        self._limit = self._scene.toil + _TOIL
         for _ in range(self._patience.ways):
+            if self._tired:
+                break
             found = self._explore(
                 starts, min(self._patience.tries, _FOLLOWED) if behind else self._patience.tries
             )
@@ -135,6 +147,8 @@ class ClearSearch:
     def _go_back(self, y: FloatArray, blocked: Blocked) -> FloatArray | None:
         """Return a pose with a clear way, from before a collision on the way to another one."""
         for _ in range(self._patience.ways):
+            if self._tired:
+                break
             y = self._creep(self._before(y, blocked))
             again = self._blocked(y)
             if again is None:
@@ -155,7 +169,7 @@ class ClearSearch:
         found: list[FloatArray] = []
         best, enough = np.inf, _GOOD * min(map(self._value, pool), default=0.0)
         for number in range(tries + self._patience.more):
-            if found and number >= tries:
+            if (found and number >= tries) or self._tired:
                 break
             while self._fresh:
                 self._constraints.calibrate(self._fresh.pop())
@@ -229,7 +243,7 @@ class ClearSearch:
         the goal is improved, and the pose moves on as far as it stays clear.
         """
         best = self._value(y)
-        for _ in range(self._patience.leaps):
+        for _ in range(0 if self._tired else self._patience.leaps):
             self._constraints.calibrate(y)
             step = self._descend(y, _EVALUATIONS).y - y
             for share in (1.0, 0.5, 0.25, 0.125):
@@ -255,6 +269,8 @@ class ClearSearch:
         walls = self._walls(y, concerned)
         low, high = self._constraints.bounds
         for _ in range(self._patience.creeps):
+            if self._tired:
+                break
             bounds = (np.maximum(low, y - radius), np.minimum(high, y + radius))
             function = self._walled(y, walls)
             trial = polish(function, y, evaluations=_POLISH, bounds=bounds, grain=MEDIUM).y

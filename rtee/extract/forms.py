@@ -101,6 +101,11 @@ class Forms:
         self._measured = self._placed = -1
         self._least = (0.0, 0)
 
+    @property
+    def measures_meshes(self) -> bool:
+        """Whether any of the forms is a mesh as given, which takes long."""
+        return self._guided
+
     def least(self, stamp: int) -> tuple[float, int]:
         """Return the least distance of a couple and its number.
 

@@ -84,6 +84,14 @@ class Shape:
         return _hull(self.exact) if self.is_mesh else self.exact
 
     @cached_property
+    def faces(self) -> tuple[FloatArray, FloatArray]:
+        """Outward normals ``(f, 3)`` of a mesh's hull and how far along them it reaches ``(f,)``.
+
+        In the shape's own frame, in metres.
+        """
+        return np.array(self.convex.normals()), -np.array(self.convex.offsets())
+
+    @cached_property
     def triangles(self) -> Triangles:
         """Vertices ``(v, 3)`` [m] in the shape's own frame and faces ``(f, 3)``."""
         kind, source = self.source.kind, self.source
