@@ -145,12 +145,13 @@ def test_every_command_of_the_wheel(version: str, wheel: Path, tmp_path: Path) -
         [Case("run claw --duration 0.5 --no-log", "s_curve instead of jerk_limited")]
     )
     assert not again, "\n".join(again)
-    # The GUI without the extraction, then the extraction.
-    installed.pip("install", f"{wheel}[gui]")
-    assert do(installed.bin / "python", "-c", SHOW, HIDDEN.parent, "coal").endswith("shown\n")
     installed.pip("install", f"{wheel}[extract]")
     extracted = installed.problems(EXTRACTED)
     assert not extracted, "\n".join(extracted)
+    # The GUI without the extraction.
+    installed.pip("uninstall", "--yes", "pin", "coal")
+    installed.pip("install", f"{wheel}[gui]")
+    assert do(installed.bin / "python", "-c", SHOW, HIDDEN.parent, "").endswith("shown\n")
 
 
 @pytest.mark.parametrize("version", PYTHONS)
