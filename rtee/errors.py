@@ -38,7 +38,8 @@ The tree::
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import ClassVar
 
@@ -126,6 +127,25 @@ class MissingExtra(ConfigError):
         """
         super().__init__(f"{what} needs the extra '{extra}': pip install \"rtee[{extra}]\"")
         self.extra = extra
+
+
+@contextmanager
+def needing_extra(what: str, extra: str) -> Iterator[None]:
+    """Say which extra is needed where an import within fails.
+
+    Args:
+        what: What needs it, as for `MissingExtra`.
+        extra: Name of the extra.
+
+    Raises:
+        MissingExtra: if a package that is imported within is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] == "rtee":  # a mistake of ours
+            raise
+        raise MissingExtra(what, extra) from error
 
 
 class ModelError(UserError, ValueError):

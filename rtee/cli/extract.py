@@ -72,7 +72,7 @@ def extract(
     rank: Annotated[Rank, typer.Option(help="Which posture of a pinch comes first.")] = Rank.DEPTH,
 ) -> None:
     """Find the primitive grasping actions of a hand."""
-    from rtee.errors import ConfigError
+    from rtee.errors import ConfigError, needing_extra
     from rtee.hand.files import check_writable
 
     # Matrices are small here; threads for their products only get in the searches' way.
@@ -93,9 +93,9 @@ def extract(
     if report is not None and report.parent not in targets:
         check_writable(report)
     with _uncollected():
+        with needing_extra("the extraction", "extract"):
+            from rtee.extract.extraction import extract as run
         model = _load(folder, urdf, srdf, package_dir or [])
-        from rtee.extract.extraction import extract as run
-
         with _progress() as progress:
             found = run(model, jobs=jobs, rank=rank.value, progress=progress)
     page = {} if report is None else {report: _report(model, found, folder, jobs)}

@@ -23,16 +23,14 @@ def gui(
     """Open the hand in the browser: prints the address."""
     import anyio
 
-    from rtee.errors import MissingExtra
+    from rtee.errors import needing_extra
     from rtee.gui.priority import stand_back
 
     stand_back()  # before numpy and the network start threads of their own
     from rtee.remote.find import hands_running
 
-    try:
+    with needing_extra("the GUI", "gui"):
         from rtee.gui.app import serve
-    except ImportError as error:
-        raise MissingExtra("the GUI", "gui") from error
     if hand is not None or endpoint is not None:
         anyio.run(_look, hand, endpoint)
     elif not hands_running():

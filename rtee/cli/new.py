@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import complete_hand, hand_folder
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, needing_extra
 
 if TYPE_CHECKING:
     from rtee.hand.scaffold import NewHand
@@ -51,7 +51,8 @@ def new(
             raise ConfigError("--srdf and --package-dir go with --urdf")
         _copy(hand_folder(source), into / check_name(name, "hand"))
         return
-    from rtee.hand.scaffold import make_hand
+    with needing_extra("making a hand from a URDF", "extract"):
+        from rtee.hand.scaffold import make_hand
 
     asked = _ask if ask else None
     _print(make_hand(name, urdf, srdf, package_dirs=package_dir or (), into=into, ask=asked))

@@ -80,14 +80,11 @@ def try_(
 
     Exit status 1 when a single trial loses its object.
     """
-    from rtee.errors import ConfigError, MissingExtra
+    from rtee.errors import ConfigError, needing_extra
 
-    try:
-        import mujoco  # noqa: F401
-    except ImportError:
-        raise MissingExtra("a trial", "sim") from None
-    from rtee.trials.sweep import OBJECTS, bench, mass_of
-    from rtee.trials.trial import Trial
+    with needing_extra("a trial", "sim"):
+        from rtee.trials.sweep import OBJECTS, bench, mass_of
+        from rtee.trials.trial import Trial
 
     name = _resolved(hand)
     if all_:

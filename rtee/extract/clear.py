@@ -35,7 +35,7 @@ _GOOD: Final = 0.85
 _POOL: Final = 4
 _SHORT: Final = 2e-3
 _FOLLOWED: Final = 1
-_TOIL: Final = 1500
+_TOIL: Final = 300
 """What one search may ask of meshes as given, in units of a question whether two touch."""
 
 _IMPROVED: Final = 2

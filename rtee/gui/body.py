@@ -9,8 +9,8 @@ import numpy as np
 import viser
 
 from rtee.gui.colours import Colour
+from rtee.gui.shapes import LinkTriangles
 from rtee.hand.frames import quaternion, turn
-from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Urdf, UrdfGeometry, UrdfJoint
 from rtee.types import FloatArray
@@ -30,7 +30,7 @@ class HandBody:
         scene: viser.SceneApi,
         root: str,
         hand: Hand,
-        geometry: HandGeometry | None,
+        triangles: LinkTriangles,
         colours: Mapping[str, Colour],
         *,
         opacity: float | None = None,
@@ -42,7 +42,7 @@ class HandBody:
             scene: The browser's scene.
             root: Name of the root frame.
             hand: The hand.
-            geometry: Where the triangles of mesh shapes come from; ``None`` when there are none.
+            triangles: Where the triangles of links with mesh shapes come from.
             colours: Colour per link.
             opacity: Opacity of a ghost; ``None`` for a solid body.
             visible: Whether it is shown at once.
@@ -55,11 +55,9 @@ class HandBody:
         self._last = np.full(len(hand.joints), np.nan)
         self._shapes: dict[str, list[Any]] = {}
         self._colours: dict[str, Colour] = {}
-        self._build(hand, geometry, colours)
+        self._build(hand, triangles, colours)
 
-    def _build(
-        self, hand: Hand, geometry: HandGeometry | None, colours: Mapping[str, Colour]
-    ) -> None:
+    def _build(self, hand: Hand, triangles: LinkTriangles, colours: Mapping[str, Colour]) -> None:
         urdf = hand.urdf
         below: dict[str, list[UrdfJoint]] = {}
         for joint in urdf.joints.values():
@@ -68,7 +66,7 @@ class HandBody:
         pending = [(urdf.root, self.root)]
         while pending:
             link, path = pending.pop()
-            self._add_shapes(urdf, link, path, geometry, colours[link])
+            self._add_shapes(urdf, link, path, triangles, colours[link])
             for joint in below.get(link, ()):
                 place = f"{path}/{joint.name}"
                 self._scene.add_frame(
@@ -82,15 +80,15 @@ class HandBody:
         self._moving = [frames[name] for name in hand.joint_names]
 
     def _add_shapes(
-        self, urdf: Urdf, link: str, path: str, geometry: HandGeometry | None, colour: Colour
+        self, urdf: Urdf, link: str, path: str, triangles: LinkTriangles, colour: Colour
     ) -> None:
         handles: list[Any] = []
         shapes = urdf.links[link].collisions
         if not any(shape.kind == "mesh" for shape in shapes):
             for index, shape in enumerate(shapes):
                 handles.append(self._add_shape(f"{path}/shape{index}", shape, colour))
-        elif geometry is not None:
-            vertices, faces = geometry.triangles(link)
+        else:
+            vertices, faces = triangles(link)
             handles.append(
                 self._scene.add_mesh_simple(
                     f"{path}/mesh",

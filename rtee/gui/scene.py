@@ -19,8 +19,8 @@ from rtee.gui.colours import (
     link_colours,
     ramp,
 )
-from rtee.hand.geometry import HandGeometry
-from rtee.hand.kinematics import Kinematics
+from rtee.gui.shapes import link_triangles
+from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
@@ -42,22 +42,19 @@ class HandScene:
         self.hand = hand
         self._server = server
         scene = server.scene
-        meshes = any(s.kind == "mesh" for link in hand.urdf.links.values() for s in link.collisions)
-        self.kinematics = Kinematics(hand)
-        self._geometry = HandGeometry(hand, self.kinematics)
-        drawn = self._geometry if meshes else None
+        self._triangles = link_triangles(hand)
         self._colours = link_colours(hand)
         ghost = dict.fromkeys(hand.urdf.links, REFERENCE)
         wish = dict.fromkeys(hand.urdf.links, PREVIEW)
         scene.set_up_direction("+z")
         # Shadows cost a tablet, or a computer without a graphics card, most of its frames.
         scene.configure_default_lights(cast_shadow=False)
-        self._body = HandBody(scene, "/hand", hand, drawn, self._colours)
+        self._body = HandBody(scene, "/hand", hand, self._triangles, self._colours)
         self._reference = HandBody(
-            scene, "/reference", hand, drawn, ghost, opacity=_GHOST, visible=False
+            scene, "/reference", hand, self._triangles, ghost, opacity=_GHOST, visible=False
         )
         self._preview = HandBody(
-            scene, "/preview", hand, drawn, wish, opacity=_GHOST, visible=False
+            scene, "/preview", hand, self._triangles, wish, opacity=_GHOST, visible=False
         )
         rest = hand.transmission.joints(hand.rest)
         for body in (self._body, self._reference, self._preview):
@@ -69,12 +66,11 @@ class HandScene:
 
     def _aim(self) -> float:
         """Aim the camera; returns the hand's size [m]."""
-        poses = self.kinematics.placements(self.hand.rest)
-        points = [
-            np.asarray(self._geometry.triangles(link)[0]) @ pose[:3, :3].T + pose[:3, 3]
-            for link, pose in poses.items()
-            if self.hand.urdf.links[link].collisions
-        ]
+        points = []
+        for name, link in self.hand.urdf.links.items():
+            if link.collisions:
+                pose, _ = tip_pose_and_jacobian(self.hand, name, self.hand.rest)
+                points.append(self._triangles(name)[0] @ pose[:3, :3].T + pose[:3, 3])
         cloud = np.concatenate(points) if points else np.zeros((1, 3))
         low, high = cloud.min(axis=0), cloud.max(axis=0)
         size = max(float(np.linalg.norm(high - low)), 0.05)
@@ -177,7 +173,8 @@ class HandScene:
         for finger in self.hand.fingers:
             handle = self._pressures.get(finger.name)
             if handle is not None and finger.tip is not None:
-                handle.position = tuple(self.kinematics.link_pose(actuators, finger.tip)[:3, 3])
+                pose, _ = tip_pose_and_jacobian(self.hand, finger.tip, actuators)
+                handle.position = tuple(pose[:3, 3])
 
     def remove(self) -> None:
         """Take everything of this hand out of the scene."""

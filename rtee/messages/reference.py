@@ -26,7 +26,8 @@ name, not by number. `time` is CLOCK_MONOTONIC of the hand's computer, which nev
 `header.stamp` is the same moment since 1970.
 
 In Python, `rtee.messages.message_type("rtee_msgs/Goal")` encodes and decodes any of them, and
-`rtee.messages.typestore.typestore()` is a type store of `rosbags` with all of them.
+`rtee.messages.typestore.typestore()` is a type store of `rosbags` with all of them, given the
+extra `rosbags`.
 
 <!-- Made by `python -m rtee.messages.reference`; a test keeps it current. -->
 """

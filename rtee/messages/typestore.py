@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rtee.errors import needing_extra
 from rtee.messages.definitions import DEFINITIONS
 
 if TYPE_CHECKING:
@@ -11,8 +12,13 @@ if TYPE_CHECKING:
 
 
 def typestore() -> Typestore:
-    """Return a type store of ROS 2 with the messages of rtee registered in it."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    """Return a type store of ROS 2 with the messages of rtee registered in it.
+
+    Raises:
+        MissingExtra: if rosbags is missing.
+    """
+    with needing_extra("the type store of rosbags", "rosbags"):
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, definition in DEFINITIONS.items():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shlex
-from collections.abc import Callable
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,13 +55,27 @@ def needs(line: str, extra: str) -> Case:
     return Case(line, f"needs the extra '{extra}': pip install \"rtee[{extra}]\"", 2)
 
 
+DEVICES = (
+    "allegro",
+    "cia402_gripper",
+    "dagana",
+    "leap_hand",
+    "onrobot_3fg15",
+    "qb_softhand",
+    "robotiq_2f_85",
+    "robotiq_3f",
+    "schunk_svh",
+)
+"""Hands of every bus that needs no extra."""
+
 OFFLINE = (
     Case("--version", "rtee "),
     Case("--help", "new-driver"),
     Case("hands", "schunk_svh"),
-    Case("new claw --urdf claw.urdf", "claw.srdf"),
-    Case("extract claw --save", "PinchTight"),
-    needs("extract claw --report claw.html", "plot"),
+    needs("new nipper --urdf claw.urdf", "extract"),
+    Case("new copy --from claw", "a copy of"),
+    needs("extract claw --save", "extract"),
+    needs("extract --urdf claw.urdf", "extract"),
     Case("actions claw", "PinchTight"),
     Case("compose half PinchTight:left,right*0.5 --hand claw", "half"),
     Case("time twice half:after=0.1 PinchTight:left,right --hand claw", "twice"),
@@ -69,6 +85,7 @@ OFFLINE = (
     Case("scan", "port"),
     Case("doctor", "processors"),
     Case("doctor --files pc", "pc/rtee@.service"),
+    Case("doctor claw", "no stored pinch of two fingertips lies there"),
     Case("doctor robotiq_2f_85", "/dev/ttyUSB0", 1),
     Case("locate robotiq_2f_85 --emulated --yes --times 1", ""),
     Case("calibrate robotiq_2f_85 --emulated --yes --out calibration.yaml", ""),
@@ -76,10 +93,22 @@ OFFLINE = (
     needs("run claw --driver mujoco --duration 0.1", "sim"),
     needs("run heri_ii --driver heri_ethercat --duration 0.1", "ethercat"),
     needs("run claw --gui --duration 0.1", "gui"),
-    Case("run robotiq_2f_85 --driver devices --emulated --duration 0.3 --no-log", "0 goals"),
+    *(
+        Case(f"run {hand} --driver devices --emulated --duration 0.3 --no-log", "0 goals")
+        for hand in DEVICES
+    ),
     Case("status", "no hand runs", 1),
 )
-"""Without a running hand."""
+"""Without any extra, and without a running hand."""
+
+EXTRACTED = (
+    Case("new nipper --urdf claw.urdf", "nipper.srdf"),
+    Case("extract nipper --save", "PinchTight"),
+    Case("doctor nipper", "no two fingertips pinch there"),
+    needs("extract nipper --report nipper.html", "plot"),
+    needs("try nipper PinchTight left right", "sim"),
+)
+"""With the extra ``extract``."""
 
 ONLINE = (
     Case("do PinchTight left right --intensity 0.3", "reached"),
@@ -98,21 +127,34 @@ RECORDED = (
     Case("log export logs out --format csv", "out"),
     needs("log export logs parquet --format parquet", "plot"),
     needs("log plot logs", "plot"),
+    Case("run claw --driver replay --option file=claw.mcap --duration 0.3 --no-log", "0 goals"),
 )
 """When it has ended."""
 
 LASTING = (Case("emulate robotiq_2f --link ./port", "port"),)
 """Commands that go on until Ctrl-C."""
 
-Run = Callable[[list[str]], tuple[int, str]]
 
+def write_hand(folder: Path) -> None:
+    """Make a hand with two jaws and its actions, and an action of ROS End-Effector for it.
 
-def write_model(folder: Path) -> None:
-    """Write the model of a hand with two jaws, and an action of ROS End-Effector for it."""
+    What runs this has the extra ``extract``; the robot PC that the hand is taken to may not.
+    """
     jaws = JAW.format(name="left", x=-0.035, axis=1) + JAW.format(name="right", x=0.035, axis=-1)
     (folder / "claw.urdf").write_text(URDF.format(jaws=jaws))
     (folder / "foreign").mkdir()
     (folder / "foreign" / "trig.yaml").write_text(TRIG)
+    for line in ("new claw --urdf claw.urdf", "extract claw --save"):
+        words = [sys.executable, "-m", "rtee", *line.split()]
+        subprocess.run(words, cwd=folder, env=with_rtee(), check=True, capture_output=True)
+
+
+def with_rtee() -> dict[str, str]:
+    """Return the environment of processes that import rtee from this checkout."""
+    repository = str(Path(__file__).parents[2])
+    inherited = os.environ.get("PYTHONPATH", "")
+    path = os.pathsep.join(filter(None, (repository, inherited)))
+    return {**os.environ, "PYTHONPATH": path, "COLUMNS": "200"}
 
 
 def wrong(case: Case, status: int, said: str) -> str:

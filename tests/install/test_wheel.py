@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from .commands import LASTING, OFFLINE, ONLINE, RECORDED, Case, write_model, wrong
+from .commands import EXTRACTED, LASTING, OFFLINE, ONLINE, RECORDED, Case, write_hand, wrong
+from .test_without_extras import HIDDEN, SHOW
 
 pytestmark = [
     pytest.mark.slow,
@@ -24,6 +25,9 @@ pytestmark = [
         reason="builds and installs wheels, minutes long: make wheels",
     ),
 ]
+
+LARGEST = 200 * 2**20
+"""What the online half may take of the disk of a robot PC [bytes]."""
 
 PYTHONS = ("3.11", "3.12", "3.13")
 ON_ARM = {"platform_machine": "aarch64"}
@@ -71,10 +75,18 @@ class Installed:
         hidden = ("PYTHONPATH", "VIRTUAL_ENV", "RTEE_HAND")
         self.environment = {k: v for k, v in os.environ.items() if k not in hidden}
         self.environment |= {"XDG_RUNTIME_DIR": str(folder / "run"), "COLUMNS": "200"}
-        write_model(self.folder)
+        write_hand(self.folder)
 
     def pip(self, *words: str) -> str:
         return do(self.bin / "python", "-m", "pip", "-q", "--disable-pip-version-check", *words)
+
+    def size(self) -> int:
+        """Return how much of the disk rtee and what it depends on take, without pip [bytes]."""
+        [packages] = self.bin.parent.glob("lib/python*/site-packages")
+        installers = ("pip", "setuptools", "pkg_resources", "_distutils_hack")
+        folders = [one for one in packages.iterdir() if one.name not in installers]
+        files = [file for one in folders for file in (one, *one.rglob("*"))]
+        return sum(file.lstat().st_blocks for file in files) * 512  # st_blocks counts 512 bytes
 
     def _start(self, words: Sequence[str]) -> subprocess.Popen[str]:
         return subprocess.Popen(
@@ -113,6 +125,8 @@ class Installed:
 def try_all(installed: Installed) -> list[str]:
     problems = installed.problems(OFFLINE)
     problems += installed.beside(Case("run claw", "network"), ONLINE)
+    [*_, recording] = sorted((installed.folder / "logs").glob("claw_*.mcap"))
+    shutil.copy(recording, installed.folder / "claw.mcap")
     problems += installed.problems(RECORDED)
     for case in LASTING:
         problems += installed.beside(case, ())
@@ -122,6 +136,7 @@ def try_all(installed: Installed) -> list[str]:
 @pytest.mark.parametrize("version", PYTHONS)
 def test_every_command_of_the_wheel(version: str, wheel: Path, tmp_path: Path) -> None:
     installed = Installed(version, wheel, tmp_path)
+    assert installed.size() < LARGEST, "the installation has grown"
     problems = try_all(installed)
     assert not problems, "\n".join(problems)
     # As on ARM: the wheel without ruckig.
@@ -130,6 +145,13 @@ def test_every_command_of_the_wheel(version: str, wheel: Path, tmp_path: Path) -
         [Case("run claw --duration 0.5 --no-log", "s_curve instead of jerk_limited")]
     )
     assert not again, "\n".join(again)
+    installed.pip("install", f"{wheel}[extract]")
+    extracted = installed.problems(EXTRACTED)
+    assert not extracted, "\n".join(extracted)
+    # The GUI without the extraction.
+    installed.pip("uninstall", "--yes", "pin", "coal")
+    installed.pip("install", f"{wheel}[gui]")
+    assert do(installed.bin / "python", "-c", SHOW, HIDDEN.parent, "").endswith("shown\n")
 
 
 @pytest.mark.parametrize("version", PYTHONS)
@@ -156,9 +178,9 @@ def test_everything_installs_on_arm_without_a_compiler(
     extras = project["optional-dependencies"]
     lines = [
         *project["dependencies"],
-        *(x for name in extras if name != "all" for x in extras[name]),
+        *(x for name in extras for x in extras[name]),
     ]
-    wanted = [Requirement(line) for line in lines]
+    wanted = [one for one in map(Requirement, lines) if one.name != "rtee"]  # its own extras
     wanted = [one for one in wanted if one.marker is None or one.marker.evaluate(ON_ARM)]
     do(
         *(sys.executable, "-m", "pip", "install", "-q", "--dry-run", "--ignore-installed"),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib.metadata
+import itertools
 import json
-import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,42 +22,104 @@ from packaging.utils import canonicalize_name
 
 from rtee.cli.main import COMMANDS
 
-from .commands import LASTING, OFFLINE, ONLINE, RECORDED, Case, write_model, wrong
+from .commands import (
+    EXTRACTED,
+    LASTING,
+    OFFLINE,
+    ONLINE,
+    RECORDED,
+    Case,
+    with_rtee,
+    write_hand,
+    wrong,
+)
 
 HIDDEN = Path(__file__).with_name("hidden.py")
 NOTHING = ("",)
 """No package is hidden."""
 
+UNLISTED = {"pinocchio": "pin", "coal": "coal", "hppfcl": "coal", "eigenpy": "eigenpy"}
+"""Modules and their distributions that lie where importlib.metadata does not look for modules."""
 
-def core() -> set[str]:
-    """Return the distributions that come with rtee when no extra is asked for."""
+SHOW = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from hidden import Hider
+sys.meta_path.insert(0, Hider(sys.argv[2].split(",")))
+import viser
+from rtee.gui.scene import HandScene
+from rtee.hand.load import load_hand
+server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+for name in ("schunk_svh", "leap_hand", "robotiq_2f_85"):
+    scene = HandScene(server, load_hand(name))
+    scene.show_preview(scene.hand.upper)
+    scene.show_pressure({finger.name: 0.5 for finger in scene.hand.fingers})
+    scene.place_pressures(scene.hand.rest)
+    scene.remove()
+server.stop()
+print("shown")
+"""
+
+IMPORT = """
+import importlib, pkgutil, sys
+sys.path.insert(0, sys.argv[1])
+from hidden import Hider
+sys.meta_path.insert(0, Hider(sys.argv[2].split(",")))
+import rtee
+rooms = "loop remote log drivers buses actions messages gui testing run prepare types errors"
+names = [f"rtee.{room}" for room in rooms.split()]
+for name in names[:]:
+    module = importlib.import_module(name)
+    found = pkgutil.walk_packages(getattr(module, "__path__", ()), f"{name}.")
+    names += [entry.name for entry in found]
+names.remove("rtee.drivers.mujoco.scene")
+for name in names:
+    importlib.import_module(name)
+print(len(names))
+"""
+
+
+def project(repository: Path) -> dict[str, Any]:
+    """Return what pyproject.toml says, which may be newer than what is installed."""
+    found: dict[str, Any] = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
+    return found
+
+
+def distributions(repository: Path, *extras: str) -> set[str]:
+    """Return the distributions that come with rtee and some of its extras."""
+    asked = project(repository)
+    own = {extra: asked["optional-dependencies"][extra] for extra in extras}
     found: set[str] = set()
-    waiting = [("rtee", frozenset[str]())]
-    seen = set()
+    seen: set[tuple[str, frozenset[str]]] = set()
+    waiting = [
+        Requirement(text) for text in [*asked["dependencies"], *itertools.chain(*own.values())]
+    ]
     while waiting:
-        name, extras = waiting.pop()
-        if (name, extras) in seen:
+        requirement = waiting.pop()
+        name, wanted = canonicalize_name(requirement.name), frozenset(requirement.extras)
+        marker = requirement.marker
+        if (name, wanted) in seen or not (marker is None or marker.evaluate({"extra": ""})):
             continue
-        seen.add((name, extras))
+        seen.add((name, wanted))
         try:
             required = importlib.metadata.requires(name) or []
         except importlib.metadata.PackageNotFoundError:  # for another system or Python
             continue
         found.add(name)
-        for text in required:
-            requirement = Requirement(text)
-            marker = requirement.marker
-            if marker is None or any(marker.evaluate({"extra": extra}) for extra in (*extras, "")):
-                wanted = canonicalize_name(requirement.name)
-                waiting.append((wanted, frozenset(requirement.extras)))
+        for further in map(Requirement, required):
+            here = further.marker
+            if here is None or any(here.evaluate({"extra": extra}) for extra in (*wanted, "")):
+                further.marker = None
+                waiting.append(further)
     return found
 
 
-def beyond_core() -> list[str]:
-    """Return the modules that are installed here, but not with rtee alone."""
-    own = core()
+def beyond(repository: Path, *extras: str) -> list[str]:
+    """Return the modules that are installed here, but not with rtee and some of its extras."""
+    own = distributions(repository, *extras)
     assert {"anyio", "numpy", "typer"} <= own
-    return [
+    unlisted = [module for module, name in UNLISTED.items() if name not in own]
+    return unlisted + [
         module
         for module, names in importlib.metadata.packages_distributions().items()
         if not own.intersection(canonicalize_name(name) for name in names)
@@ -69,14 +132,7 @@ class Shell:
     def __init__(self, hidden: Sequence[str], folder: Path, home: Path) -> None:
         self.hidden = ",".join(hidden)
         self.folder = folder
-        repository = HIDDEN.parents[2]
-        inherited = os.environ.get("PYTHONPATH", "")
-        self.environment = {
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(filter(None, (str(repository), inherited))),
-            "XDG_RUNTIME_DIR": str(home),
-            "COLUMNS": "200",
-        }
+        self.environment = {**with_rtee(), "XDG_RUNTIME_DIR": str(home)}
         self._process = self._start()
 
     def _start(self, *words: str, **more: Any) -> subprocess.Popen[str]:
@@ -136,34 +192,67 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_table_holds_every_command() -> None:
-    tried = {case.command for case in (*OFFLINE, *ONLINE, *RECORDED, *LASTING)}
+    tried = {case.command for case in (*OFFLINE, *EXTRACTED, *ONLINE, *RECORDED, *LASTING)}
     assert set(COMMANDS) <= tried
 
 
 @pytest.mark.timeout(180)
-def test_every_command_without_extras(tmp_path: Path, home: Path) -> None:
-    write_model(tmp_path)
-    hidden = beyond_core()
-    assert {"pytest", "viser", "mujoco", "matplotlib", "PIL"} <= set(hidden)
+def test_every_command_without_extras(tmp_path: Path, home: Path, repository: Path) -> None:
+    write_hand(tmp_path)
+    hidden = beyond(repository)
+    assert {"pinocchio", "coal", "rosbags", "viser", "mujoco", "matplotlib", "PIL"} <= set(hidden)
     with Shell(hidden, tmp_path, home) as shell:
         shell.check(OFFLINE)
         service = (tmp_path / "pc" / "rtee@.service").read_text()
         assert f"ExecStart={Path(sys.executable).parent}/rtee run" in service
         with shell.lasting("run claw", "network"):
             shell.check(ONLINE)
+        [*_, recording] = sorted((tmp_path / "logs").glob("claw_*.mcap"))
+        shutil.copy(recording, tmp_path / "claw.mcap")
         shell.check(RECORDED)
         for case in LASTING:
             with shell.lasting(case.line, case.says):
                 pass
 
 
+def test_the_commands_of_the_extraction(tmp_path: Path, home: Path, repository: Path) -> None:
+    write_hand(tmp_path)
+    with Shell(beyond(repository, "extract"), tmp_path, home) as shell:
+        shell.check(EXTRACTED)
+
+
+def test_the_gui_shows_a_hand_without_the_extraction(tmp_path: Path, repository: Path) -> None:
+    pytest.importorskip("viser")
+    hidden = beyond(repository, "gui")
+    assert {"pinocchio", "coal", "mujoco"} <= set(hidden)
+    done = subprocess.run(
+        [sys.executable, "-c", SHOW, str(HIDDEN.parent), ",".join(hidden)],
+        cwd=tmp_path,
+        env=with_rtee(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("shown\n")
+
+
+def test_the_online_half_imports_neither_pinocchio_nor_coal() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORT, str(HIDDEN.parent), ",".join(UNLISTED)],
+        env=with_rtee(),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 200, "few modules were found"
+
+
 @pytest.mark.timeout(120)
 def test_a_hand_moves_and_replays_without_ruckig(tmp_path: Path, home: Path) -> None:
-    write_model(tmp_path)
+    write_hand(tmp_path)
     replay = Case("log replay --check logs", "the same, bit for bit")
     instead = "s_curve instead of jerk_limited: ruckig is not installed"
     with Shell(["ruckig", "embreex"], tmp_path, home) as shell:
-        shell.check([Case("new claw --urdf claw.urdf"), Case("extract claw --save", "PinchTight")])
         with shell.lasting("run claw", "network") as said:
             shell.check([Case("do PinchTight left right", "reached")])
             shell.check([Case("status", f"profile:  {instead}")])
@@ -179,16 +268,16 @@ def test_a_hand_moves_and_replays_without_ruckig(tmp_path: Path, home: Path) -> 
 @pytest.mark.timeout(120)
 def test_a_recording_of_ruckig_says_what_it_needs(tmp_path: Path, home: Path) -> None:
     pytest.importorskip("ruckig")
-    write_model(tmp_path)
+    write_hand(tmp_path)
     with Shell(NOTHING, tmp_path, home) as shell:
-        shell.check([Case("new claw --urdf claw.urdf"), Case("run claw --duration 0.3", "0 goals")])
+        shell.check([Case("run claw --duration 0.3", "0 goals")])
     with Shell(["ruckig"], tmp_path, home) as shell:
         shell.check([Case("log replay --check logs", "'jerk_limited' needs ruckig", 2)])
 
 
 def test_pyproject_asks_for_no_ruckig_on_arm(repository: Path) -> None:
-    project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
-    asked = [*project["dependencies"], *project["optional-dependencies"]["plot"]]
+    given = project(repository)
+    asked = [*given["dependencies"], *given["optional-dependencies"]["plot"]]
     on_arm = {"platform_machine": "aarch64"}
     for name in ("ruckig", "embreex"):
         [line] = [line for line in asked if re.match(rf"{name}\b", line)]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import random
+import sys
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtee.errors import MessageError
+from rtee.errors import MessageError, MissingExtra
 from rtee.messages.cdr import DTYPES, HEADER
 from rtee.messages.definitions import DEFINITIONS
 from rtee.messages.schema import Field, MessageType, message_type, parse
@@ -208,3 +209,9 @@ def test_definitions_outside_the_notation_are_refused() -> None:
         parse("a/msg/B", "float65 x\n")
     with pytest.raises(MessageError, match="no field definition"):
         parse("a/msg/B", "int32 x = 3\n")
+
+
+def test_the_type_store_says_which_extra_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    with pytest.raises(MissingExtra, match=r'extra \'rosbags\': pip install "rtee\[rosbags\]"'):
+        typestore()
