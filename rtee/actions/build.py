@@ -25,7 +25,7 @@ from rtee.actions.types import (
 from rtee.errors import ActionError, UnknownActuator
 from rtee.hand.model import Hand
 from rtee.hand.names import check_name
-from rtee.types import ActuatorSpec, JointKind
+from rtee.types import ActuatorSpec, JointKind, from_rest
 
 Find = Callable[[str, tuple[str, ...]], Action]
 """Looks an action up by name and elements."""
@@ -95,7 +95,7 @@ def scaled(hand: Hand, posture: Posture, scale: float) -> Posture:
     for name in posture.involved:
         index = hand.actuator_index(name)
         spec, rest = hand.actuators[index], float(hand.rest[index])
-        value = position[name] if scale == 1.0 else rest + scale * (position[name] - rest)
+        value = position[name] if scale == 1.0 else from_rest(rest, position[name], scale)
         position[name] = min(max(value, spec.lower), spec.upper)
     return Posture(position, posture.involved)
 

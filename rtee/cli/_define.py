@@ -28,14 +28,13 @@ Replace = Annotated[
 def complete_part(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the uses of actions, such as ``trig:index``, that begin like this."""
     from rtee.actions.naming import snake_case
-    from rtee.actions.types import Primitive, Timed
+    from rtee.actions.types import Timed
 
     found = []
     for action in _library(ctx) or ():
         if isinstance(action, Timed):  # none can be a part of another action
             continue
-        elements = action.elements if isinstance(action, Primitive) else ()
-        words = f":{','.join(elements)}" if elements else ""
+        words = f":{','.join(action.elements)}" if action.elements else ""
         spellings = (action.name + words, snake_case(action.name) + words)
         found += [next((s for s in spellings if s.startswith(incomplete)), "")]
     return [word for word in found if word]

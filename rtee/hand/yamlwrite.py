@@ -77,6 +77,8 @@ def _lines(value: Mapping[str, Any], indent: str) -> Iterator[str]:
 
 def _item_lines(items: Sequence[Mapping[str, Any]], indent: str) -> Iterator[str]:
     for item in items:
+        if not item:
+            raise TypeError("cannot write an empty mapping")
         lines = _lines(item, indent + "  ")
         yield f"{indent}- {next(lines)[len(indent) + 2 :]}"
         yield from lines

@@ -99,6 +99,34 @@ def test_comments_in_primitives_survive_new_evidence(
     assert loaded == [p for p in changed if p.name == "PinchTight"]
 
 
+def test_comments_survive_beside_letters_of_any_alphabet(
+    library: ActionLibrary, tmp_path: Path
+) -> None:
+    grasp = library.find("schunkGrasp")
+    assert isinstance(grasp, Composed)
+    custom_changes(tmp_path, [grasp]).write()
+    path = tmp_path / "composed" / "schunkGrasp.yaml"
+    path.write_text("# ours\n" + path.read_text())
+    custom_changes(tmp_path, [replace(grasp, description="schließen 🤏")]).write()
+    assert path.read_text().startswith("# ours\n")
+    assert "schließen" in path.read_text()
+
+
+def test_a_file_may_use_aliases(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    (tmp_path / "composed" / "both.yaml").write_text(
+        "name: both\nparts:\n"
+        "- {action: trig, elements: [index], scale: &some 0.25}\n"
+        "- {action: trig, elements: [thumb], scale: *some}\n"
+    )
+    both = ActionLibrary.load(library.hand, tmp_path).find("both")
+    assert isinstance(both, Composed)
+    assert [part.scale for part in both.parts] == [0.25, 0.25]
+    (tmp_path / "composed" / "both.yaml").write_text("name: both\nparts: &parts\n- *parts\n")
+    with pytest.raises(ActionError, match=r"both.yaml:2: an alias"):
+        ActionLibrary.load(library.hand, tmp_path)
+
+
 def test_added_parts_keep_the_style(library: ActionLibrary, tmp_path: Path) -> None:
     grasp = library.find("schunkGrasp")
     assert isinstance(grasp, Composed)
@@ -341,6 +369,14 @@ def test_the_fast_reader_reads_files_of_actions(library: ActionLibrary, tmp_path
         "a: 0x10\n",
         "a: &b 1\n",
         "a: 1\na: 2\n",
+        "a: [{}]\n",
+        "a: {}\n",
+        "a: {b: 1}\n",
+        "a: yes\n",
+        "a:\n    b: 1\n",
+        "  a: 1\n",
+        "a: 1\n\nb: 2\n",
+        "# \x0b\na: 1\n",
         "",
         "a:\n",
     ],
