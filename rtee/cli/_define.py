@@ -15,7 +15,7 @@ from rtee.errors import RteeError, UnknownAction
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
-    from rtee.actions.types import Composed, Generic, Timed
+    from rtee.actions.types import CustomAction
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the new action.")]
 Description = Annotated[str, typer.Option("--description", help="One sentence for people.")]
@@ -55,7 +55,7 @@ def _library(ctx: typer.Context) -> ActionLibrary | None:
         return None
 
 
-def store(library: ActionLibrary, action: Composed | Timed | Generic, replace: bool) -> None:
+def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
     """Store a new action, and say what was done and what is noteworthy about it.
 
     One that replaces another keeps its description unless it has one of its own.
