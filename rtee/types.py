@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,14 @@ def readonly(values: Sequence[float] | FloatArray) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array
+
+
+Position = TypeVar("Position", float, FloatArray)
+
+
+def from_rest(rest: Position, goal: Position, intensity: float) -> Position:
+    """Return the position at an intensity, which is 0 at rest and 1 at the goal [rad | m]."""
+    return rest + intensity * (goal - rest)
 
 
 @functools.cache

@@ -15,6 +15,7 @@ from rtee.actions.types import (
     Action,
     ActionReference,
     Composed,
+    CustomAction,
     Generic,
     Posture,
     PrimitiveKind,
@@ -24,7 +25,7 @@ from rtee.actions.types import (
 from rtee.errors import ActionError, UnknownActuator
 from rtee.hand.model import Hand
 from rtee.hand.names import check_name
-from rtee.types import ActuatorSpec, JointKind
+from rtee.types import ActuatorSpec, JointKind, from_rest
 
 Find = Callable[[str, tuple[str, ...]], Action]
 """Looks an action up by name and elements."""
@@ -94,7 +95,7 @@ def scaled(hand: Hand, posture: Posture, scale: float) -> Posture:
     for name in posture.involved:
         index = hand.actuator_index(name)
         spec, rest = hand.actuators[index], float(hand.rest[index])
-        value = position[name] if scale == 1.0 else rest + scale * (position[name] - rest)
+        value = position[name] if scale == 1.0 else from_rest(rest, position[name], scale)
         position[name] = min(max(value, spec.lower), spec.upper)
     return Posture(position, posture.involved)
 
@@ -219,29 +220,30 @@ def generic(
 
 def warnings_of(action: Action) -> list[str]:
     """Return what is allowed but may not be meant: scales above 1."""
-    match action:
-        case Composed():
-            uses = action.parts
-        case Timed():
-            uses = tuple(step.use for step in action.steps)
-        case _:
-            return []
     return [
         f"'{action.name}' scales {label(use.action, use.elements)} by {use.scale:g}: "
         "above 1 it may pass the limits, where it is clamped"
-        for use in uses
+        for use in action.uses
         if use.scale > 1.0
     ]
 
 
-def uses_of(action: Action) -> tuple[ActionReference, ...]:
-    """Return the actions that an action is made of."""
+def remade(hand: Hand, find: Find, action: CustomAction) -> CustomAction:
+    """Return an action made anew of what it is made of, which may have changed."""
     match action:
         case Composed():
-            return action.parts
+            return compose(
+                hand,
+                find,
+                action.name,
+                action.parts,
+                independent=action.independent,
+                description=action.description,
+            )
         case Timed():
-            return tuple(step.use for step in action.steps)
-    return ()
+            plans = [StepPlan(s.use, s.alias, s.before, s.after) for s in action.steps]
+            return sequence(hand, find, action.name, plans, description=action.description)
+    return action
 
 
 def _resolve(
@@ -252,8 +254,7 @@ def _resolve(
     found = find(use.action, use.elements)
     if isinstance(found, Timed):
         raise ActionError(f"{where} cannot contain the timed action '{found.name}'")
-    elements = found.elements if hasattr(found, "elements") else ()
-    reference = ActionReference(found.name, tuple(elements), use.scale)
+    reference = ActionReference(found.name, found.elements, use.scale)
     return reference, scaled(hand, found.posture, use.scale)
 
 

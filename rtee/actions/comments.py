@@ -6,8 +6,8 @@ import io
 from collections.abc import Mapping
 from typing import Any
 
-from rtee.actions.yamltext import emit, read_canonical
 from rtee.hand.yamlfile import yaml_reader
+from rtee.hand.yamlwrite import emit
 
 _IDENTITY = ("elements", "alias", "action")
 """Keys by which the entries of a list are recognised, the first that they have."""
@@ -28,10 +28,10 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
     yaml = yaml_reader(keep_comments=True)
     yaml.preserve_quotes = True
     yaml.width = 4096
-    fresh = read_canonical(emit(data))
     try:
+        fresh = yaml_reader().load(emit(data))
         document = yaml.load(text)
-        if not isinstance(document, dict) or fresh is None:
+        if not isinstance(document, dict):
             return None
         stream = io.StringIO()
         yaml.dump(_merged(document, fresh), stream)

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from rtee.actions.build import warnings_of
+from rtee.actions.documents import evidence_document
 from rtee.actions.types import (
     FARTHEST_CLEARANCE,
     Action,
-    ActionReference,
-    Composed,
-    Generic,
+    ActionKind,
     Posture,
     Primitive,
-    Timed,
+    kind_of,
 )
-from rtee.actions.writing import evidence_document
 from rtee.hand.model import Hand
 
 
@@ -53,14 +52,10 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
             }
             for spec, rest in zip(hand.actuators, hand.rest, strict=True)
         },
-        "primitives": [],
-        "composed": [],
-        "timed": [],
-        "generic": [],
+        **{_section(kind): [] for kind in ActionKind},
     }
-    rooms = {Primitive: "primitives", Composed: "composed", Timed: "timed", Generic: "generic"}
     for action in actions:
-        found[rooms[type(action)]].append(describe_action(action))
+        found[_section(kind_of(action))].append(describe_action(action))
     if seconds is not None:
         found["seconds"] = seconds
     return found
@@ -70,28 +65,17 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def _section(kind: ActionKind) -> str:
+    return "primitives" if kind is ActionKind.PRIMITIVE else str(kind)
+
+
 def describe_action(action: Action) -> dict[str, Any]:
     """Return one action as plain data, ready for JSON."""
-    match action:
-        case Primitive():
-            return _primitive(action)
-        case Composed():
-            head = {"independent": action.independent, "parts": [_use(p) for p in action.parts]}
-            return {**_head(action), **head, **_posture(action.posture)}
-        case Timed():
-            steps = [
-                {
-                    "alias": step.alias,
-                    **_use(step.use),
-                    "before": step.before,
-                    "after": step.after,
-                    **_posture(step.posture),
-                }
-                for step in action.steps
-            ]
-            return {**_head(action), "steps": steps}
-        case Generic():
-            return {**_head(action), **_posture(action.posture)}
+    if isinstance(action, Primitive):
+        return _primitive(action)
+    head: dict[str, Any] = {"name": action.name, "description": action.description}
+    warnings = warnings_of(action)
+    return {**head, **({"warnings": warnings} if warnings else {}), **_plain(action)}
 
 
 def _primitive(action: Primitive) -> dict[str, Any]:
@@ -113,14 +97,20 @@ def _primitive(action: Primitive) -> dict[str, Any]:
     return found
 
 
-def _head(action: Composed | Timed | Generic) -> dict[str, Any]:
-    head: dict[str, Any] = {"name": action.name, "description": action.description}
-    warnings = warnings_of(action)
-    return {**head, "warnings": warnings} if warnings else head
-
-
-def _use(use: ActionReference) -> dict[str, Any]:
-    return {"action": use.action, "elements": list(use.elements), "scale": use.scale}
+def _plain(value: Any) -> Any:
+    """Return the fields of an action as plain data; those of a posture or use stand among them."""
+    match value:
+        case Posture():
+            return _posture(value)
+        case tuple():
+            return [_plain(item) for item in value]
+        case _ if not is_dataclass(value):
+            return value
+    found: dict[str, Any] = {}
+    for field in fields(value):
+        plain = _plain(getattr(value, field.name))
+        found |= plain if isinstance(plain, dict) else {field.name: plain}
+    return found
 
 
 def _posture(posture: Posture) -> dict[str, Any]:

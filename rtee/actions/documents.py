@@ -1,167 +1,469 @@
-"""YAML documents that come from people: read safely, with the line of every mistake."""
+"""The documents of actions: what stands in their YAML files, and how it becomes an action."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection
-from dataclasses import dataclass
+import typing
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, Final, TypeVar
 
-from rtee.actions.yamltext import read_canonical
-from rtee.errors import ActionError, suggestion
-from rtee.hand.files import read_bytes
-from rtee.hand.yamlfile import too_deep, yaml_reader
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 
-Key = str | int | tuple[str, ...]
-Keys = tuple[Key, ...]
+from rtee.actions.build import (
+    Find,
+    StepPlan,
+    check_custom_name,
+    compose,
+    full_posture,
+    sequence,
+)
+from rtee.actions.naming import normalise
+from rtee.actions.types import (
+    Action,
+    ActionKind,
+    ActionReference,
+    Composed,
+    CustomAction,
+    Evidence,
+    Generic,
+    Opposition,
+    Posture,
+    Primitive,
+    PrimitiveKind,
+    Timed,
+    kind_of,
+)
+from rtee.errors import ActionError, UserError, suggestion
+from rtee.hand.model import Hand
+from rtee.hand.yamlfile import Location, YamlDocument, parse_yaml, read_text
+
+WHAT = "the file of actions"
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Names = Annotated[tuple[str, ...], Strict(False)]
+Pair = Annotated[tuple[str, str], Strict(False)]
+Depth = Annotated[tuple[str, str, Amount], Strict(False)]
+Vector = Annotated[tuple[Number, ...], Strict(False), Field(min_length=3, max_length=3)]
+Angles = Annotated[tuple[Number, ...], Strict(False), Field(min_length=2, max_length=2)]
+SetPoints = Annotated[dict[str, Number], Field(min_length=1)]
 
 
-@dataclass(frozen=True)
-class Document:
-    """A parsed file: its data and where it came from."""
+class Entry(BaseModel):
+    """A mapping in a file of actions: no other keys, and nothing is taken for something else."""
 
-    data: Any
-    path: Path
-    text: str
+    # Built when first used: a hand with primitives alone needs none of the others at its start.
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
 
-    def line(self, keys: Keys) -> int | None:
-        """Return the line, counted from 1, where an entry stands; ``None`` if it has none."""
-        from ruamel.yaml.error import YAMLError
-        from ruamel.yaml.nodes import MappingNode, SequenceNode
 
-        try:
-            node: Any = yaml_reader().compose(self.text)
-        except (YAMLError, ValueError, RecursionError):
-            return None
-        if node is None:
-            return None
-        line: int = node.start_mark.line + 1
-        for key in keys:
-            if isinstance(node, MappingNode):
-                pair = next((p for p in node.value if _key_of(p[0]) == key), None)
-                if pair is None:
-                    break
-                line, node = pair[0].start_mark.line + 1, pair[1]
-            elif isinstance(node, SequenceNode) and isinstance(key, int):
-                if key >= len(node.value):
-                    break
-                node = node.value[key]
-                line = node.start_mark.line + 1
-            else:
-                break
-        return line
+E = TypeVar("E", bound=Entry)
+M = TypeVar("M", bound=BaseModel)
+Some = Annotated[tuple[E, ...], Strict(False), Field(min_length=1)]
+
+
+# --- primitives ------------------------------------------------------------------------------
+
+
+class OppositionEntry(Entry):
+    """How well contact forces oppose each other; see `Opposition`."""
+
+    angles: Angles
+    force_closure: bool
+    friction: Amount = 0.5
+
+
+class EvidenceEntry(Entry):
+    """What the extraction found at a posture; see `Evidence`."""
+
+    depth: Amount = 0.0
+    distance: Amount = 0.0
+    frame_distance: Amount | None = None
+    contact_at: Amount | None = None
+    point: Vector | None = None
+    normal: Vector | None = None
+    clear: bool = True
+    path_clear: bool = True
+    clearance: Amount | None = None
+    colliding: Annotated[tuple[Pair, ...], Strict(False)] = ()
+    pairs: Annotated[tuple[Depth, ...], Strict(False)] = ()
+    opposition: OppositionEntry | None = None
+
+    def evidence(self) -> Evidence:
+        """Return the evidence."""
+        found: dict[str, Any] = dict(self)
+        if self.opposition is not None:
+            found["opposition"] = Opposition(**dict(self.opposition))
+        return Evidence(**found)
+
+
+class PostureEntry(Entry):
+    """A posture of a primitive, and what is known of it."""
+
+    set_points: SetPoints
+    evidence: EvidenceEntry | None = None
+
+
+class PrimitiveEntry(Entry):
+    """A primitive with its ranked postures."""
+
+    elements: Names
+    fingers: Names = ()
+    postures: Some[PostureEntry]
+
+
+class PrimitivesDocument(Entry):
+    """A file of all primitives of one name."""
+
+    kind: str
+    primitives: Annotated[tuple[PrimitiveEntry, ...], Strict(False)]
+
+
+def read_primitives(hand: Hand, path: Path) -> list[Primitive]:
+    """Read the file of all primitives of one name.
+
+    Raises:
+        ActionError: for every mistake, with file and line.
+    """
+    document = read_document(path)
+    found = validated(PrimitivesDocument, document)
+    with located(document, ("kind",)):
+        kind, count = _primitive_kind(found.kind)
+    return [
+        _primitive(hand, kind, count, entry, document, ("primitives", i))
+        for i, entry in enumerate(found.primitives)
+    ]
+
+
+def _primitive_kind(text: str) -> tuple[PrimitiveKind, int | None]:
+    base, _, digits = text.rpartition("_")
+    for kind in PrimitiveKind:
+        if kind.counted:
+            if normalise(base) == normalise(kind) and digits.isascii() and digits.isdigit():
+                return kind, int(digits[:6])
+        elif normalise(text) == normalise(kind):
+            return kind, None
+    names = [f"{kind}_3" if kind.counted else str(kind) for kind in PrimitiveKind]
+    raise ActionError(f"unknown kind '{text}'; {suggestion(text, names)}")
+
+
+def _primitive(
+    hand: Hand,
+    kind: PrimitiveKind,
+    count: int | None,
+    entry: PrimitiveEntry,
+    document: YamlDocument,
+    at: Location,
+) -> Primitive:
+    elements = fingers = entry.elements
+    place = [*at, "elements"]
+    with located(document, place):
+        needed = kind.elements or count or 0
+        if len(elements) != needed or len(set(elements)) != needed:
+            raise ActionError(f"{kind} takes {needed} different elements")
+        if kind.of_actuators:
+            for name in elements:
+                hand.actuator(name)
+            fingers = entry.fingers
+            place[-1] = "fingers"
+        for name in fingers:
+            hand.finger(name)
+        if count is not None and len(set(fingers)) != count:
+            raise ActionError(f"{kind}_{count} moves {count} fingers, not {len(set(fingers))}")
+    postures = tuple(
+        _posture(hand, posture.set_points, document, (*at, "postures", i, "set_points"))
+        for i, posture in enumerate(entry.postures)
+    )
+    evidence = tuple(p.evidence.evidence() for p in entry.postures if p.evidence is not None)
+    with located(document, (*at, "postures")):
+        if evidence and len(evidence) != len(postures):
+            raise ActionError("either every posture has evidence, or none")
+    return Primitive(kind, elements, postures, evidence, len(fingers), fingers)
+
+
+def _posture(
+    hand: Hand, values: Mapping[str, float], document: YamlDocument, at: Location
+) -> Posture:
+    try:
+        return full_posture(hand, values)
+    except UserError:
+        for name, value in values.items():  # which of them is it?
+            with located(document, (*at, name)):
+                full_posture(hand, {name: value})
+        raise
+
+
+def primitives_document(primitives: Sequence[Primitive]) -> dict[str, Any]:
+    """Return the document of all primitives of one name."""
+    return {"kind": primitives[0].name, "primitives": [_primitive_entry(p) for p in primitives]}
+
+
+def _primitive_entry(primitive: Primitive) -> dict[str, Any]:
+    entries: list[dict[str, Any]] = [{"set_points": set_points(p)} for p in primitive.postures]
+    for entry, evidence in zip(entries, primitive.evidence, strict=False):
+        entry["evidence"] = evidence_document(evidence)
+    fingers = {"fingers": list(primitive.fingers)} if primitive.kind.of_actuators else {}
+    return {"elements": list(primitive.elements), **fingers, "postures": entries}
+
+
+def set_points(posture: Posture) -> dict[str, float]:
+    """Return the positions of the involved actuators [rad | m]."""
+    return {name: float(posture.position[name]) for name in posture.involved}
+
+
+def evidence_document(evidence: Evidence) -> dict[str, Any]:
+    """Return evidence as plain data, without what is not known."""
+    found = {name: getattr(evidence, name) for name in EvidenceEntry.model_fields}
+    return {name: _plain(value) for name, value in found.items() if value not in (None, ())}
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case str():
+            return value
+        case bool() | np.bool_():
+            return bool(value)
+        case tuple():
+            return [_plain(item) for item in value]
+        case Opposition():
+            return {name: _plain(getattr(value, name)) for name in OppositionEntry.model_fields}
+    return float(value)
+
+
+# --- composed, timed and generic actions -----------------------------------------------------
+
+
+class UseEntry(Entry):
+    """A part of a composed action."""
+
+    action: str
+    elements: Names = ()
+    scale: Amount = 1.0
 
     @property
-    def root(self) -> Node:
-        """The whole document."""
-        return Node(self.data, self, ())
+    def use(self) -> ActionReference:
+        """The use of an action that this is."""
+        return ActionReference(self.action, self.elements, self.scale)
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
-    """One entry of a document, which knows its place."""
+class StepEntry(UseEntry):
+    """An inner action of a timed one."""
 
-    value: Any
-    document: Document
-    keys: Keys
+    alias: str = ""
+    before: Amount = 0.0
+    after: Amount = 0.0
 
-    def error(self, message: str) -> ActionError:
-        """Return an error that names the file and the line of this entry."""
-        return ActionError(message, path=self.document.path, line=self.document.line(self.keys))
 
-    @property
-    def what(self) -> str:
-        """How the entry is called in a sentence."""
-        named = [key for key in self.keys if isinstance(key, str)]
-        return f"'{named[-1]}'" if named else "the file"
+def _custom_name(name: str) -> str:
+    if isinstance(name, str):
+        check_custom_name(name)
+    return name
 
-    def child(self, key: Key, value: Any) -> Node:
-        """Return an entry inside this one."""
-        return Node(value, self.document, (*self.keys, key))
 
-    def entries(self) -> dict[str, Node]:
-        """Return the entries of a mapping, which must not be empty.
+class CustomDocument(Entry):
+    """A file of one composed, timed or generic action.
 
-        Raises:
-            ActionError: if it is none, is empty, or has keys that are no text.
-        """
-        found = {}
-        for key, node in self.pairs():
-            if not isinstance(key, str):
-                raise self.error(f"the key {key!r} in {self.what} must be a name")
-            found[key] = node
-        return found
+    Attributes:
+        body: The key under which the action's parts, steps or set-points stand.
+    """
 
-    def pairs(self) -> list[tuple[Any, Node]]:
-        """Return the entries of a mapping with keys of any kind; raises `ActionError`."""
-        if not isinstance(self.value, dict):
-            raise self.error(f"{self.what} must be a mapping, not {_kind(self.value)}")
-        if not self.value:
-            raise self.error(f"{self.what} is empty")
-        return [(key, self.child(key, value)) for key, value in self.value.items()]
+    body: ClassVar[str]
 
-    def fields(self, required: Collection[str], optional: Collection[str] = ()) -> dict[str, Node]:
-        """Return the entries of a mapping with known keys.
+    name: Annotated[str, BeforeValidator(_custom_name)]
+    description: str = ""
+
+    @abstractmethod
+    def make(self, hand: Hand, find: Find, document: YamlDocument) -> Action:
+        """Return the action; what it is made of is looked up in the order of the file.
 
         Raises:
-            ActionError: if a key is unknown or missing.
+            UserError: if it cannot be made.
         """
-        entries = self.entries()
-        known = [*required, *optional]
-        for key, node in entries.items():
-            if key not in known:
-                raise node.error(f"unknown key '{key}'; {suggestion(key, known)}")
-        for key in required:
-            if key not in entries:
-                raise self.error(f"{self.what} lacks the key '{key}'")
-        return entries
 
-    def items(self) -> list[Node]:
-        """Return the entries of a list; raises `ActionError` if it is none."""
-        if not isinstance(self.value, list):
-            raise self.error(f"{self.what} must be a list, not {_kind(self.value)}")
-        return [self.child(index, value) for index, value in enumerate(self.value)]
-
-    def string(self) -> str:
-        """Return a text; raises `ActionError` if it is none."""
-        if not isinstance(self.value, str):
-            raise self.error(f"{self.what} must be a text, not {_kind(self.value)}")
-        return self.value
-
-    def strings(self) -> tuple[str, ...]:
-        """Return a list of texts; raises `ActionError` if it is none."""
-        return tuple(item.string() for item in self.items())
-
-    def flag(self) -> bool:
-        """Return true or false; raises `ActionError` if it is neither."""
-        if not isinstance(self.value, bool):
-            raise self.error(f"{self.what} must be true or false, not {_kind(self.value)}")
-        return self.value
-
-    def number(self, *, lowest: float = -math.inf) -> float:
-        """Return a finite number; raises `ActionError` if it is none or too low."""
-        value = self.value
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(f"{self.what} must be a number, not {_kind(value)}")
-        if not abs(value) <= 1e300:
-            raise self.error(f"{self.what} must be a finite number, not {value}")
-        if value < lowest:
-            raise self.error(f"{self.what} is {value:g}; it must be at least {lowest:g}")
-        return float(value)
-
-    def numbers(self, count: int) -> tuple[float, ...]:
-        """Return a list of ``count`` numbers; raises `ActionError` if it is none."""
-        items = self.items()
-        if len(items) != count:
-            raise self.error(f"{self.what} must have {count} numbers, not {len(items)}")
-        return tuple(item.number() for item in items)
+    @staticmethod
+    @abstractmethod
+    def entries(action: Any) -> dict[str, Any]:
+        """Return what the file of an action holds besides its name and description."""
 
 
-def _key_of(node: Any) -> Key:
-    if isinstance(node.value, list):
-        return tuple(str(getattr(item, "value", item)) for item in node.value)
-    return str(node.value)
+class ComposedDocument(CustomDocument):
+    """A file of a composed action."""
+
+    body = "parts"
+
+    independent: bool = False
+    parts: Some[UseEntry]
+
+    def make(self, hand: Hand, find: Find, document: YamlDocument) -> Composed:
+        """See `CustomDocument.make`."""
+        return compose(
+            hand,
+            find,
+            self.name,
+            [part.use for part in self.parts],
+            independent=self.independent,
+            description=self.description,
+        )
+
+    @staticmethod
+    def entries(action: Composed) -> dict[str, Any]:
+        """See `CustomDocument.entries`."""
+        parts = [_use_entry(part) for part in action.parts]
+        return {"independent": action.independent, "parts": parts}
+
+
+class TimedDocument(CustomDocument):
+    """A file of a timed action."""
+
+    body = "steps"
+
+    steps: Some[StepEntry]
+
+    def make(self, hand: Hand, find: Find, document: YamlDocument) -> Timed:
+        """See `CustomDocument.make`."""
+        plans = [StepPlan(s.use, s.alias, s.before, s.after) for s in self.steps]
+        return sequence(hand, find, self.name, plans, description=self.description)
+
+    @staticmethod
+    def entries(action: Timed) -> dict[str, Any]:
+        """See `CustomDocument.entries`."""
+        return {
+            "steps": [
+                {
+                    **_use_entry(step.use),
+                    "alias": step.alias,
+                    "before": float(step.before),
+                    "after": float(step.after),
+                }
+                for step in action.steps
+            ]
+        }
+
+
+class GenericDocument(CustomDocument):
+    """A file of a generic action."""
+
+    body = "set_points"
+
+    set_points: SetPoints
+
+    def make(self, hand: Hand, find: Find, document: YamlDocument) -> Generic:
+        """See `CustomDocument.make`."""
+        posture = _posture(hand, self.set_points, document, ("set_points",))
+        return Generic(self.name, posture, self.description)
+
+    @staticmethod
+    def entries(action: Generic) -> dict[str, Any]:
+        """See `CustomDocument.entries`."""
+        return {"set_points": set_points(action.posture)}
+
+
+CUSTOM: Final[Mapping[ActionKind, type[CustomDocument]]] = {
+    ActionKind.GENERIC: GenericDocument,
+    ActionKind.COMPOSED: ComposedDocument,
+    ActionKind.TIMED: TimedDocument,
+}
+"""What stands in the files of each kind; those that others are made of first."""
+
+
+def _use_entry(use: ActionReference) -> dict[str, Any]:
+    elements = {"elements": list(use.elements)} if use.elements else {}
+    return {"action": use.action, **elements, "scale": float(use.scale)}
+
+
+def custom_document(action: CustomAction) -> dict[str, Any]:
+    """Return the document of a composed, timed or generic action."""
+    described = {"description": action.description} if action.description else {}
+    return {"name": action.name, **described, **CUSTOM[kind_of(action)].entries(action)}
+
+
+# --- mistakes --------------------------------------------------------------------------------
+
+
+def read_document(path: Path) -> YamlDocument:
+    """Read a YAML file of actions.
+
+    Raises:
+        ActionError: if it cannot be read, is empty or is no YAML; with the line.
+    """
+    text = read_text(path, WHAT, ActionError)
+    return parse_yaml(text, path, WHAT, ActionError, foreign=True)
+
+
+@contextmanager
+def located(document: YamlDocument, location: Sequence[str | int]) -> Iterator[None]:
+    """Give the errors inside the block the file and the line of an entry, unless they have one."""
+    try:
+        yield
+    except UserError as error:
+        if error.path is not None:
+            raise
+        line = document.line(tuple(location))
+        raise ActionError(error.message, path=document.path, line=line) from None
+
+
+def validated(model: type[M], document: YamlDocument, at: Location = (), data: Any = None) -> M:
+    """Return what stands in a document as a model.
+
+    Args:
+        model: The model.
+        document: The document.
+        at: Where it stands; from the root of the document unless given.
+        data: What stands there; the whole document unless given.
+
+    Raises:
+        ActionError: for the first mistake in the file, with its line.
+    """
+    try:
+        return model.model_validate(document.data if data is None else data)
+    except ValidationError as errors:
+        found = [{**error, "loc": (*at, *error["loc"])} for error in errors.errors()]
+        location, error = document.located(found)[0]
+        with located(document, location):
+            raise ActionError(_sentence(model, location, error)) from None
+
+
+def _sentence(model: type[BaseModel], location: Location, error: Mapping[str, Any]) -> str:
+    """Return a pydantic error in words."""
+    kind, value, limits = error["type"], error["input"], error.get("ctx", {})
+    key = location[-1] if location else ""
+    if kind == "extra_forbidden":
+        return f"unknown key '{key}'; {suggestion(str(key), _keys(model, location[:-1]))}"
+    if kind == "missing":
+        return f"{_called(location[:-1])} lacks the key '{key}'"
+    if kind == "value_error":
+        cause = limits["error"]
+        return cause.message if isinstance(cause, UserError) else str(cause)
+    what = _called(location)
+    if error["loc"][-1:] == ("[key]",):
+        return f"the key {value} in {_called(location[:-1])} must be a name"
+    if kind == "finite_number" or (kind == "float_type" and type(value) is int):
+        return f"{what} must be a finite number"
+    if kind == "greater_than_equal":
+        return f"{what} is {value:g}; it must be at least {limits['ge']:g}"
+    if kind in ("too_short", "too_long"):
+        length = limits.get("min_length", limits.get("max_length"))
+        return f"{what} is empty" if not value else f"{what} must have {length} entries"
+    return f"{what} must be {_WANTED.get(kind, error['msg'])}, not {_kind(value)}"
+
+
+_WANTED: Final = {
+    "model_type": "a mapping",
+    "dict_type": "a mapping",
+    "tuple_type": "a list",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "float_type": "a number",
+}
+"""What should stand there, by the type of pydantic's error."""
+
+
+def _called(location: Location) -> str:
+    """Return how an entry is called in a sentence."""
+    named = [part for part in location if isinstance(part, str)]
+    return f"'{named[-1]}'" if named else "the file"
 
 
 def _kind(value: Any) -> str:
@@ -176,67 +478,20 @@ def _kind(value: Any) -> str:
             return f"the text '{value[:40]}'"
         case list():
             return "a list"
-        case dict():
-            return "a mapping"
-    return f"a {type(value).__name__}"
+    return "a mapping"
 
 
-def read_text(path: Path) -> str:
-    """Read a text file of bounded size.
-
-    Raises:
-        ActionError: if it cannot be read, is too long or is no UTF-8 text.
-    """
-    raw = read_bytes(path, "file of actions", ActionError)
-    try:
-        return raw.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line = raw[: error.start].count(b"\n") + 1
-        raise ActionError("is no UTF-8 text", path=path, line=line) from None
+def _keys(model: type[BaseModel], location: Location) -> list[str]:
+    """Return the keys that are allowed at a location."""
+    for part in location:
+        if isinstance(part, str):
+            model = next(_models(model.model_fields[part].annotation))
+    return list(model.model_fields)
 
 
-def read_document(path: Path) -> Document:
-    """Read a YAML file by a safe loader.
-
-    Raises:
-        ActionError: if it cannot be read, is empty or is no YAML; with the line.
-    """
-    text = read_text(path)
-    data = read_canonical(text)
-    return Document(parse(text, path) if data is None else data, path, text)
-
-
-def parse(text: str, path: Path) -> Any:
-    """Parse YAML text; ``path`` is for messages.
-
-    Raises:
-        ActionError: if it is empty or no YAML; with the line.
-    """
-    from ruamel.yaml.error import MarkedYAMLError, YAMLError
-
-    deep = too_deep(text)
-    if deep is not None:
-        raise ActionError("is nested too deeply", path=path, line=deep)
-    try:
-        data = yaml_reader().load(text)
-    except MarkedYAMLError as error:
-        raise _syntax_error(error, text, path) from None
-    except YAMLError as error:
-        raise ActionError(f"is no YAML: {str(error).splitlines()[0]}", path=path) from None
-    except RecursionError:
-        raise ActionError("is nested too deeply", path=path) from None
-    except (ValueError, TypeError, LookupError, ArithmeticError, AttributeError) as error:
-        raise ActionError(f"is no YAML that can be read: {error}", path=path) from None
-    if data is None:
-        raise ActionError("is empty", path=path)
-    return data
-
-
-def _syntax_error(error: Any, text: str, path: Path) -> ActionError:
-    mark = error.problem_mark or error.context_mark
-    line = None if mark is None else mark.line + 1
-    lines = text.splitlines()
-    if line is not None and line <= len(lines) and "\t" in lines[line - 1]:
-        return ActionError("holds a tab; YAML is indented with spaces", path=path, line=line)
-    problem = (error.problem or error.context or "not well formed").split("\n")[0]
-    return ActionError(f"is no YAML: {problem}", path=path, line=line)
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models in an annotation."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in typing.get_args(annotation):
+        yield from _models(inner)

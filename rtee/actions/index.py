@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from rtee.actions.build import Find, StepPlan, compose, sequence, uses_of
+from rtee.actions.build import remade
 from rtee.actions.naming import label, normalise
 from rtee.actions.types import (
     Action,
     ActionKind,
-    Composed,
+    CustomAction,
     Primitive,
     PrimitiveGroup,
     PrimitiveKind,
-    Timed,
     kind_of,
 )
 from rtee.errors import ActionError, UnknownAction, suggestion
@@ -59,7 +58,7 @@ class Index:
         self.primitives = tuple(sorted(primitives, key=self._primitive_order))
         custom = [action for action in actions if not isinstance(action, Primitive)]
         custom.sort(key=lambda a: (_CUSTOM_ORDER[kind_of(a)], normalise(a.name)))
-        self.custom: dict[str, Action] = {}
+        self.custom: dict[str, CustomAction] = {}
         for action in custom:
             other = self.custom.setdefault(normalise(action.name), action)
             if other is not action:
@@ -191,7 +190,7 @@ class Index:
         return tuple(
             other.name
             for other in self.custom.values()
-            if any(self.find(u.action, u.elements, None) is action for u in uses_of(other))
+            if any(self.find(u.action, u.elements, None) is action for u in other.uses)
         )
 
     def without(self, action: Action) -> tuple[Action, ...]:
@@ -231,7 +230,7 @@ class Index:
                 raise ActionError(f"the action '{inner}' would contain itself: {chain}")
             if key not in done:
                 under_way.append(key)
-                fresh[key] = self._again(fresh[key], find)
+                fresh[key] = remade(self.hand, find, fresh[key])
                 under_way.pop()
                 done.add(key)
             return fresh[key]
@@ -239,19 +238,3 @@ class Index:
         for action in self.custom.values():
             find(action.name, ())
         return Index(self.hand, (*self.primitives, *fresh.values()))
-
-    def _again(self, action: Action, find: Find) -> Action:
-        match action:
-            case Composed():
-                return compose(
-                    self.hand,
-                    find,
-                    action.name,
-                    action.parts,
-                    independent=action.independent,
-                    description=action.description,
-                )
-            case Timed():
-                plans = [StepPlan(s.use, s.alias, s.before, s.after) for s in action.steps]
-                return sequence(self.hand, find, action.name, plans, description=action.description)
-        return action

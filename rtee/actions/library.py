@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from rtee.actions.build import StepPlan, check_custom_name, compose, sequence, uses_of, warnings_of
+from rtee.actions.build import StepPlan, check_custom_name, compose, sequence, warnings_of
 from rtee.actions.index import Index
 from rtee.actions.naming import label, normalise
 from rtee.actions.shelf import Shelf
@@ -16,10 +16,10 @@ from rtee.actions.types import (
     ActionKind,
     ActionReference,
     Composed,
+    CustomAction,
     Primitive,
     PrimitiveGroup,
     Timed,
-    kind_of,
 )
 from rtee.errors import ActionError
 from rtee.hand.model import Hand
@@ -54,7 +54,7 @@ class ActionLibrary:
         self._index = Index(hand, tuple(actions))
         self._shelf = Shelf(hand, folder)
         for action in self._index.custom.values():
-            for use in uses_of(action):
+            for use in action.uses:
                 self.find(use.action, use.elements)
 
     @classmethod
@@ -180,13 +180,12 @@ class ActionLibrary:
         """
         others = self._index.without(action)
         if len(others) < len(self) and not replace_same:
-            elements = action.elements if isinstance(action, Primitive) else ()
-            there = self.find(action.name, elements).name
-            raise ActionError(f"there already is an action '{label(there, elements)}'")
+            there = self.find(action.name, action.elements).name
+            raise ActionError(f"there already is an action '{label(there, action.elements)}'")
         if not isinstance(action, Primitive):
             check_custom_name(action.name)
         index = Index(self.hand, (*others, action))
-        for use in uses_of(action):
+        for use in action.uses:
             if normalise(use.action) == normalise(action.name):
                 raise ActionError(f"the action '{action.name}' would contain itself")
             index.find(use.action, use.elements, None)
@@ -237,13 +236,17 @@ class ActionLibrary:
         old, new = normalise(action.name), normalise(new_name)
         if new != old and new in self._index.custom:
             raise ActionError(f"there already is an action '{new_name}'")
-        changed: list[Action] = []
-        kept: list[Action] = []
-        for other in self._index.ordered:
+
+        def renamed(use: ActionReference) -> ActionReference:
+            return replace(use, action=new_name) if normalise(use.action) == old else use
+
+        changed: list[CustomAction] = []
+        kept: list[Action] = list(self._index.primitives)
+        for other in self._index.custom.values():
             if other is action:
                 changed.append(replace(action, name=new_name))
-            elif any(normalise(use.action) == old for use in uses_of(other)):
-                changed.append(_renamed_use(other, old, new_name))
+            elif any(normalise(use.action) == old for use in other.uses):
+                changed.append(other.with_uses(renamed))
             else:
                 kept.append(other)
         index = Index(self.hand, (*kept, *changed))
@@ -282,22 +285,7 @@ class ActionLibrary:
         if not (force or self.changed()):
             return False
         volatile = [
-            action
-            for action in self._index.custom.values()
-            if kind_of(action) is not ActionKind.PRIMITIVE and not self.is_stored(action.name)
+            action for action in self._index.custom.values() if not self.is_stored(action.name)
         ]
         self._read(volatile)
         return True
-
-
-def _renamed_use(action: Action, old: str, new_name: str) -> Action:
-    def renamed(use: ActionReference) -> ActionReference:
-        return replace(use, action=new_name) if normalise(use.action) == old else use
-
-    match action:
-        case Composed():
-            return replace(action, parts=tuple(renamed(use) for use in action.parts))
-        case Timed():
-            steps = tuple(replace(step, use=renamed(step.use)) for step in action.steps)
-            return replace(action, steps=steps)
-    return action

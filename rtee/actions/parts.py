@@ -6,8 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 from rtee.actions.build import SLACK
-from rtee.actions.types import Action, ActionReference, Posture, Primitive, Timed
+from rtee.actions.types import Action, ActionReference, Posture, Timed
 from rtee.hand.model import Hand
+from rtee.types import from_rest
 
 CLOSE: Final = 1e-4
 """Set-points no farther apart than this are the same [rad | m]."""
@@ -29,7 +30,7 @@ def scale_of(hand: Hand, posture: Posture, set_points: Mapping[str, float]) -> f
     scale = 1.0
     if abs(whole[widest]) > SLACK:
         scale = round((set_points[widest] - rest[widest]) / whole[widest], 4)
-    made = {name: rest[name] + scale * step for name, step in whole.items()}
+    made = {name: from_rest(rest[name], posture.position[name], scale) for name in whole}
     close = all(abs(made[name] - set_points[name]) <= CLOSE for name in made)
     return scale if scale >= 0.0 and close else None
 
@@ -65,14 +66,11 @@ def _find(
             continue
         own = {name: left[name] for name in action.posture.involved if name in left}
         scale = scale_of(hand, action.posture, own)
-        elements, touched = (
-            (action.elements, action.fingers) if isinstance(action, Primitive) else ((), ())
-        )
-        if scale is None or (fingers and not fingers.issuperset(touched)):
+        if scale is None or (fingers and not fingers.issuperset(action.fingers)):
             continue
         others = {name: value for name, value in left.items() if name not in own}
         again = i + 1 if list(choices[1:2]) == [choices[0]] else 0
         more = _find(hand, choices[1:], others, fingers, again)
         if more is not None:
-            return [ActionReference(action.name, elements, scale), *more]
+            return [ActionReference(action.name, action.elements, scale), *more]
     return None

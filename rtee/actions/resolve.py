@@ -3,14 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
-from rtee.actions.build import compose, full_posture, sequence
+from rtee.actions.documents import CUSTOM, CustomDocument, located, read_document, validated
 from rtee.actions.index import Index
 from rtee.actions.naming import normalise
-from rtee.actions.schema import Definition
-from rtee.actions.types import Action, ActionKind, Generic, Primitive
-from rtee.errors import ActionError, UserError
+from rtee.actions.types import Action, ActionKind, Primitive
+from rtee.errors import ActionError
 from rtee.hand.model import Hand
+from rtee.hand.yamlfile import YamlDocument
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """A custom action as it stands in its file, before what it refers to is looked up.
+
+    Attributes:
+        content: What stands there.
+        document: The same, with its lines.
+    """
+
+    content: CustomDocument
+    document: YamlDocument
+
+    @property
+    def name(self) -> str:
+        """The action's name."""
+        return self.content.name
+
+
+def read_definition(kind: ActionKind, path: Path) -> Definition:
+    """Read the file of a composed, timed or generic action.
+
+    Raises:
+        ActionError: for every mistake, with file and line.
+    """
+    document = read_document(path)
+    return Definition(validated(CUSTOM[kind], document), document)
 
 
 class Builder:
@@ -56,42 +86,15 @@ class Builder:
         return self._made(key)
 
     def _make(self, definition: Definition) -> Action:
-        at: list[int] = []
+        content, document = definition.content, definition.document
+        count = 0
+        at: list[str | int] = []  # the part or step that was looked up last
 
         def find(name: str, elements: tuple[str, ...]) -> Action:
-            at.append(len(at))
+            nonlocal count
+            at[:] = (content.body, count)
+            count += 1
             return self._find(name, elements)
 
-        try:
-            if definition.kind is ActionKind.COMPOSED:
-                return compose(
-                    self.hand,
-                    find,
-                    definition.name,
-                    definition.parts,
-                    independent=definition.independent,
-                    description=definition.description,
-                )
-            if definition.kind is ActionKind.TIMED:
-                return sequence(
-                    self.hand,
-                    find,
-                    definition.name,
-                    definition.steps,
-                    description=definition.description,
-                )
-            return self._generic(definition)
-        except UserError as error:
-            if error.path is not None:
-                raise
-            node = definition.uses[at[-1]] if at else definition.node
-            raise node.error(error.message) from None
-
-    def _generic(self, definition: Definition) -> Generic:
-        values = dict(definition.set_points or {})
-        for node, (name, value) in zip(definition.uses, values.items(), strict=True):
-            try:
-                full_posture(self.hand, {name: value})
-            except UserError as error:
-                raise node.error(error.message) from None
-        return Generic(definition.name, full_posture(self.hand, values), definition.description)
+        with located(document, at):
+            return content.make(self.hand, find, document)

@@ -14,8 +14,6 @@ from rtee.hand.model import Hand
 from rtee.hand.resting import APART, NEAR, OWN
 from rtee.types import FloatArray
 
-_PINCHES: Final = (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE)
-
 _HERE: Final = 0.1
 """A pinch is at rest if no actuator travels farther than this share of its range to it."""
 
@@ -34,7 +32,7 @@ def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
         hand: The hand.
         primitives: Its stored primitives.
     """
-    at_rest = (p for p in primitives if p.kind in _PINCHES and _is_at_rest(hand, p))
+    at_rest = (p for p in primitives if p.kind.pinch and _is_at_rest(hand, p))
     ways = [(p, _opened(hand, p)) for p in at_rest]
     closed = [p for p, way in ways if way]
     if not closed:

@@ -13,13 +13,17 @@ primitive they hold nor, by name, which actuators it involves; those are left ou
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, RootModel
+from pydantic.alias_generators import to_camel, to_pascal
 
 from rtee.actions.build import SLACK, StepPlan, full_posture, generic
-from rtee.actions.documents import Node, read_document
+from rtee.actions.documents import Amount, Names, Number, located, read_document, validated
 from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label, normalise
 from rtee.actions.parts import find_parts, scale_of
@@ -31,9 +35,10 @@ from rtee.actions.types import (
     PrimitiveKind,
     Timed,
 )
-from rtee.errors import ActionError, UserError, suggestion
+from rtee.errors import ActionError, suggestion
 from rtee.hand.model import Hand
 from rtee.hand.names import safe_name
+from rtee.hand.yamlfile import Location, YamlDocument
 
 _KINDS = {
     "trig": PrimitiveKind.TRIG,
@@ -50,6 +55,104 @@ _KINDS = {
 }
 _GENERIC, _COMPOSED, _TIMED = 1, 2, 3
 _EARLY = "the files of early versions have neither 'PrimitiveType' nor 'Type'"
+
+
+Counts = dict[str, Amount]
+"""How often a joint takes part, by its name."""
+
+Joints = dict[str, Any]
+"""Positions by joint; those of other joints than the hand's may be anything."""
+
+
+class _Entry(BaseModel):
+    """A mapping in a file of ROS End-Effector; keys that are not needed may be anything."""
+
+    model_config = ConfigDict(strict=True, alias_generator=to_pascal)
+
+
+class _Named(_Entry):
+    action_name: str
+
+
+class _SingleJoint(_Entry):
+    fingers_involved: Names
+    joint_pos_further: Joints
+
+
+class _Counted(_Entry):
+    joints_involved_count: Counts
+
+
+class _State(_Entry):
+    joint_pos: Joints = {}
+    joint_states: Joints = {}
+
+
+class _Composed(_Entry):
+    inner_actions_names: Names = ()
+    fingers_involved: Names = ()
+    independent: Any = False
+
+
+class _Margins(_Entry):
+    model_config = ConfigDict(alias_generator=to_camel)
+
+    margin_before: Amount
+    margin_after: Amount
+
+
+class _Timed(_Entry):
+    actions_time_margins: dict[str, _Margins]
+    actions_joint_pos: dict[str, Joints]
+    actions_joint_count: dict[str, Counts]
+    actions_names_ordered: Names
+
+
+def _single(value: Any) -> Any:
+    if not isinstance(value, list):
+        return value
+    if len(value) != 1:
+        raise ActionError(f"a position must have 1 numbers, not {len(value)}")
+    return value[0]
+
+
+class _Positions(RootModel[dict[str, Annotated[Number, BeforeValidator(_single)]]]):
+    model_config = ConfigDict(strict=True)
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """An action in a file.
+
+    Attributes:
+        key: Its name, or the elements of a primitive.
+        data: What stands there.
+        document: The file.
+    """
+
+    key: Any
+    data: dict[str, Any]
+    document: YamlDocument
+
+    def read(self, model: type[M], *at: str) -> M:
+        """Return what stands there, or at a location inside, as far as a model asks for it."""
+        data: Any = self.data
+        for part in at:
+            data = data[part]
+        return validated(model, self.document, (self.key, *at), data)
+
+    def joints(self, *at: str) -> tuple[Location, Joints]:
+        """Return the positions of joints in a state, and where they stand."""
+        state = self.read(_State, *at)
+        if not (state.joint_pos or state.joint_states):
+            with located(self.document, (self.key, *at)):
+                raise ActionError(f"'{(self.key, *at)[-1]}' lacks the key 'JointPos'")
+        if state.joint_pos:
+            return (self.key, *at, "JointPos"), state.joint_pos
+        return (self.key, *at, "JointStates"), state.joint_states
 
 
 @dataclass
@@ -75,49 +178,47 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
     """
     paths = sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")])
     reader = _Reader(hand)
-    entries: list[tuple[Any, Node]] = []
+    entries: list[_Found] = []
     for path in paths:
-        root = read_document(path).root
-        entries += _entries(root)
-        if _is_early(root):
+        document = read_document(path)
+        if not isinstance(document.data, dict):
+            continue
+        entries += _entries(document)
+        if _is_early(document.data):
             reader.imported.notes.append(f"{path} is left out: {_EARLY}")
     if not entries:
         why = f"; {_EARLY}" if reader.imported.notes else ""
         raise ActionError(f"holds no action files of ROS End-Effector{why}", path=folder)
-    reader.imported.files = len({node.document.path for _, node in entries})
+    reader.imported.files = len({found.document.path for found in entries})
     for stage in (None, _GENERIC, _COMPOSED, _TIMED):
-        for key, node in entries:
-            if _type_of(node) == stage:
-                reader.take(key, node, stage)
+        for found in entries:
+            with located(found.document, (found.key,)):
+                if _type_of(found) == stage:
+                    reader.take(found, stage)
     return reader.imported
 
 
-def _entries(root: Node) -> list[tuple[Any, Node]]:
-    if not isinstance(root.value, dict):
-        return []
+def _entries(document: YamlDocument) -> list[_Found]:
     return [
-        (key, node)
-        for key, node in root.pairs()
-        if isinstance(node.value, dict) and ("PrimitiveType" in node.value or "Type" in node.value)
+        _Found(key, value, document)
+        for key, value in document.data.items()
+        if isinstance(value, dict) and ("PrimitiveType" in value or "Type" in value)
     ]
 
 
-def _is_early(root: Node) -> bool:
-    if not isinstance(root.value, dict):
-        return False
-    values = (root.value, *root.value.values())
+def _is_early(data: dict[str, Any]) -> bool:
     return any(
         isinstance(v, dict) and ("JointsInvolved" in v or "InvolvedJointsCount" in v)
-        for v in values
+        for v in (data, *data.values())
     )
 
 
-def _type_of(node: Node) -> int | None:
-    if "PrimitiveType" in node.value:
+def _type_of(found: _Found) -> int | None:
+    if "PrimitiveType" in found.data:
         return None
-    kind = node.value["Type"]
+    kind = found.data["Type"]
     if kind not in (_GENERIC, _COMPOSED, _TIMED) or isinstance(kind, bool):
-        raise node.error(f"the type {kind!r} is unknown; there are 1, 2 and 3")
+        raise ActionError(f"the type {kind!r} is unknown; there are 1, 2 and 3")
     return int(kind)
 
 
@@ -127,21 +228,16 @@ class _Reader:
         self.library = ActionLibrary(hand)
         self.imported = Imported()
 
-    def take(self, key: Any, node: Node, stage: int | None) -> None:
-        try:
-            if stage is None:
-                action: Action = self._primitive(key, node)
-            elif stage == _TIMED:
-                action = self._timed(str(key), node)
-            elif stage == _COMPOSED:
-                action = self._composed(str(key), node)
-            else:
-                action = generic(self.hand, str(key), self._counted(node, str(key)))
-            self._add(action)
-        except UserError as error:
-            if error.path is not None:
-                raise
-            raise node.error(error.message) from None
+    def take(self, found: _Found, stage: int | None) -> None:
+        name = str(found.key)
+        if stage is None:
+            self._add(self._primitive(found))
+        elif stage == _TIMED:
+            self._add(self._timed(name, found))
+        elif stage == _COMPOSED:
+            self._add(self._composed(name, found))
+        else:
+            self._add(generic(self.hand, name, self._counted(name, found)))
 
     def _add(self, action: Action) -> None:
         self.library.add(action)
@@ -152,22 +248,25 @@ class _Reader:
 
     # --- primitives
 
-    def _primitive(self, key: Any, node: Node) -> Primitive:
-        elements = tuple(map(str, key)) if isinstance(key, (tuple, list)) else (str(key),)
-        name = self._need(node, "ActionName").string()
+    def _primitive(self, found: _Found) -> Primitive:
+        key = found.key
+        elements = tuple(map(str, key)) if isinstance(key, tuple) else (str(key),)
+        name = found.read(_Named).action_name
         base = normalise(name).rstrip("0123456789")
         kind = _KINDS.get(base)
         if kind is None:
-            raise node.error(f"unknown primitive '{name}'; {suggestion(base, _KINDS)}")
+            raise ActionError(f"unknown primitive '{name}'; {suggestion(base, _KINDS)}")
         what = label(name, elements)
-        if kind is PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS:
+        if kind.of_actuators:
             self.hand.actuator(elements[0])
-            fingers = self._fingers(self._need(node, "FingersInvolved").strings())
-            values = self._joints(self._need(node, "JointPosFurther"), what, elements)
+            entry = found.read(_SingleJoint)
+            fingers = self._fingers(entry.fingers_involved)
+            at = (key, "JointPosFurther")
+            values = self._joints(found, at, entry.joint_pos_further, what, elements)
             postures = [full_posture(self.hand, {elements[0]: values[elements[0]]})]
         else:
             fingers = elements = self._fingers(elements)
-            postures = self._states(node, what)
+            postures = self._states(found, what)
         return Primitive(kind, elements, tuple(postures), fingers=fingers)
 
     def _fingers(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -175,40 +274,33 @@ class _Reader:
         by_tip = {f.tip: f.name for f in self.hand.fingers if f.name not in names}
         return tuple(self.hand.finger(by_tip.get(name, name)).name for name in names)
 
-    def _states(self, node: Node, what: str) -> list[Posture]:
-        states = sorted(
-            (int(key.removeprefix("ActionState_")), entry)
-            for key, entry in node.entries().items()
-            if key.startswith("ActionState_") and key[12:].isdecimal()
-        )
-        if not states:
-            raise node.error(f"{what} has no ActionState_1")
-        counts = self._need(node, "JointsInvolvedCount")
-        return [self._posture(self._positions(state), counts, what) for _, state in states]
-
-    def _positions(self, node: Node) -> Node:
-        entries = node.entries()
-        found = entries.get("JointPos") or entries.get("JointStates")
-        if found is None:
-            raise node.error(f"{node.what} lacks the key 'JointPos'")
-        return found
+    def _states(self, found: _Found, what: str) -> list[Posture]:
+        numbers = [
+            int(key.removeprefix("ActionState_"))
+            for key in found.data
+            if isinstance(key, str) and re.fullmatch("ActionState_[0-9]{1,9}", key)
+        ]
+        if not numbers:
+            raise ActionError(f"{what} has no ActionState_1")
+        counts = found.read(_Counted).joints_involved_count
+        places = [found.joints(f"ActionState_{number}") for number in sorted(numbers)]
+        return [self._posture(found, *place, counts, what) for place in places]
 
     # --- custom actions
 
-    def _counted(self, node: Node, what: str) -> dict[str, float]:
-        counts = self._need(node, "JointsInvolvedCount")
-        return _involved(self._posture(self._positions(node), counts, what))
+    def _counted(self, name: str, found: _Found) -> dict[str, float]:
+        counts = found.read(_Counted).joints_involved_count
+        return _involved(self._posture(found, *found.joints(), counts, name))
 
-    def _composed(self, name: str, node: Node) -> Action:
-        set_points = self._counted(node, name)
-        entries = node.entries()
-        names = entries["InnerActionsNames"].strings() if "InnerActionsNames" in entries else ()
-        fingers = entries["FingersInvolved"].strings() if "FingersInvolved" in entries else ()
+    def _composed(self, name: str, found: _Found) -> Action:
+        set_points = self._counted(name, found)
+        entry = found.read(_Composed)
+        names = entry.inner_actions_names
         parts = find_parts(
             self.hand,
             [self._called(n) for n in sorted(names, key=names.index)],
             set_points,
-            self._fingers(fingers),
+            self._fingers(entry.fingers_involved),
         )
         if parts is None:
             self._note(
@@ -216,8 +308,7 @@ class _Reader:
                 f"({', '.join(names)}) without elements and scales"
             )
             return generic(self.hand, name, set_points, description=f"made of {', '.join(names)}")
-        flag = entries.get("Independent")
-        return self.library.compose(name, parts, independent=bool(flag and flag.value))
+        return self.library.compose(name, parts, independent=bool(entry.independent))
 
     def _called(self, name: str) -> list[Action]:
         """Return the actions that the files call so."""
@@ -233,19 +324,22 @@ class _Reader:
             )
         ]
 
-    def _timed(self, name: str, node: Node) -> Timed:
-        margins = self._need(node, "ActionsTimeMargins").entries()
-        positions = self._need(node, "ActionsJointPos").entries()
-        counts = self._need(node, "ActionsJointCount").entries()
+    def _timed(self, name: str, found: _Found) -> Timed:
+        entry = found.read(_Timed)
+        margins, positions = entry.actions_time_margins, entry.actions_joint_pos
+        counts = entry.actions_joint_count
         plans = []
-        for item in self._need(node, "ActionsNamesOrdered").items():
-            alias = item.string()
-            if alias not in margins or alias not in positions or alias not in counts:
-                raise item.error(f"the inner action '{alias}' has no margins, positions or counts")
-            posture = self._posture(positions[alias], counts[alias], f"{name}, {alias}")
-            before = self._need(margins[alias], "marginBefore").number(lowest=0.0)
-            after = self._need(margins[alias], "marginAfter").number(lowest=0.0)
+        for i, alias in enumerate(entry.actions_names_ordered):
+            with located(found.document, (found.key, "ActionsNamesOrdered", i)):
+                if alias not in margins or alias not in positions or alias not in counts:
+                    raise ActionError(
+                        f"the inner action '{alias}' has no margins, positions or counts"
+                    )
+            at = (found.key, "ActionsJointPos", alias)
+            what = f"{name}, {alias}"
+            posture = self._posture(found, at, positions[alias], counts[alias], what)
             use = self._use(name, alias, _involved(posture))
+            before, after = margins[alias].margin_before, margins[alias].margin_after
             plans.append(StepPlan(use, safe_name(alias, "step"), before, after))
         return self.library.sequence(name, plans)
 
@@ -256,8 +350,7 @@ class _Reader:
                 continue
             scale = scale_of(self.hand, action.posture, set_points)
             if scale is not None:
-                elements = action.elements if isinstance(action, Primitive) else ()
-                return ActionReference(action.name, elements, scale)
+                return ActionReference(action.name, action.elements, scale)
         made = generic(
             self.hand,
             safe_name(f"{timed}_{alias}"),
@@ -273,37 +366,37 @@ class _Reader:
 
     # --- values
 
-    def _need(self, node: Node, key: str) -> Node:
-        found = node.entries().get(key)
-        if found is None:
-            raise node.error(f"{node.what} lacks the key '{key}'")
-        return found
-
-    def _posture(self, positions: Node, counts: Node, what: str) -> Posture:
-        involved = {key for key, n in counts.entries().items() if n.number(lowest=0.0) > 0.0}
-        values = self._joints(positions, what, involved)
+    def _posture(
+        self, found: _Found, at: Location, joints: Joints, counts: Counts, what: str
+    ) -> Posture:
+        involved = {name for name, count in counts.items() if count > 0.0}
+        values = self._joints(found, at, joints, what, involved)
         chosen = {name: value for name, value in values.items() if name in involved}
         return full_posture(self.hand, chosen)
 
-    def _joints(self, node: Node, what: str, involved: Collection[str]) -> dict[str, float]:
+    def _joints(
+        self, found: _Found, at: Location, joints: Joints, what: str, involved: Collection[str]
+    ) -> dict[str, float]:
         """Return positions [rad | m] by actuator, brought into the limits."""
-        found: dict[str, float] = {}
-        for name, entry in node.entries().items():
-            if name not in self.hand.actuator_names:
-                if name not in involved:
-                    continue
-                hint = suggestion(name, self.hand.actuator_names)
-                raise entry.error(f"the hand has no actuator '{name}'; {hint}")
-            value = entry.numbers(1)[0] if isinstance(entry.value, list) else entry.number()
+        actuators = self.hand.actuator_names
+        for name in joints:
+            if name in involved and name not in actuators:
+                with located(found.document, (*at, name)):
+                    hint = suggestion(name, actuators)
+                    raise ActionError(f"the hand has no actuator '{name}'; {hint}")
+        own = {name: value for name, value in joints.items() if name in actuators}
+        values: dict[str, float] = {}
+        for name, value in validated(_Positions, found.document, at, own).root.items():
             spec = self.hand.actuator(name)
             clamped = min(max(value, spec.lower), spec.upper)
             if name in involved and not math.isclose(clamped, value, abs_tol=SLACK):
                 self._note(f"{what}: the set-point {value:g} of '{name}' is clamped to {clamped:g}")
-            found[name] = clamped
+            values[name] = clamped
         for name in involved:
-            if name not in found:
-                raise node.error(f"{node.what} lacks the involved actuator '{name}'")
-        return found
+            if name not in values:
+                with located(found.document, at):
+                    raise ActionError(f"'{at[-1]}' lacks the involved actuator '{name}'")
+        return values
 
 
 def _involved(posture: Posture) -> dict[str, float]:

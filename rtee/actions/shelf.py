@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from rtee.actions.build import uses_of
 from rtee.actions.index import Index
 from rtee.actions.naming import normalise
-from rtee.actions.types import Action, Primitive
+from rtee.actions.types import Action, CustomAction, Primitive
 from rtee.errors import ActionError
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.model import Hand
@@ -84,7 +83,7 @@ class Shelf:
         if isinstance(action, Primitive):
             primitive_changes(self._own_home(), self.hand, index.primitives).write()
             return
-        for use in uses_of(action):
+        for use in action.uses:
             inner = index.find(use.action, use.elements, None)
             if not isinstance(inner, Primitive) and not self.holds(inner.name):
                 raise ActionError(
@@ -129,7 +128,7 @@ class Shelf:
             del self._stored[normalise(action.name)]
             self._note()
 
-    def rename(self, action: Action, new_name: str, changed: Sequence[Action]) -> None:
+    def rename(self, action: Action, new_name: str, changed: Sequence[CustomAction]) -> None:
         """Store an action under another name, if it is stored, and what uses it.
 
         Args:
@@ -153,7 +152,7 @@ class Shelf:
             del self._stored[old]
             self._note()
 
-    def _write_custom(self, actions: Sequence[Action]) -> None:
+    def _write_custom(self, actions: Sequence[CustomAction]) -> None:
         from rtee.actions.store import custom_changes
 
         custom_changes(self._own_home(), actions).write()

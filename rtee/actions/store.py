@@ -17,33 +17,24 @@ from pathlib import Path
 from typing import Any
 
 from rtee.actions.comments import rewritten
-from rtee.actions.documents import read_document, read_text
-from rtee.actions.naming import normalise
-from rtee.actions.resolve import Builder
-from rtee.actions.schema import (
-    Definition,
-    read_definition,
+from rtee.actions.documents import (
+    CUSTOM,
+    WHAT,
+    custom_document,
+    located,
+    primitives_document,
     read_primitives,
 )
-from rtee.actions.types import Action, ActionKind, Primitive, PrimitiveKind, kind_of
-from rtee.actions.writing import custom_document, primitive_document
-from rtee.actions.yamltext import emit, read_canonical
+from rtee.actions.naming import normalise
+from rtee.actions.resolve import Builder, Definition, read_definition
+from rtee.actions.types import Action, ActionKind, CustomAction, Primitive, kind_of
 from rtee.errors import ActionError
 from rtee.hand.files import reason, write_all
 from rtee.hand.model import Hand
+from rtee.hand.yamlfile import read_emitted, read_text
+from rtee.hand.yamlwrite import emit
 
 PRIMITIVES = "primitives"
-CUSTOM = (ActionKind.GENERIC, ActionKind.COMPOSED, ActionKind.TIMED)
-
-_COMMENTS: Mapping[str, str] = {
-    PrimitiveKind.TRIG: "all actuators that move only this finger, at their farthest bound",
-    PrimitiveKind.TIP_FLEX: "the actuator nearest the fingertip, at its farthest bound",
-    PrimitiveKind.FING_FLEX: "the actuator nearest the palm, at its farthest bound",
-    PrimitiveKind.PINCH_TIGHT: "two fingertips pressed against each other",
-    PrimitiveKind.PINCH_LOOSE: "two fingertips brought as near as they come",
-    PrimitiveKind.MULTI_PINCH_TIGHT: "several fingertips pressed against each other",
-    PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS: "one actuator that moves several fingertips",
-}
 
 
 def _files(folder: Path) -> list[Path]:
@@ -82,7 +73,7 @@ def read_actions(hand: Hand, folder: Path) -> list[Action]:
     """
     primitives: list[Primitive] = []
     for path in _files(folder / PRIMITIVES):
-        primitives += read_primitives(hand, read_document(path).root)
+        primitives += read_primitives(hand, path)
     _refuse_twins(primitives, folder)
     definitions: dict[str, Definition] = {}
     for kind in CUSTOM:
@@ -90,19 +81,19 @@ def read_actions(hand: Hand, folder: Path) -> list[Action]:
             definition = _read_custom(kind, path)
             other = definitions.setdefault(normalise(definition.name), definition)
             if other is not definition:
-                raise definition.node.child("name", None).error(
-                    f"the name '{definition.name}' is already that of {other.node.document.path}, "
-                    "as case and underscores do not matter"
-                )
+                with located(definition.document, ("name",)):
+                    raise ActionError(
+                        f"the name '{definition.name}' is already that of {other.document.path}, "
+                        "as case and underscores do not matter"
+                    )
     return [*primitives, *Builder(hand, primitives, definitions).build()]
 
 
 def _read_custom(kind: ActionKind, path: Path) -> Definition:
-    definition = read_definition(kind, read_document(path).root)
-    if normalise(path.stem) != normalise(definition.name):
-        raise definition.node.child("name", None).error(
-            f"the name '{definition.name}' and the file's name differ"
-        )
+    definition = read_definition(kind, path)
+    with located(definition.document, ("name",)):
+        if normalise(path.stem) != normalise(definition.name):
+            raise ActionError(f"the name '{definition.name}' and the file's name differ")
     return definition
 
 
@@ -171,14 +162,14 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
     kept = set()
     for name, members in named.items():
         path = _primitive_path(folder, name)
-        comment = f"{name}: {_COMMENTS[members[0].kind]}."
-        changed |= _change(path, primitive_document(members), (comment,))
+        comment = f"{name}: {members[0].kind.label}."
+        changed |= _change(path, primitives_document(members), (comment,))
         kept.add(path)
     room = folder / PRIMITIVES
     return Changes(changed, [path for path in _files(room) if path not in kept], [room])
 
 
-def custom_changes(folder: Path, actions: Iterable[Action]) -> Changes:
+def custom_changes(folder: Path, actions: Iterable[CustomAction]) -> Changes:
     """Return what is to change so that a folder holds these composed, timed or generic actions.
 
     Comments in their files are kept.
@@ -211,10 +202,10 @@ def _change(path: Path, data: dict[str, Any], comments: Sequence[str] = ()) -> d
     """Return a file with its new text, comments kept; nothing if it is the same."""
     text = emit(data, comments)
     if path.exists():
-        old = read_text(path)
+        old = read_text(path, WHAT, ActionError)
         if old == text:
             return {}
-        if read_canonical(old) is None or _header(old) != _header(text):
+        if read_emitted(old) is None or _header(old) != _header(text):
             text = rewritten(old, data) or text
     return {path: text}
 

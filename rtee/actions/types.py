@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Final
+from typing import ClassVar, Final, Literal, Self
 
 
 class ActionKind(StrEnum):
@@ -19,20 +19,59 @@ class ActionKind(StrEnum):
 
 
 class PrimitiveKind(StrEnum):
-    """The seven kinds of primitives."""
+    """The seven kinds of primitives; all that tells them apart, but how they are found.
 
-    TRIG = "Trig"
-    TIP_FLEX = "TipFlex"
-    FING_FLEX = "FingFlex"
-    PINCH_TIGHT = "PinchTight"
-    PINCH_LOOSE = "PinchLoose"
-    MULTI_PINCH_TIGHT = "MultiPinchTight"
-    SINGLE_JOINT_MULTIPLE_TIPS = "SingleJointMultipleTips"
+    Attributes:
+        label: What one does, in a few words.
+        noun: What an element is: a finger or an actuator.
+        elements: How many elements one is done with; ``None``: as many as it counts.
+        counted: Whether the number of tips is part of the name, as in ``MultiPinchTight_3``.
+        pinch: Whether two tips meet in it, or nearly do.
+    """
+
+    label: str
+    noun: Literal["finger", "actuator"]
+    elements: int | None
+    counted: bool
+    pinch: bool
+
+    def __new__(
+        cls,
+        name: str,
+        label: str = "",  # a kind is also looked up by its name alone
+        noun: Literal["finger", "actuator"] = "finger",
+        elements: int | None = 1,
+        counted: bool = False,
+        pinch: bool = False,
+    ) -> PrimitiveKind:
+        """Make a kind; see the attributes."""
+        kind = str.__new__(cls, name)
+        kind._value_ = name
+        kind.label, kind.noun, kind.elements = label, noun, elements
+        kind.counted, kind.pinch = counted, pinch
+        return kind
+
+    TRIG = "Trig", "all actuators that move only this finger, at their farthest bound"
+    TIP_FLEX = "TipFlex", "the actuator nearest the fingertip, at its farthest bound"
+    FING_FLEX = "FingFlex", "the actuator nearest the palm, at its farthest bound"
+    PINCH_TIGHT = (
+        "PinchTight", "two fingertips pressed against each other", "finger", 2, False, True,
+    )  # fmt: skip
+    PINCH_LOOSE = (
+        "PinchLoose", "two fingertips brought as near as they come", "finger", 2, False, True,
+    )  # fmt: skip
+    MULTI_PINCH_TIGHT = (
+        "MultiPinchTight", "several fingertips pressed against each other", "finger", None, True,
+    )  # fmt: skip
+    SINGLE_JOINT_MULTIPLE_TIPS = (
+        "SingleJointMultipleTips", "one actuator that moves several fingertips",
+        "actuator", 1, True,
+    )  # fmt: skip
 
     @property
-    def counted(self) -> bool:
-        """Whether the number of tips is part of the name, as in ``MultiPinchTight_3``."""
-        return self in (PrimitiveKind.MULTI_PINCH_TIGHT, PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS)
+    def of_actuators(self) -> bool:
+        """Whether the elements are actuators; the fingers that they move are then told apart."""
+        return self.noun == "actuator"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,43 +145,6 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Primitive:
-    """A primitive grasping action, found by the extraction.
-
-    Attributes:
-        kind: Which of the seven.
-        elements: Fingers, or the one actuator of a SingleJointMultipleTips.
-        postures: Ranked postures; the first is the one executed.
-        evidence: Evidence per posture, same length, or empty.
-        tips: Number of ``fingers``; part of the name for the counted kinds.
-        fingers: The fingers involved (equal to ``elements`` but for SingleJointMultipleTips).
-    """
-
-    kind: PrimitiveKind
-    elements: tuple[str, ...]
-    postures: tuple[Posture, ...]
-    evidence: tuple[Evidence, ...] = ()
-    tips: int = 1
-    fingers: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not self.fingers and self.kind is not PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS:
-            object.__setattr__(self, "fingers", self.elements)
-        if self.fingers:
-            object.__setattr__(self, "tips", len(self.fingers))
-
-    @property
-    def name(self) -> str:
-        """``Trig``, ``PinchTight``, ``MultiPinchTight_3`` and so on."""
-        return f"{self.kind}_{self.tips}" if self.kind.counted else str(self.kind)
-
-    @property
-    def posture(self) -> Posture:
-        """The posture that is executed."""
-        return self.postures[0]
-
-
-@dataclass(frozen=True, slots=True)
 class ActionReference:
     """A use of an action inside another one.
 
@@ -157,8 +159,76 @@ class ActionReference:
     scale: float = 1.0
 
 
+class _Action:
+    """What all kinds of actions have in common: most are made of no other ones."""
+
+    __slots__ = ()
+
+    @property
+    def uses(self) -> tuple[ActionReference, ...]:
+        """The actions that it is made of."""
+        return ()
+
+    def with_uses(self, change: Callable[[ActionReference], ActionReference]) -> Self:
+        """Return the action with everything that it is made of changed."""
+        return self
+
+
 @dataclass(frozen=True, slots=True)
-class Composed:
+class Primitive(_Action):
+    """A primitive grasping action, found by the extraction.
+
+    Attributes:
+        kind: Which of the seven.
+        elements: Fingers, or the one actuator of a SingleJointMultipleTips.
+        postures: Ranked postures; the first is the one executed.
+        evidence: Evidence per posture, same length, or empty.
+        tips: Number of ``fingers``; part of the name for the counted kinds.
+        fingers: The fingers involved (equal to ``elements`` but for SingleJointMultipleTips).
+    """
+
+    action_kind: ClassVar = ActionKind.PRIMITIVE
+
+    kind: PrimitiveKind
+    elements: tuple[str, ...]
+    postures: tuple[Posture, ...]
+    evidence: tuple[Evidence, ...] = ()
+    tips: int = 1
+    fingers: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.fingers and not self.kind.of_actuators:
+            object.__setattr__(self, "fingers", self.elements)
+        if self.fingers:
+            object.__setattr__(self, "tips", len(self.fingers))
+
+    @property
+    def name(self) -> str:
+        """``Trig``, ``PinchTight``, ``MultiPinchTight_3`` and so on."""
+        return f"{self.kind}_{self.tips}" if self.kind.counted else str(self.kind)
+
+    @property
+    def posture(self) -> Posture:
+        """The posture that is executed."""
+        return self.postures[0]
+
+    @property
+    def waypoints(self) -> tuple[Posture, ...]:
+        """The postures that it goes through, in order; the last is where it leads."""
+        return (self.posture,)
+
+
+class _Custom(_Action):
+    """What the actions that people define have in common: nothing of a primitive."""
+
+    __slots__ = ()
+    elements: ClassVar[tuple[str, ...]] = ()
+    fingers: ClassVar[tuple[str, ...]] = ()
+    evidence: ClassVar[tuple[Evidence, ...]] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Composed(_Custom):
     """A combination of actions, each with a scale.
 
     Attributes:
@@ -169,11 +239,27 @@ class Composed:
         description: One sentence for people.
     """
 
+    action_kind: ClassVar = ActionKind.COMPOSED
+
     name: str
     parts: tuple[ActionReference, ...]
     posture: Posture
     independent: bool = False
     description: str = ""
+
+    @property
+    def uses(self) -> tuple[ActionReference, ...]:
+        """Its parts."""
+        return self.parts
+
+    @property
+    def waypoints(self) -> tuple[Posture, ...]:
+        """The postures that it goes through, in order; the last is where it leads."""
+        return (self.posture,)
+
+    def with_uses(self, change: Callable[[ActionReference], ActionReference]) -> Self:
+        """Return the action with all its parts changed."""
+        return replace(self, parts=tuple(map(change, self.parts)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +282,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Timed:
+class Timed(_Custom):
     """Actions in sequence.
 
     Attributes:
@@ -205,13 +291,29 @@ class Timed:
         description: One sentence for people.
     """
 
+    action_kind: ClassVar = ActionKind.TIMED
+
     name: str
     steps: tuple[Step, ...]
     description: str = ""
 
+    @property
+    def uses(self) -> tuple[ActionReference, ...]:
+        """Its inner actions."""
+        return tuple(step.use for step in self.steps)
+
+    @property
+    def waypoints(self) -> tuple[Posture, ...]:
+        """The postures that it goes through, in order; the last is where it leads."""
+        return tuple(step.posture for step in self.steps)
+
+    def with_uses(self, change: Callable[[ActionReference], ActionReference]) -> Self:
+        """Return the action with all its inner actions changed."""
+        return replace(self, steps=tuple(replace(s, use=change(s.use)) for s in self.steps))
+
 
 @dataclass(frozen=True, slots=True)
-class Generic:
+class Generic(_Custom):
     """Set-points given directly.
 
     Attributes:
@@ -220,25 +322,25 @@ class Generic:
         description: One sentence for people.
     """
 
+    action_kind: ClassVar = ActionKind.GENERIC
+
     name: str
     posture: Posture
     description: str = ""
 
+    @property
+    def waypoints(self) -> tuple[Posture, ...]:
+        """The postures that it goes through, in order; the last is where it leads."""
+        return (self.posture,)
 
-Action = Primitive | Composed | Timed | Generic
+
+CustomAction = Composed | Timed | Generic
+Action = Primitive | CustomAction
 
 
 def kind_of(action: Action) -> ActionKind:
     """Return which of the four kinds an action is."""
-    match action:
-        case Primitive():
-            return ActionKind.PRIMITIVE
-        case Composed():
-            return ActionKind.COMPOSED
-        case Timed():
-            return ActionKind.TIMED
-        case Generic():
-            return ActionKind.GENERIC
+    return action.action_kind
 
 
 @dataclass(frozen=True, slots=True)

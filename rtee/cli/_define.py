@@ -15,7 +15,7 @@ from rtee.errors import RteeError, UnknownAction
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
-    from rtee.actions.types import Composed, Generic, Timed
+    from rtee.actions.types import CustomAction
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the new action.")]
 Description = Annotated[str, typer.Option("--description", help="One sentence for people.")]
@@ -28,14 +28,13 @@ Replace = Annotated[
 def complete_part(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the uses of actions, such as ``trig:index``, that begin like this."""
     from rtee.actions.naming import snake_case
-    from rtee.actions.types import Primitive, Timed
+    from rtee.actions.types import Timed
 
     found = []
     for action in _library(ctx) or ():
         if isinstance(action, Timed):  # none can be a part of another action
             continue
-        elements = action.elements if isinstance(action, Primitive) else ()
-        words = f":{','.join(elements)}" if elements else ""
+        words = f":{','.join(action.elements)}" if action.elements else ""
         spellings = (action.name + words, snake_case(action.name) + words)
         found += [next((s for s in spellings if s.startswith(incomplete)), "")]
     return [word for word in found if word]
@@ -56,7 +55,7 @@ def _library(ctx: typer.Context) -> ActionLibrary | None:
         return None
 
 
-def store(library: ActionLibrary, action: Composed | Timed | Generic, replace: bool) -> None:
+def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
     """Store a new action, and say what was done and what is noteworthy about it.
 
     One that replaces another keeps its description unless it has one of its own.

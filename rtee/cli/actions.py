@@ -54,7 +54,7 @@ def _show(hand: HandModel, found: list[Action]) -> None:
 
 def _row(hand: HandModel, action: Action, prefix: str) -> Row:
     from rtee.actions.sideways import sideways_words
-    from rtee.actions.types import Composed, Generic, Primitive, Timed
+    from rtee.actions.types import Primitive, Timed
     from rtee.cli._table import Row
 
     match action:
@@ -64,12 +64,6 @@ def _row(hand: HandModel, action: Action, prefix: str) -> Row:
             remark = sideways_words(hand, action, prefix)
             if action.evidence:
                 remark = remarks(action.evidence[0], prefix)
-        case Composed():
-            elements, involved = "composed", action.posture.involved
-            remark = " + ".join(_use(part, prefix) for part in action.parts)
-        case Generic():
-            elements, involved = "generic", action.posture.involved
-            remark = action.description
         case Timed():
             elements = "timed"
             involved = dict.fromkeys(n for step in action.steps for n in step.posture.involved)
@@ -77,6 +71,9 @@ def _row(hand: HandModel, action: Action, prefix: str) -> Row:
                 f"{_use(step.use, prefix)} ({step.before:g} s before, {step.after:g} s after)"
                 for step in action.steps
             )
+        case _:
+            elements, involved = str(action.action_kind), action.posture.involved
+            remark = " + ".join(_use(use, prefix) for use in action.uses) or action.description
     names = "\n".join(name.removeprefix(prefix) for name in involved)
     return Row((elements, names, remark), action.name)
 

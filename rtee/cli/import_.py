@@ -55,18 +55,16 @@ def import_(
 
 def _add(library: ActionLibrary, actions: list[Action], replace: bool) -> list[str]:
     from rtee.actions.naming import label
-    from rtee.actions.types import Primitive
 
     kept = []
     for action in actions:
-        elements = action.elements if isinstance(action, Primitive) else ()
         try:
-            library.find(action.name, elements)
+            library.find(action.name, action.elements)
         except ActionError:
             library.add(action)
             continue
         if replace:
             library.add(action, replace_same=True)
         else:
-            kept.append(label(action.name, elements))
+            kept.append(label(action.name, action.elements))
     return kept

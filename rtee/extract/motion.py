@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import dot, norm, norms, product, times, turned
-from rtee.types import FloatArray, JointKind
+from rtee.types import FloatArray, JointKind, from_rest
 
 _STATIONS: Final = 33
 
@@ -43,8 +43,7 @@ class Way:
 
     def at(self, t: float) -> FloatArray:
         """Return the posture at intensity ``t``, 0 (rest) to 1 (goal)."""
-        result: FloatArray = self.rest + t * (self.goal - self.rest)
-        return result
+        return from_rest(self.rest, self.goal, t)
 
 
 class Motion:

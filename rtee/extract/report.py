@@ -12,8 +12,8 @@ import numpy as np
 from rtee.actions.sideways import sideways_words
 from rtee.actions.types import (
     Action,
-    Composed,
-    Generic,
+    ActionKind,
+    CustomAction,
     Posture,
     Primitive,
     PrimitiveKind,
@@ -148,25 +148,25 @@ def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
     plan: _Plan
     for action in actions:
         match action:
-            case Composed() | Generic():
+            case Primitive():
+                continue
+            case Timed():
+                plan = _timed(hand, action)
+            case _:
                 fingers = _moved(hand, action.posture)
                 view = _View(_position(hand, action.posture), fingers)
                 said = _said(action)
                 plan = Card(action.name, fingers, (), action.posture, None, said), (view,)
-            case Timed():
-                plan = _timed(hand, action)
-            case _:
-                continue
-        groups.setdefault(type(action).__name__, []).append(plan)
-    return dict(sorted(groups.items(), key=lambda g: ("Composed", "Timed", "Generic").index(g[0])))
+        groups.setdefault(action.action_kind, []).append(plan)
+    return {kind.capitalize(): groups[kind] for kind in ActionKind if kind in groups}
 
 
-def _said(action: Composed | Generic) -> str:
-    if action.description or isinstance(action, Generic):
+def _said(action: CustomAction) -> str:
+    if action.description or not action.uses:
         return action.description
     parts = (
         " ".join([use.action, *use.elements]) + (f" × {use.scale:g}" if use.scale != 1 else "")
-        for use in action.parts
+        for use in action.uses
     )
     return " + ".join(parts)
 

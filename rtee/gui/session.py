@@ -32,7 +32,7 @@ from rtee.gui.tried import tried_in
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
-from rtee.types import Event, FloatArray
+from rtee.types import Event, FloatArray, from_rest
 
 _STATE_RATE = 100.0
 _SCENE_PERIOD = 1 / 30
@@ -119,8 +119,7 @@ class Session:
         target = np.array(start)
         for name in posture.involved:
             index = self._hand.actuator_index(name)
-            rest = self._hand.rest[index]
-            target[index] = rest + intensity * (posture.position[name] - rest)
+            target[index] = from_rest(self._hand.rest[index], posture.position[name], intensity)
         return target
 
     def _look_at(self, playback: Playback | None) -> None:

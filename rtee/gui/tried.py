@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
-from rtee.actions.types import Action, Primitive
+from rtee.actions.types import Action
 from rtee.trials.result import TrialResult
 from rtee.trials.store import FILE_NAME, outdated, parse_results
 
@@ -32,7 +32,7 @@ class Tried:
 
 def key_of(action: Action) -> Key:
     """Return the name and elements of an action."""
-    return action.name, action.elements if isinstance(action, Primitive) else ()
+    return action.name, action.elements
 
 
 def tried_in(text: str) -> Tried:

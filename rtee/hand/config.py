@@ -27,7 +27,7 @@ from rtee.hand.sections import (
     Section,
     Thermal,
 )
-from rtee.hand.yamlfile import Location, YamlDocument, read_yaml
+from rtee.hand.yamlfile import YamlDocument, read_yaml
 
 
 class HandConfig(Section):
@@ -121,10 +121,8 @@ def read_document(path: Path | str) -> tuple[HandConfig, YamlDocument]:
 
 def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError:
     """Return the error that stands first in the file."""
-    found = [(_in_document(e["loc"], e["type"], document), e) for e in errors.errors()]
-    location, error = min(
-        found, key=lambda item: (document.line(item[0]) or 0, item[1]["type"] == "missing")
-    )
+    found = document.located(errors.errors())
+    location, error = found[0]
     reasons = [e["msg"] for place, e in found if place == location]  # several for a union
     message = " or ".join(
         reason.removeprefix("Value error, ").removeprefix("Input ") for reason in reasons
@@ -140,25 +138,6 @@ def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError
         case _:
             value = repr(error["input"])
             return document.error(location, f"{message}, not {value[:80]}")
-
-
-def _in_document(location: Location, kind: str, document: YamlDocument) -> Location:
-    """Return the part of an error's location that is keys and items of the document."""
-    kept: list[str | int] = []
-    data = document.data
-    for place, part in enumerate(location):
-        if _has(data, part):
-            data = data[part]
-        elif kind != "missing" or place < len(location) - 1:
-            continue
-        kept.append(part)
-    return tuple(kept)
-
-
-def _has(data: Any, part: str | int) -> bool:
-    if isinstance(data, list):
-        return isinstance(part, int) and part < len(data)
-    return isinstance(data, dict) and part in data
 
 
 def _keys(location: Sequence[str | int]) -> list[str]:

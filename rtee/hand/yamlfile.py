@@ -1,15 +1,19 @@
-"""YAML as plain data that knows its lines: no tags, aliases, tabs, duplicate keys or NaN."""
+"""Reading YAML as plain data, with the line of every mistake."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, UserError
 from rtee.hand.files import read_bytes
+from rtee.hand.yamlwrite import emit
 
 _DEEPEST: Final = 64
 
@@ -20,19 +24,29 @@ Location = tuple[str | int, ...]
 _TAG = "tag:yaml.org,2002:"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class YamlDocument:
     """A YAML document.
 
     Attributes:
         path: The file it was read from.
         data: Its content: mappings, lists, strings, numbers, booleans and ``None``.
-        lines: The line of every key and item, by its location from the root.
+        text: The text that holds it.
     """
 
     path: Path
     data: Any
-    lines: Mapping[Location, int] = field(default_factory=dict)
+    text: str = ""
+
+    @cached_property
+    def lines(self) -> Mapping[Location, int]:
+        """The line of every key and item, by its location from the root.
+
+        Only errors need it, so that the text is read once more for it.
+        """
+        reader = _Reader(self.path, UserError, foreign=True)
+        reader.value(yaml_reader().compose(self.text), ())
+        return reader.lines
 
     def line(self, location: Location) -> int | None:
         """Return the line of a location, or of what encloses it."""
@@ -52,9 +66,40 @@ class YamlDocument:
             key=key or None,
         )
 
+    def located(self, errors: Sequence[Mapping[str, Any]]) -> list[tuple[Location, Any]]:
+        """Return the errors of a pydantic model with their locations, in the order of the file.
+
+        Keys that are missing come last: one of them may only be misspelled.
+
+        Args:
+            errors: What ``ValidationError.errors()`` returns for this document's data.
+        """
+        found = [(self._known(error["loc"], error["type"]), error) for error in errors]
+        return sorted(
+            found, key=lambda item: (item[1]["type"] == "missing", self.line(item[0]) or 0)
+        )
+
+    def _known(self, location: Location, kind: str) -> Location:
+        """Return the part of an error's location that is keys and items of the document."""
+        kept: list[str | int] = []
+        data = self.data
+        for place, part in enumerate(location):
+            if _has(data, part):
+                data = data[part]
+            elif kind != "missing" or place < len(location) - 1:
+                continue
+            kept.append(part)
+        return tuple(kept)
+
+
+def _has(data: Any, part: str | int) -> bool:
+    if isinstance(data, list):
+        return isinstance(part, int) and part < len(data)
+    return isinstance(data, dict) and part in data
+
 
 def read_yaml(path: Path | str, what: str) -> YamlDocument:
-    """Read a YAML file whose root is a mapping.
+    """Read a YAML file of at most 1 MB whose root is a mapping.
 
     Args:
         path: The file.
@@ -65,15 +110,29 @@ def read_yaml(path: Path | str, what: str) -> YamlDocument:
             duplicate key, a tag, an anchor, a NaN or an infinite number.
     """
     file = Path(path)
-    data = read_bytes(file, what)
-    if len(data) > MAX_SIZE:
+    text = read_text(file, what)
+    if len(text) > MAX_SIZE:
         raise ConfigError(f"{what} is larger than {MAX_SIZE // 1_000_000} MB", path=file)
+    return parse_yaml(text, file, what)
+
+
+def read_text(path: Path, what: str, raised: type[UserError] = ConfigError) -> str:
+    """Read a text file.
+
+    Args:
+        path: The file.
+        what: What it should be, for messages.
+        raised: The error to raise.
+
+    Raises:
+        UserError: It cannot be read, is larger than 64 MB, or is no UTF-8 text.
+    """
+    data = read_bytes(path, what, raised)
     try:
-        text = data.decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
-        raise ConfigError(f"{what} is not UTF-8 text", path=file, line=line) from None
-    return parse_yaml(text, file, what)
+        raise raised(f"{what} is not UTF-8 text", path=path, line=line) from None
 
 
 def yaml_reader(*, keep_comments: bool = False) -> Any:
@@ -101,24 +160,56 @@ def too_deep(text: str) -> int | None:
     return None
 
 
-def parse_yaml(text: str, path: Path, what: str) -> YamlDocument:
-    """Parse the text of a YAML file; see `read_yaml`."""
+def parse_yaml(
+    text: str,
+    path: Path,
+    what: str,
+    raised: type[UserError] = ConfigError,
+    *,
+    foreign: bool = False,
+) -> YamlDocument:
+    """Parse the text of a YAML file.
+
+    Args:
+        text: The text.
+        path: The file, for messages.
+        what: What it should be, for messages.
+        raised: The error to raise.
+        foreign: Whether a root that is no mapping, aliases, NaN and keys that are lists are
+            allowed, as other programs write them; such a key becomes a tuple of strings.
+
+    Raises:
+        UserError: As `read_yaml`.
+    """
+    data = read_emitted(text)
+    if data is None:
+        node = _composed(text, path, what, raised, foreign=foreign)
+        data = _Reader(path, raised, foreign=foreign).document(node, what)
+    return YamlDocument(path, data, text)
+
+
+def _composed(text: str, path: Path, what: str, raised: type[UserError], *, foreign: bool) -> Any:
+    """Return the root node of a YAML text."""
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-    for number, row in enumerate(text.splitlines(), 1):
-        if "\t" in row[: len(row) - len(row.lstrip())]:
-            raise ConfigError("a tab in the indentation; use blanks", path=path, line=number)
+    rows = enumerate(text.splitlines(), 1)
+    tab = next((n for n, row in rows if "\t" in row[: len(row) - len(row.lstrip())]), None)
+    tabbed = raised("a tab in the indentation; use blanks", path=path, line=tab)
+    if tab is not None and not foreign:
+        raise tabbed
     deep = too_deep(text)
     if deep is not None:
-        raise ConfigError(f"{what} is nested too deeply", path=path, line=deep)
+        raise raised(f"{what} is nested too deeply", path=path, line=deep)
     try:
         node = yaml_reader().compose(text)
     except MarkedYAMLError as error:
+        if tab is not None:
+            raise tabbed from None
         mark = error.problem_mark or error.context_mark
         problem = str(error.problem or error.context)
         if problem.startswith("but "):
             problem = f"{error.context}, {problem}"
-        raise ConfigError(
+        raise raised(
             f"{what} is not YAML: {problem}",
             path=path,
             line=mark.line + 1 if mark else None,
@@ -126,32 +217,92 @@ def parse_yaml(text: str, path: Path, what: str) -> YamlDocument:
     except (YAMLError, RecursionError, ValueError) as error:
         deep = isinstance(error, RecursionError)
         reason = "nested too deeply" if deep else str(error).splitlines()[0]
-        raise ConfigError(f"{what} is not YAML: {reason[:200]}", path=path) from None
+        raise raised(f"{what} is not YAML: {reason[:200]}", path=path) from None
     if node is None:
-        raise ConfigError(f"{what} is empty", path=path)
-    return _Reader(path).read(node, what)
+        raise raised(f"{what} is empty", path=path)
+    return node
+
+
+_LINE: Final = re.compile(r'( *)(- )?("(?:[^"\\]|\\.)*"|[^\s:#"\[\]{},][^\s:]*):(?: (\S.*))?')
+_TOKEN: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[A-Za-z][^\[\],\s"]*|[^\[\],\s"]+')
+_WORDS: Final = frozenset({"true", "false", "null"})
+
+
+def _as_json(token: re.Match[str]) -> str:
+    word = token[0]
+    return f'"{word}"' if word[0].isalpha() and word not in _WORDS else word
+
+
+def read_emitted(text: str) -> dict[str, Any] | None:
+    """Return the document if its text is exactly what `emit` writes for it, else ``None``.
+
+    ruamel.yaml reads the SVH's 900 lines of stored actions in 250 ms; this takes 12 ms, and a hand
+    starts only when its actions are read. It need not judge the text: what it makes of any text is
+    right if `emit` writes the same text for it.
+    """
+    if not text.isascii() or not text.replace("\n", "").isprintable():
+        return None
+    lines = text.split("\n")
+    body = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    root: dict[str, Any] = {}
+    at: dict[int, Any] = {0: root}  # the mappings that are open, by the column of their keys
+    opened: dict[int, str] = {}  # the key of each of them that has no value yet
+    try:
+        for line in lines[body:-1]:
+            blanks, dash, word, value = _LINE.fullmatch(line).groups()  # type: ignore[union-attr]
+            column = len(blanks) + len(dash or "")
+            if dash or column not in at:
+                inner: dict[str, Any] = {}
+                outer, name = at[column - 2], opened[column - 2]
+                if dash:
+                    outer.setdefault(name, []).append(inner)
+                else:
+                    outer[name] = inner
+                at[column] = inner
+            key = json.loads(word) if word[0] == '"' else word
+            if value is None:
+                opened[column] = key
+                at.pop(column + 2, None)
+            else:
+                at[column][key] = json.loads(_TOKEN.sub(_as_json, value))
+        same = root and emit(root) == "\n".join(lines[body:])
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        return None
+    return root if same else None
+
+
+_UNDER_WAY: Final = object()
 
 
 class _Reader:
     """Turns YAML nodes into plain data and remembers their lines."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, raised: type[UserError], *, foreign: bool) -> None:
         self.path = path
+        self.raised = raised
+        self.foreign = foreign
         self.lines: dict[Location, int] = {}
-        self.seen: set[int] = set()
+        self.seen: dict[int, Any] = {}
 
-    def read(self, node: Any, what: str) -> YamlDocument:
+    def document(self, node: Any, what: str) -> Any:
         data = self.value(node, ())
-        if not isinstance(data, dict):
-            raise ConfigError(f"{what} should be keys with values", path=self.path, line=1)
-        return YamlDocument(self.path, data, self.lines)
+        if not (self.foreign or isinstance(data, dict)):
+            raise self.raised(f"{what} should be keys with values", path=self.path, line=1)
+        return data
 
     def value(self, node: Any, location: Location) -> Any:
         line = node.start_mark.line + 1
         self.lines.setdefault(location, line)
-        if id(node) in self.seen or node.anchor:
+        if (id(node) in self.seen or node.anchor) and not self.foreign:
             raise self._error(line, "anchors and aliases are refused; write the value out")
-        self.seen.add(id(node))
+        if id(node) not in self.seen:
+            self.seen[id(node)] = _UNDER_WAY
+            self.seen[id(node)] = self._read(node, location, line)
+        elif self.seen[id(node)] is _UNDER_WAY:
+            raise self._error(line, "an alias stands inside what it stands for")
+        return self.seen[id(node)]
+
+    def _read(self, node: Any, location: Location, line: int) -> Any:
         tag = str(node.tag or "")
         if not tag.startswith(_TAG):
             raise self._error(line, f"the tag '{tag}' is refused")
@@ -167,11 +318,13 @@ class _Reader:
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             key = key_node.value
-            if not isinstance(key, str):
+            if self.foreign and isinstance(key, list):
+                key = tuple(str(item.value) for item in key)
+            elif not isinstance(key, str):
                 raise self._error(line, "a key should be a word")
             if key in data:
                 first = self.lines[(*location, key)]
-                raise self._error(line, f"'{key[:80]}' stands twice, first in line {first}")
+                raise self._error(line, f"'{str(key)[:80]}' stands twice, first in line {first}")
             self.lines[(*location, key)] = line
             data[key] = self.value(value_node, (*location, key))
         return data
@@ -203,9 +356,9 @@ class _Reader:
             value = float(text.replace("_", ""))
         except ValueError:
             value = math.nan
-        if not math.isfinite(value):
+        if not (self.foreign or math.isfinite(value)):
             raise self._error(line, f"'{text[:40]}' is not a finite number")
         return value
 
-    def _error(self, line: int, message: str) -> ConfigError:
-        return ConfigError(message, path=self.path, line=line)
+    def _error(self, line: int, message: str) -> UserError:
+        return self.raised(message, path=self.path, line=line)

@@ -7,10 +7,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from rtee.actions.types import Action, Generic, Posture, Primitive, Timed
+from rtee.actions.types import Action, Generic, Posture, Timed
 from rtee.errors import GoalRejected, UnknownAction, suggestion
 from rtee.hand.model import Hand
-from rtee.types import Goal, Stage
+from rtee.types import Goal, Stage, from_rest
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -157,8 +157,7 @@ def _find(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
 def _intensity(goal: Goal, action: Action) -> float:
     if goal.stage is not Stage.PRE_GRASP:
         return goal.intensity
-    evidence = action.evidence if isinstance(action, Primitive) else ()
-    contact = evidence[0].contact_at if evidence else None
+    contact = action.evidence[0].contact_at if action.evidence else None
     if contact is None:
         raise GoalRejected(
             f"'{action.name}' has no pre-grasp: only pinches whose first contact is known have one"
@@ -185,6 +184,6 @@ def _targets(posture: Posture, hand: Hand, intensity: float) -> dict[int, float]
     for name in posture.involved:
         index = hand.actuator_index(name)
         spec = hand.actuators[index]
-        wanted = spec.rest + intensity * (posture.position[name] - spec.rest)
+        wanted = from_rest(spec.rest, posture.position[name], intensity)
         targets[index] = min(max(wanted, spec.lower), spec.upper)
     return targets

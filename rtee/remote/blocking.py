@@ -27,7 +27,7 @@ import anyio
 from anyio.from_thread import BlockingPortal
 
 from rtee.actions.build import StepPlan
-from rtee.actions.types import Action, ActionReference, PrimitiveGroup
+from rtee.actions.types import Action, ActionReference, CustomAction, PrimitiveGroup
 from rtee.messages.state import State
 from rtee.remote.client import GoalOptions, RemoteHand, connect
 from rtee.remote.goal import RunningGoal
@@ -248,6 +248,10 @@ class BlockingHand:
     def add_timed(self, name: str, steps: Sequence[StepPlan], **options: Any) -> None:
         """Add a timed action; options as for `Library.add_timed`."""
         self._call(self._hand.add_timed, name, steps, **options)
+
+    def add_action(self, action: CustomAction, **options: Any) -> None:
+        """Add a composed, timed or generic action; options as for `Library.add_action`."""
+        self._call(self._hand.add_action, action, **options)
 
     def store_action(self, name: str) -> None:
         """Write an action that is only in memory to the hand's folder."""

@@ -9,6 +9,7 @@ from rtee.actions.types import (
     Action,
     ActionReference,
     Composed,
+    CustomAction,
     Generic,
     Posture,
     PrimitiveGroup,
@@ -71,7 +72,7 @@ class Library(View):
             RequestRejected: if the hand refuses it, with the reason.
         """
         posture = Posture(set_points, tuple(set_points))
-        await self._add(Generic(name, posture, description), store, replace)
+        await self.add_action(Generic(name, posture, description), store=store, replace=replace)
 
     async def add_composed(
         self,
@@ -85,7 +86,7 @@ class Library(View):
     ) -> None:
         """Add a composed action, at once for everybody; see `ActionLibrary.compose`."""
         action = Composed(name, tuple(parts), _NOWHERE, independent, description)
-        await self._add(action, store, replace)
+        await self.add_action(action, store=store, replace=replace)
 
     async def add_timed(
         self,
@@ -98,9 +99,16 @@ class Library(View):
     ) -> None:
         """Add a timed action, at once for everybody; see `ActionLibrary.sequence`."""
         made = (Step(s.use, s.alias, s.before, s.after, _NOWHERE) for s in steps)
-        await self._add(Timed(name, tuple(made), description), store, replace)
+        action = Timed(name, tuple(made), description)
+        await self.add_action(action, store=store, replace=replace)
 
-    async def _add(self, action: Action, store: bool, replace: bool) -> None:
+    async def add_action(
+        self, action: CustomAction, *, store: bool = False, replace: bool = False
+    ) -> None:
+        """Add a composed, timed or generic action, at once for everybody.
+
+        The hand looks up what it is made of, and works its postures out from that.
+        """
         fields = {
             "client": self.client,
             "action": action_fields(action),

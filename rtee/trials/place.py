@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from rtee.actions.types import Action, PrimitiveKind, Timed
+from rtee.actions.types import Action
 from rtee.actions.types import Primitive as PrimitiveAction
 from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.scene import approach
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.types import FloatArray, from_rest
 
 _STEPS = 21
 _TURNS = 3
@@ -48,11 +48,8 @@ class Place:
 
 def posture_of(hand: Hand, action: Action) -> FloatArray:
     """Return the actuator positions ``(n,)`` of an action; of a timed one, those at its end."""
-    steps = (
-        [step.posture for step in action.steps] if isinstance(action, Timed) else [action.posture]
-    )
     found = np.array(hand.rest)
-    for posture in steps:
+    for posture in action.waypoints:
         for name in posture.involved:
             found[hand.actuator_index(name)] = posture.position[name]
     return found
@@ -60,7 +57,7 @@ def posture_of(hand: Hand, action: Action) -> FloatArray:
 
 def fingers_of(hand: Hand, action: Action) -> tuple[str, ...]:
     """Return the fingers that an action moves."""
-    if isinstance(action, PrimitiveAction) and action.fingers:
+    if action.fingers:
         return action.fingers
     moved = np.abs(posture_of(hand, action) - hand.rest) > _MOVES
     names = {name for name, moves in zip(hand.actuator_names, moved, strict=True) if moves}
@@ -191,7 +188,7 @@ class Places:
         if (
             isinstance(action, PrimitiveAction)
             and action.evidence
-            and action.kind in (PrimitiveKind.PINCH_TIGHT, PrimitiveKind.PINCH_LOOSE)
+            and action.kind.pinch
             and action.evidence[0].point is not None
         ):
             shift: FloatArray = np.array(action.evidence[0].point) - self._tips(1.0).mean(axis=0)
@@ -202,7 +199,7 @@ class Places:
         return self._simulation.surroundings.base_pose
 
     def _pose_hand(self, intensity: float) -> None:
-        u = self._hand.rest + intensity * (self._goal - self._hand.rest)
+        u = from_rest(self._hand.rest, self._goal, intensity)
         joints = self._hand.transmission.joints(u)
         for name, value in zip(self._hand.joint_names, joints, strict=True):
             self._data.qpos[self._model.joint(name).qposadr[0]] = value

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rtee.actions.yamltext import emit
 from rtee.errors import ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.fingerprint import fingerprint as fingerprint
 from rtee.hand.own import TRIALS
 from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
+from rtee.hand.yamlwrite import emit
 from rtee.trials.result import Trial, TrialResult
 
 FILE_NAME = TRIALS

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from rtee.actions.library import ActionLibrary
-from rtee.actions.types import Primitive
 from rtee.errors import ConfigError, MissingExtra, RteeError
 from rtee.hand.config import HandConfig
 from rtee.hand.load import hand_folder, load_configured
@@ -93,7 +92,7 @@ def all_trials(library: ActionLibrary, objects: Sequence[str] = OBJECTS) -> list
     return [
         Trial(
             action.name,
-            action.elements if isinstance(action, Primitive) else (),
+            action.elements,
             shape,
             mass=mass_of(shape),
         )

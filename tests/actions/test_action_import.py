@@ -154,7 +154,8 @@ def peers(tmp_path: Path) -> Path:
         "generics/casual.yaml": GENERIC,
         "generics/mixed.yaml": MIXED,
         "timeds/sequence.yaml": TIMED,
-        "rviz.yaml": "Panels: [a, b]\n",
+        "rviz.yaml": "Panels: [a, b]\nFar: .inf\n",
+        "list.yaml": "- &one {a: .nan}\n- *one\n",
     }
     for name, text in files.items():
         path = tmp_path / "peers" / name

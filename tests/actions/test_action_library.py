@@ -6,8 +6,17 @@ from pathlib import Path
 import pytest
 
 from rtee.actions.build import generic
+from rtee.actions.documents import CUSTOM
 from rtee.actions.library import ActionLibrary
-from rtee.actions.types import ActionKind, ActionReference, Composed, Primitive, Timed, kind_of
+from rtee.actions.types import (
+    ActionKind,
+    ActionReference,
+    Composed,
+    Primitive,
+    PrimitiveKind,
+    Timed,
+    kind_of,
+)
 from rtee.errors import ActionError, ConfigError, UnknownAction
 from rtee.hand.model import Hand
 
@@ -221,3 +230,25 @@ def test_unwritable_folder_is_one_sentence(library: ActionLibrary, tmp_path: Pat
     (tmp_path / "generic").write_text("a file, not a folder")
     with pytest.raises(ConfigError, match="cannot be"):
         library.save(tmp_path)
+
+
+def test_a_kind_of_primitive_says_what_its_elements_are(library: ActionLibrary) -> None:
+    assert PrimitiveKind("PinchTight") is PrimitiveKind.PINCH_TIGHT
+    assert all(kind.label for kind in PrimitiveKind)
+    for action in library.all("primitive"):
+        assert isinstance(action, Primitive)
+        assert len(action.elements) == (action.kind.elements or action.tips)
+        known = library.hand.actuator_names if action.kind.of_actuators else action.fingers
+        assert set(action.elements) <= set(known)
+
+
+def test_all_actions_answer_alike(library: ActionLibrary) -> None:
+    assert {*CUSTOM, ActionKind.PRIMITIVE} == set(ActionKind)
+    for action in library:
+        last = action.steps[-1].posture if isinstance(action, Timed) else action.posture
+        assert action.waypoints[-1] == last
+        assert bool(action.elements) is bool(action.fingers) is isinstance(action, Primitive)
+        assert all(library.find(use.action, use.elements) for use in action.uses)
+        assert action.with_uses(lambda use: use) == action
+    drill = library.find("drill").with_uses(lambda use: Use("point"))
+    assert {use.action for use in drill.uses} == {"point"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rtee.types import ActuatorSpec
+from rtee.types import ActuatorSpec, from_rest
 
 _NEAR = 1e-9
 
@@ -45,7 +45,7 @@ class Plant:
         """Return the position at a part of the way from rest to the farthest bound."""
         spec = self.spec
         far = spec.upper if spec.upper - spec.rest >= spec.rest - spec.lower else spec.lower
-        return spec.rest + fraction * (far - spec.rest)
+        return from_rest(spec.rest, far, fraction)
 
     def step(self, dt: float, follow: float, full_effort_at: float, *, powered: bool) -> None:
         """Move on.

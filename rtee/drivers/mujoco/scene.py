@@ -16,7 +16,7 @@ from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
 from rtee.hand.touching import touch_at_rest
-from rtee.types import FloatArray
+from rtee.types import FloatArray, from_rest
 
 _INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)
 _STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)
@@ -60,7 +60,7 @@ def grasp_centre(hand: Hand, closure: float = 0.5) -> FloatArray:
         hand: The hand.
         closure: Share of the way from rest to the far limits at which it is taken.
     """
-    found = tips(hand, hand.rest + closure * (closed(hand) - hand.rest))
+    found = tips(hand, from_rest(hand.rest, closed(hand), closure))
     return np.asarray(found.mean(axis=0)) if len(found) else np.zeros(3)
 
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from rtee.actions.types import Action, ActionKind, Primitive, kind_of
+from rtee.actions.types import Action, ActionKind, kind_of
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.cards import Card, Show
 from rtee.gui.tried import Tried
 from rtee.remote.client import RemoteHand
 
 _FEW = 3
-_TITLES = {
-    ActionKind.PRIMITIVE: "Primitives",
-    ActionKind.COMPOSED: "Composed",
-    ActionKind.TIMED: "Timed",
-    ActionKind.GENERIC: "Generic",
-}
+
+
+def _title(kind: ActionKind) -> str:
+    return "Primitives" if kind is ActionKind.PRIMITIVE else kind.capitalize()
 
 
 def grouped(actions: Sequence[Action]) -> dict[tuple[ActionKind, str], list[Action]]:
@@ -49,7 +47,7 @@ class ActionsPanel:
             "Search", "", hint="Show only actions whose name or elements contain this"
         )
         self._search.on_update(lambda _: self._filter())
-        self._folders = {kind: gui.add_folder(title) for kind, title in _TITLES.items()}
+        self._folders = {kind: gui.add_folder(_title(kind)) for kind in ActionKind}
         self._cards: dict[tuple[ActionKind, str], Card] = {}
         self._known: dict[tuple[ActionKind, str], tuple[object, ...]] = {}
         self._tried = Tried()
@@ -111,5 +109,4 @@ class ActionsPanel:
 
 
 def _signature(action: Action) -> object:
-    elements = action.elements if isinstance(action, Primitive) else ()
-    return (action.name, elements, repr(action))
+    return (action.name, action.elements, repr(action))

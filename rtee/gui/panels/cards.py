@@ -9,12 +9,9 @@ import viser
 
 from rtee.actions.types import (
     Action,
-    Composed,
     Evidence,
-    Generic,
     Posture,
     Primitive,
-    PrimitiveKind,
     Timed,
 )
 from rtee.gui.bridge import Bridge
@@ -102,22 +99,23 @@ class Card:
         self.words = " ".join((self.name, *self._elements_of_all())).lower()
 
     def _elements_of_all(self) -> list[str]:
-        return [e for a in self._actions if isinstance(a, Primitive) for e in a.elements]
+        return [e for a in self._actions for e in a.elements]
 
     def _describe(self, gui: viser.GuiApi) -> None:
         action = self._actions[0]
         match action:
             case Primitive():
-                whole = [a.elements for a in self._actions if isinstance(a, Primitive)]
-                single = action.kind is PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS
-                noun = "Actuator" if single else "Finger"
+                whole = [a.elements for a in self._actions]
+                noun = action.kind.noun.capitalize()
                 self._choice = ElementChoice(gui, whole, self._chosen_anew, noun)
                 self._said = gui.add_html("", visible=False, order=0.5)
                 self._show_remark()
-            case Composed(parts=parts):
-                gui.add_html(small(" + ".join(escape(described(p)) for p in parts)), order=0)
-            case Generic(posture=posture):
-                moved = ", ".join(escape(name) for name in posture.involved)
+            case Timed():
+                pass  # its steps stand below, where their progress is shown
+            case _ if action.uses:
+                gui.add_html(small(" + ".join(escape(described(u)) for u in action.uses)), order=0)
+            case _:
+                moved = ", ".join(escape(name) for name in action.posture.involved)
                 gui.add_html(small(f"moves {moved}"), order=0)
 
     def _make_slider(self, gui: viser.GuiApi, value: int = 100) -> viser.GuiSliderHandle[int]:
@@ -161,15 +159,14 @@ class Card:
             return self._actions[0]
         chosen = self._choice.chosen
         for action in self._actions:
-            if isinstance(action, Primitive) and action.elements == chosen:
+            if action.elements == chosen:
                 return action
         return self._actions[0]
 
     @property
     def evidence(self) -> Evidence | None:
         """The evidence of the action, where it has any."""
-        action = self.action
-        return action.evidence[0] if isinstance(action, Primitive) and action.evidence else None
+        return next(iter(self.action.evidence), None)
 
     def _chosen_anew(self) -> None:
         evidence = self.evidence

@@ -8,7 +8,7 @@ from html import escape
 
 import viser
 
-from rtee.actions.types import Action, Posture, Step, Timed
+from rtee.actions.types import Action, Posture, Step
 from rtee.errors import RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, PREVIEW
@@ -20,7 +20,7 @@ from rtee.types import Feedback, Result
 
 def last_posture(action: Action) -> Posture:
     """Return the posture that an action leads to, as far as it moves actuators."""
-    return action.steps[-1].posture if isinstance(action, Timed) else action.posture
+    return action.waypoints[-1]
 
 
 def _step(step: Step) -> str:

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Sequence
 
-from rtee.actions.build import StepPlan
 from rtee.actions.types import (
     Action,
-    ActionKind,
-    Composed,
-    Generic,
-    Timed,
-    kind_of,
+    CustomAction,
+    Primitive,
 )
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.jog import JogPanel
@@ -36,8 +32,8 @@ class EditPanel:
         gui = bridge.server.gui
         self._bridge = bridge
         self._remote = remote
-        self._custom: dict[str, Action] = {}
-        self._deleted: list[Action] = []
+        self._custom: dict[str, CustomAction] = {}
+        self._deleted: list[CustomAction] = []
         self._which = gui.add_dropdown("Action", (_NONE,), hint="Composed, timed or generic")
         self._name = gui.add_text("New name", "", hint="Letters, digits, _ - .")
         self._do = gui.add_button_group(
@@ -47,7 +43,7 @@ class EditPanel:
 
     def offer(self, actions: Sequence[Action]) -> None:
         """Offer the custom actions among these."""
-        self._custom = {a.name: a for a in actions if kind_of(a) is not ActionKind.PRIMITIVE}
+        self._custom = {a.name: a for a in actions if not isinstance(a, Primitive)}
         names = tuple(self._custom) or (_NONE,)
         if tuple(self._which.options) != names:
             kept = self._which.value if self._which.value in names else names[0]
@@ -76,25 +72,7 @@ class EditPanel:
             self._bridge.tell("Undo", "nothing was deleted", "gray")
             return
         action = self._deleted[-1]
-        match action:
-            case Composed():
-                await self._remote.add_composed(
-                    action.name,
-                    action.parts,
-                    independent=action.independent,
-                    description=action.description,
-                    store=True,
-                )
-            case Timed():
-                steps = [StepPlan(s.use, s.alias, s.before, s.after) for s in action.steps]
-                await self._remote.add_timed(
-                    action.name, steps, description=action.description, store=True
-                )
-            case Generic():
-                points = {name: action.posture.position[name] for name in action.posture.involved}
-                await self._remote.add_generic(
-                    action.name, points, description=action.description, store=True
-                )
+        await self._remote.add_action(action, store=True)
         self._deleted.pop()
         self._bridge.tell("Undone", f"action '{action.name}' is there again", "green")
 

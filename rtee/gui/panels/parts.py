@@ -7,7 +7,7 @@ from dataclasses import replace
 from html import escape
 
 from rtee.actions.build import StepPlan
-from rtee.actions.types import Action, ActionReference, Primitive, Timed
+from rtee.actions.types import Action, ActionReference, Timed
 from rtee.gui.bridge import Bridge
 from rtee.gui.wording import described, small
 from rtee.remote.client import RemoteHand
@@ -65,9 +65,8 @@ class PartsPanel:
         """Offer these actions as parts."""
         self._uses = {}
         for action in actions:
-            elements = action.elements if isinstance(action, Primitive) else ()
             if not isinstance(action, Timed):
-                use = ActionReference(action.name, elements)
+                use = ActionReference(action.name, action.elements)
                 self._uses[described(use)] = use
         names = tuple(self._uses) or (_NONE,)
         if tuple(self._what.options) != names:

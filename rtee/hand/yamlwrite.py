@@ -1,0 +1,95 @@
+"""Writing YAML: the same data give the same text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+DECIMALS: Final = 9
+"""Decimals of stored numbers: a nanometre, a nanoradian."""
+
+_PLAIN: Final = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
+_RESERVED: Final = frozenset(
+    {"true", "false", "null", "yes", "no", "on", "off", "y", "n", "nan", "inf"}
+)
+
+
+def emit_scalar(value: object) -> str:
+    """Return a string, number, flag or ``None`` as one token.
+
+    Raises:
+        TypeError: if it is none of these, or not finite.
+    """
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "true" if value else "false"
+        case int():
+            return str(value)
+        case float():
+            return _emit_number(value)
+        case str():
+            plain = _PLAIN.fullmatch(value) and value.lower() not in _RESERVED
+            return value if plain else _emit_string(value)
+    raise TypeError(f"cannot write a {type(value).__name__} as YAML")
+
+
+def _emit_string(value: str) -> str:
+    def escaped(character: str) -> str:
+        if character in '"\\':
+            return "\\" + character
+        return character if character.isprintable() else f"\\U{ord(character):08x}"
+
+    return f'"{"".join(map(escaped, value))}"'
+
+
+def _emit_number(value: float) -> str:
+    if value - value != 0.0:
+        raise TypeError("cannot write a number that is not finite")
+    text = repr(round(float(value), DECIMALS) + 0.0)
+    if "e" in text and "." not in text:
+        text = text.replace("e", ".0e")
+    return text
+
+
+def _emit_flow(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_emit_flow(item) for item in value) + "]"
+    return emit_scalar(value)
+
+
+def _lines(value: Mapping[str, Any], indent: str) -> Iterator[str]:
+    for key, item in value.items():
+        head = f"{indent}{emit_scalar(key)}:"
+        if isinstance(item, Mapping):
+            if not item:
+                raise TypeError("cannot write an empty mapping")
+            yield head
+            yield from _lines(item, indent + "  ")
+        elif isinstance(item, (list, tuple)) and item and isinstance(item[0], Mapping):
+            yield head
+            yield from _item_lines(item, indent)
+        else:
+            yield f"{head} {_emit_flow(item)}"
+
+
+def _item_lines(items: Sequence[Mapping[str, Any]], indent: str) -> Iterator[str]:
+    for item in items:
+        if not item:
+            raise TypeError("cannot write an empty mapping")
+        lines = _lines(item, indent + "  ")
+        yield f"{indent}- {next(lines)[len(indent) + 2 :]}"
+        yield from lines
+
+
+def emit(data: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
+    """Return a mapping of scalars, lists and mappings as block YAML; the same data, the same text.
+
+    Args:
+        data: The document; keys are strings. A list holds mappings, or scalars and lists of them.
+        comments: Lines for people at the top, without the ``#``.
+    """
+    head = [f"# {line}".rstrip() for line in comments]
+    return "\n".join([*head, *_lines(data, "")]) + "\n"
