@@ -18,7 +18,6 @@ the same geometry, the best eight of them polished.
 
 from __future__ import annotations
 
-import argparse
 import compileall
 import json
 import os
@@ -32,11 +31,13 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from common import HELP, Table, command_line
 
 import rtee
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Goal, Link, MultiPinch, Pinch, Placed
+from rtee.extract.grain import FINE
 from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
 from rtee.extract.scene import Scene
@@ -136,8 +137,9 @@ def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Fingers, float]]:
     for index, ((lower, upper), count) in enumerate(rounds):
         for u in random.uniform(lower, upper, (count, len(lower))):
             scene.place(u)
-            for names, pair in pairs.items():
-                gap = scene.distance(pair)
+            with scene.fine():
+                gaps = scene.distances(list(pairs.values()))
+            for names, gap in zip(pairs, gaps, strict=True):
                 if index == 0 and gap < 0.0:
                     depths[names] = max(depths.get(names, 0.0), -gap)
     return time.perf_counter() - start, depths
@@ -179,7 +181,9 @@ def deepest(scene: Scene, goal: Goal, space: Space, starts: int) -> float:
     """Return the depth [m] at which tips touch that descents from many starts find."""
     function = Placed(scene, goal, space)
     while True:
-        found = [descend(function, y, evaluations=60) for y in halton(space.size, starts)]
+        found = [
+            descend(function, y, evaluations=60, grain=FINE) for y in halton(space.size, starts)
+        ]
         best = distinct(found)[:POLISHED]
         if not (isinstance(goal, MultiPinch) and meets_strangers(scene, goal, space, best)):
             break
@@ -192,52 +196,47 @@ def deepest(scene: Scene, goal: Goal, space: Space, starts: int) -> float:
 
 
 def compare_speed(hands: Sequence[str], runs: int, jobs: int, *, sampling: bool) -> None:
-    print("| hand | wall [s] | CPU [s] | memory [MB] | pairs | deepest, sum [mm] ", end="")
-    print("| sampling [s] | pairs | deepest, sum [mm] |" if sampling else "|")
-    print("| --- " * (9 if sampling else 6) + "|")
+    head = ["hand", "wall [s]", "CPU [s]", "memory [MB]", "pairs", "deepest, sum [mm]"]
+    table = Table(*head, *(["sampling [s]", "pairs", "deepest, sum [mm]"] if sampling else []))
     for hand in hands:
         measured = extracted(hand, runs, jobs)
         pairs = [depth for names, depth in measured.depths.items() if len(names) == 2]
-        print(
-            f"| {Path(hand).stem} | {measured.wall:.2f} | {measured.cpu:.2f} | {measured.peak:.0f} "
-            f"| {len(pairs)} | {1e3 * sum(pairs):.1f} |",
-            end="",
-        )
+        cells = [Path(hand).stem, f"{measured.wall:.2f}", f"{measured.cpu:.2f}"]
+        cells += [f"{measured.peak:.0f}", str(len(pairs)), f"{1e3 * sum(pairs):.1f}"]
         if sampling:
             seconds, found = sampled(loaded(hand))
-            print(f" {seconds:.2f} | {len(found)} | {1e3 * sum(found.values()):.1f} |", end="")
-        print(flush=True)
+            cells += [f"{seconds:.2f}", str(len(found)), f"{1e3 * sum(found.values()):.1f}"]
+        table.row(*cells)
 
 
 def compare_depth(hands: Sequence[str], jobs: int, starts: int) -> None:
-    print(f"| hand | pinch | stored [mm] | {starts} starts [mm] | share |")
-    print("| --- " * 5 + "|")
+    table = Table("hand", "pinch", "stored [mm]", f"{starts} starts [mm]", "share")
     for hand in hands:
         name, depths = Path(hand).stem, extracted(hand, 1, jobs).depths
         scene = Scene(loaded(hand))
         shares = []
         for names, goal, space in goals(scene, depths):
-            known, depth = deepest(scene, goal, space, starts), depths.get(names, 0.0)
+            with scene.fine():
+                known = deepest(scene, goal, space, starts)
+            depth = depths.get(names, 0.0)
             if known or depth:
                 shares.append(depth / known if known > NOTHING else 1.0)
-                print(
-                    f"| {name} | {', '.join(sorted(names))} | {1e3 * depth:.3f} "
-                    f"| {1e3 * known:.3f} | {shares[-1]:.2%} |"
+                fingers = ", ".join(sorted(names))
+                table.row(
+                    name, fingers, f"{1e3 * depth:.3f}", f"{1e3 * known:.3f}", f"{shares[-1]:.2%}"
                 )
         worst = f"{min(shares):.2%}" if shares else "no pinch"
-        print(f"| {name} | **worst** | | | **{worst}** |", flush=True)
+        table.row(name, "**worst**", "", "", f"**{worst}**")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hands", nargs="+", default=list(HANDS))
-    parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--jobs", type=int, default=0)
-    parser.add_argument("--starts", type=int, default=0)
-    parser.add_argument("--no-sampling", dest="sampling", action="store_false")
+    parser = command_line(__doc__, runs=3, jobs=0, starts=0, no_sampling=False)
+    parser.add_argument("--hands", nargs="+", default=list(HANDS), help=HELP["hands"])
     arguments = parser.parse_args()
     compileall.compile_dir(str(Path(rtee.__file__).parent), quiet=1)
-    compare_speed(arguments.hands, arguments.runs, arguments.jobs, sampling=arguments.sampling)
+    compare_speed(
+        arguments.hands, arguments.runs, arguments.jobs, sampling=not arguments.no_sampling
+    )
     if arguments.starts:
         print()
         compare_depth(arguments.hands, arguments.jobs, arguments.starts)

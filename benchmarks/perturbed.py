@@ -1,6 +1,6 @@
 """Whether last digits decide what the extraction finds; prints Markdown.
 
-    python benchmarks/perturbed.py [--hands schunk_svh …] [--times 20] [--jobs 0]
+    python benchmarks/perturbed.py [--hands schunk_svh …] [--times 20] [--jobs 0] [--every]
 
 The origins of all joints are moved by 1e-12 to 1e-9 m, at random with a fixed seed, and the hand is
 extracted again, several times. Per pinch, those of several fingers too: the least depth of its best
@@ -10,7 +10,6 @@ posture is clear, way included.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import large_hand
 import numpy as np
+from common import HELP, Table, command_line
 
 from rtee.actions.types import Primitive
 from rtee.extract.extraction import extract
@@ -51,7 +51,7 @@ def pinches(hand: Hand, jobs: int) -> dict[Fingers, Primitive]:
     return {p.elements: p for p in found if "PinchTight" in p.kind.value}
 
 
-def compare(hand: Hand, times: int, jobs: int, *, every: bool) -> None:
+def compare(table: Table, hand: Hand, times: int, jobs: int, *, every: bool) -> None:
     """Print what the extraction makes of a hand whose joints are moved, beside itself."""
     random = np.random.default_rng(0)
     runs = [pinches(moved(hand, random), jobs) for _ in range(times)]
@@ -67,16 +67,12 @@ def compare(hand: Hand, times: int, jobs: int, *, every: bool) -> None:
         unequal += clear not in (0, times)
         if every or best < 0.98 or deep < 0.98 or clear not in (0, times):
             names = ", ".join(fingers)
-            print(
-                f"| {hand.name} | {names} | {1e3 * first.max():.2f} | {best:.1%} "
-                f"| {1e3 * deepest.max():.2f} | {deep:.1%} | {clear} of {times} |",
-                flush=True,
-            )
-    print(
-        f"| {hand.name} | **worst** | | **{worst_best:.1%}** | | **{worst_deepest:.1%}** "
-        f"| **{unequal} differ** |",
-        flush=True,
-    )
+            greatest = f"{1e3 * first.max():.2f}", f"{1e3 * deepest.max():.2f}"
+            shares = f"{best:.1%}", f"{deep:.1%}"
+            said = f"{clear} of {times}"
+            table.row(hand.name, names, greatest[0], shares[0], greatest[1], shares[1], said)
+    worst = f"**{worst_best:.1%}**", f"**{worst_deepest:.1%}**"
+    table.row(hand.name, "**worst**", "", worst[0], "", worst[1], f"**{unequal} differ**")
 
 
 def loaded(name: str) -> Hand:
@@ -92,16 +88,13 @@ def loaded(name: str) -> Hand:
 
 
 def main(arguments: Sequence[str]) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hands", nargs="+", default=list(HANDS))
-    parser.add_argument("--times", type=int, default=20)
-    parser.add_argument("--jobs", type=int, default=0)
-    parser.add_argument("--all", action="store_true", help="print every pinch")
+    parser = command_line(__doc__, times=20, jobs=0, every=False)
+    parser.add_argument("--hands", nargs="+", default=list(HANDS), help=HELP["hands"])
     given = parser.parse_args(arguments)
-    print("| hand | fingers | best [mm] | least share | deepest [mm] | least share | clear |")
-    print("| --- " * 7 + "|")
+    head = "best [mm]", "least share", "deepest [mm]", "least share", "clear"
+    table = Table("hand", "fingers", *head)
     for name in given.hands:
-        compare(loaded(name), given.times, given.jobs, every=given.all)
+        compare(table, loaded(name), given.times, given.jobs, every=given.every)
 
 
 if __name__ == "__main__":
