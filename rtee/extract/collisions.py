@@ -196,8 +196,14 @@ class Watch:
         straight = self._motion.way(u)
         for t in np.linspace(1.0, 0.0, _PLACES) if way else (1.0,):
             scene.place(straight.at(float(t)))
-            for c in np.flatnonzero(self._spheres.gaps() < least):
-                if scene.at_least(self.pairs[c]) < least:
+            near = np.flatnonzero(self._known.least(scene.joints) < least)
+            if len(near) > _FEW:
+                near = near[self._spheres.gaps()[near] < least]
+            gaps = [scene.at_least(self.pairs[c]) for c in near]
+            self._known.learn(near, gaps, scene.joints)
+            for c, gap in zip(near, gaps, strict=True):
+                # Whether meshes are that near is found sooner than how near they are.
+                if gap < least and scene.nearer(self.pairs[c], least):
                     least = min(least, scene.exact_distance(self.pairs[c]))
         return least
 

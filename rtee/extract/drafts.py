@@ -25,8 +25,13 @@ _DIRECTIONS: Final = np.array(
 )
 """Directions whose outermost vertices begin a draft: to a cube's faces, edges and corners."""
 
-_FEWEST_SIDES: Final = 12
-"""Fewest sides of the prism that stands for a cylinder."""
+_SIDES: Final = 16
+"""Sides of the prism that stands for a cylinder: up to 32 corners, Coal looks at each of them and
+keeps nothing from one question to the next."""
+
+_THICK: Final = 6.0
+"""A prism of so few sides may lie this many times the slack within its cylinder; thicker cylinders
+get more sides."""
 
 _TURN: Final = 0.37
 """How far that prism is turned about its axis, as a part of a side."""
@@ -65,8 +70,11 @@ def draft(shape: Shape) -> Draft:
 
 def _prism(radius: float, half: float) -> Draft:
     """Return a prism inscribed in a cylinder, turned so that it is parallel to few other shapes."""
-    flat = min(SLACK / radius, 1.0 - math.cos(math.pi / _FEWEST_SIDES))
-    sides = math.ceil(math.pi / math.acos(1.0 - flat))
+    flat = 1.0 - math.cos(math.pi / _SIDES)
+    sides = _SIDES
+    if radius * flat > _THICK * SLACK:
+        flat = SLACK / radius
+        sides = math.ceil(math.pi / math.acos(1.0 - flat))
     turns = [2.0 * math.pi * (k + _TURN) / sides for k in range(sides)]
     # Rounded to a nanometre, so that sines of another mathematical library give the same corners.
     ring = [(round(radius * math.cos(a), 9), round(radius * math.sin(a), 9)) for a in turns]

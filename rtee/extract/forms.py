@@ -22,6 +22,9 @@ they do. For cylinders, which have no end of faces, the default stays: some woul
 _FAILED: Final = -1e6
 """No hand is as deep in itself [m]: Coal's result where it did not find a depth."""
 
+_CLIMBED: Final = 32
+"""Coal climbs along the edges of hulls with more vertices, from where it looked last."""
+
 _ENDLESS: Final = (coal.Cylinder, coal.BVHModelBase)
 
 _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
@@ -79,7 +82,7 @@ class Forms:
         for i in (*first, *second):
             shape, form = shapes[i], forms[i]
             self._guided |= isinstance(form, coal.BVHModelBase)
-            self.remembers |= isinstance(form, coal.ConvexBase)
+            self.remembers |= isinstance(form, coal.ConvexBase) and form.num_points > _CLIMBED
             placed = pin.GeometryObject(str(i), shape.body, shape.placement, form)
             number[i] = self._model.addGeometryObject(placed)
         for i, j in self.couples:

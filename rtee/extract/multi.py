@@ -25,7 +25,7 @@ from rtee.types import FloatArray
 _MOST_TREES: Final = 4
 
 _PATIENCE: Final = Patience(
-    pool=4, tries=2, rounds=4, leaps=2, creeps=6, ways=2, more=2, settle=False
+    pool=3, tries=2, rounds=4, leaps=2, creeps=5, ways=2, more=0, settle=False
 )
 """Of several tips; they leave rest so far that more starts find nothing better."""
 
@@ -77,10 +77,6 @@ class MultiSearch:
             explored = [m.y for m in found.explored]
             clear = clear_postures(self.inspector, goal, space, watch, explored, _PATIENCE)
             candidates += [candidate(u) for u in clear[:1]]
-            if not any(found.room for found in candidates):
-                cramped = watch.cramped
-                clear = clear_postures(self.inspector, goal, space, cramped, explored, _PATIENCE)
-                candidates += [candidate(u) for u in clear[:1]]
         lower, upper = real_limits(self._hand)
         extent = upper - lower
         return Found(PrimitiveKind.MULTI_PINCH_TIGHT, names, ranked(candidates, self.rank, extent))
