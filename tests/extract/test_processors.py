@@ -27,6 +27,9 @@ KERNELS = {
     "OpenBLAS Zen": {"OPENBLAS_CORETYPE": "Zen"},
     "OpenBLAS Nehalem": {"OPENBLAS_CORETYPE": "Nehalem"},
     "NumPy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"},
+    "glibc without FMA": {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2_Usable,-FMA_Usable,-AVX2,-FMA,-FMA4"
+    },
 }
 """Settings under which numerical libraries compute as on other x86-64 processors."""
 
