@@ -108,7 +108,7 @@ def remarks(evidence: Evidence, prefix: str = "") -> str:
         ]
         if on_terminal() and len(pairs) > _SHOWN + 1:
             pairs[_SHOWN:] = [f"{len(pairs) - _SHOWN} more"]
-        said.append("not clear: " + ", ".join(pairs))
+        said.append("not clear: " + (", ".join(pairs) or "other links come too near"))
     else:
         if evidence.clearance is not None:
             said.append(f"clearance {clearance_text(evidence.clearance)}")

@@ -15,7 +15,7 @@ from rtee.hand.linalg import turned
 from rtee.types import FloatArray
 
 SLACK: Final = 1e-4
-"""A draft may lie this far within its hull [m]; hands differ more from their models."""
+"""A draft may lie this far within a mesh's hull [m]; hands differ more from their models."""
 
 _SIMPLE: Final = 200
 """Hulls with fewer vertices are not worth simplifying: Coal climbs along their edges."""

@@ -40,9 +40,9 @@ class Scene:
 
     `place` moves everything to a posture; what is asked afterwards is answered there.
 
-    Distances and derivatives are those of drafts, which lie up to 0.1 mm within the convex parts of
-    finely meshed links; `fine` measures the full ones. Contact, witnesses and everything that is
-    stored is always measured on the full ones.
+    Distances and derivatives are those of drafts, which lie some 0.1 mm within the convex parts of
+    cylinders and finely meshed links; `fine` measures the full ones. Contact, witnesses and
+    everything that is stored is always measured on the full ones.
 
     The signed distance of two links is the least over the pairs of their convex parts: the
     distance of the parts, or minus the depth, the shortest translation that separates them. Its

@@ -20,6 +20,7 @@ from rtee.actions.types import (
     Step,
     Timed,
 )
+from rtee.cli.actions import remarks
 from rtee.errors import MissingExtra
 from rtee.extract.extraction import Extraction
 from rtee.extract.report import make_report
@@ -149,7 +150,11 @@ def test_report_tells_what_trials_found(hand: Hand, tmp_path: Path) -> None:
 def test_a_pinch_that_collides_names_two_pairs_and_folds_more(hand: Hand) -> None:
     (pinch, _), _ = actions(hand)
     pairs = (("palm", "left"), ("palm", "right"), ("left", "right"))
-    for count, said in ((2, "palm and left; palm and right collide"), (3, "3 pairs of links")):
+    for count, said in (
+        (0, "other links come too near"),
+        (2, "palm and left; palm and right collide"),
+        (3, "3 pairs of links"),
+    ):
         evidence = replace(pinch.evidence[0], colliding=pairs[:count])
         found = Extraction((replace(pinch, evidence=(evidence,)),), 0.5)
         text = make_report(hand, found, size=(100, 100))
@@ -157,6 +162,7 @@ def test_a_pinch_that_collides_names_two_pairs_and_folds_more(hand: Hand) -> Non
         page.feed(text)
         assert not page.open
         assert f"not clear: {said}" in page.text
+        assert f"not clear: {said}" in remarks(evidence) or count != 0
         assert ("<summary>not clear" in text) == (count == 3)
 
 
