@@ -23,18 +23,43 @@ from rtee.hand.linalg import dot
 from rtee.types import FloatArray
 
 _LITTLE: Final = 0.03
+"""A leap that gains less than this part of the value is the last one."""
+
 _RADIUS: Final = 0.08
+"""How far a creep first goes in each coordinate, as a part of an actuator's range: about as far as
+the gaps of near links stay linear."""
+
 _TIGHTER: Final = 0.4
 _WIDER: Final = 1.6
+"""Factors of that radius after a step that failed, and after one that did not."""
+
 _SMALLEST: Final = 0.002
+"""Radius at which a creep ends; a fingertip then moves by a fraction of a millimetre."""
+
 _EVALUATIONS: Final = 40
+"""Most evaluations of a descent out of a collision."""
+
 _QUICK: Final = 25
+"""Most evaluations of a descent that only keeps a start at a minimum."""
+
 _POLISH: Final = 11
+"""Evaluations of one step of a creep: its model is linear, and soon exhausted."""
+
 _SAME: Final = 0.05
+"""Starts that differ by less in every coordinate lead out of the same collisions."""
+
 _GOOD: Final = 0.85
+"""A clear pose of this part of the greatest depth ends the search for other ones."""
+
 _POOL: Final = 4
+"""Starts that are kept at minima while constraints are learned."""
+
 _SHORT: Final = 2e-3
+"""How far before a collision a pose goes back, as a part of the way: some 0.1 mm."""
+
 _FOLLOWED: Final = 1
+"""How many clear poses' ways are looked at in each round."""
+
 _TOIL: Final = 300
 """What one search may ask of meshes as given, in units of a question whether two touch."""
 
