@@ -55,14 +55,22 @@ MANY: Final = Effort(screened=32, starts=3, quick=90, rounds=2, places=16, kept=
 """Of several tips that more than `FEW` actuators move."""
 
 FEW: Final = 9
+"""Up to so many actuators a short descent comes near enough to its minimum."""
 
 _SAME: Final = 0.02
+"""Minima that differ by less in every coordinate, as a part of its range, are one."""
+
 _LITTLE: Final = 0.002
+"""A polish that gains less than this part of the value is the last one."""
+
 _LAST: Final = 8
 """Evaluations of the last polish, on the full convex parts and with the finest grain."""
 
 _LINE: Final = 257
+"""Points of the grid over a single actuator; minima of the hands in the tests are wider."""
+
 _LINE_PRECISION: Final = 1e-8
+"""Where golden sections end, as a part of the range; postures are stored to 1e-6."""
 
 
 @dataclass(frozen=True, slots=True)
