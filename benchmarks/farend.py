@@ -27,12 +27,12 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from rtee.buses.emulated_endpoints import PlayedEnds
 from rtee.buses.emulator import EmulatorFactory
+from rtee.buses.line_model import Wire
 from rtee.buses.link import Line
-from rtee.buses.played import PlayedEnds
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_ends import Pty
-from rtee.buses.wire import Wire
 
 _NOTES = struct.Struct("@dddd")
 """Ready, time the wire was taken [s], requests answered, lateness of their last answers [s]."""

@@ -40,16 +40,16 @@ if TYPE_CHECKING:
 PROBE = """
 import array, sys
 from rtee.cli import main
-from rtee.loop import ticker
+from rtee.loop import tick_driver
 
 kept = array.array("q")
 
-class Kept(ticker.TickStatistics):
+class Kept(tick_driver.TickStatistics):
     def add(self, woken_ns, lateness_ns, busy_ns, missed):
         kept.extend((woken_ns, lateness_ns, missed))
         super().add(woken_ns, lateness_ns, busy_ns, missed)
 
-ticker.TickStatistics = Kept
+tick_driver.TickStatistics = Kept
 try:
     main()
 finally:

@@ -30,7 +30,7 @@ from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.load import hand_folder, load_hand
 from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings, read
-from rtee.log.contents import Contents
+from rtee.log.layout import Contents
 from rtee.log.recover import recover
 from rtee.log.writer import LogWriter
 from rtee.loop.clock import ManualClock

@@ -51,7 +51,7 @@ def run(folder: Path, *, pictures: bool = True) -> Outcome:
 
             headless.before_tick(look)
         result = headless.do(Goal("drill", goal_id="drill"))
-        around.release()
+        around.remove_support()
         before = around.position_in_hand
         pressed = max(trigger)
         headless.wait(2.0)

@@ -18,7 +18,7 @@ from rtee.log import Recorder, RecorderSettings
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
-from rtee.loop.ticker import drive
+from rtee.loop.tick_driver import drive
 from rtee.run import PreparedHand, RunOptions, prepare
 from rtee.types import Event, Goal, Lifecycle, Result
 

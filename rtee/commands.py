@@ -60,7 +60,7 @@ class Jog:
 
 
 @dataclass(frozen=True, slots=True)
-class SetHoldingEffort:
+class SetGripEffort:
     """Change the effort kept on what is held.
 
     Attributes:
@@ -105,7 +105,7 @@ class Abort:
     actuators: tuple[str, ...] = ()
 
 
-Command = Cancel | Hold | Freeze | Jog | SetHoldingEffort | SetActive | SetAcceptsEffort | Abort
+Command = Cancel | Hold | Freeze | Jog | SetGripEffort | SetActive | SetAcceptsEffort | Abort
 """A call that steers the controller, other than a goal."""
 
 

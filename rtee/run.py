@@ -18,7 +18,6 @@ from rtee.errors import ConfigError, LoopError, RteeError
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
 from rtee.loop.configure import profile_words, realtime_settings
-from rtee.loop.ending import Signals, companion, receive_signals, wait_for_end
 from rtee.loop.handloop import HandLoop
 from rtee.loop.realtime import (
     Collector,
@@ -30,8 +29,9 @@ from rtee.loop.realtime import (
 )
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
 from rtee.loop.settings import Behaviour, RealtimeSettings
-from rtee.loop.stopping import bring_to_rest
-from rtee.loop.ticker import drive
+from rtee.loop.shutdown import bring_to_rest
+from rtee.loop.shutdown_signals import Signals, companion, receive_signals, wait_for_end
+from rtee.loop.tick_driver import drive
 from rtee.prepare import PreparedHand, RunOptions, prepare
 from rtee.remote.server import RemoteSettings, Server
 from rtee.types import Event

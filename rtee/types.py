@@ -22,6 +22,17 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+FORMER_NAMES: Mapping[str, str] = MappingProxyType(
+    {
+        "release": "disable",
+        "idle_release": "idle_disable",
+        "holding_effort": "grip_effort",
+        "holding_after": "grip_after",
+    }
+)
+"""Keys and values of hand.yaml that were renamed: recordings made before are read by their new
+names, and people are told what to change."""
+
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 

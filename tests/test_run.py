@@ -50,9 +50,9 @@ class Recalling(KinematicDriver):
         self._write("stop")
         await super().stop()
 
-    async def release(self) -> None:
-        self._write("release")
-        await super().release()
+    async def disable(self) -> None:
+        self._write("disable")
+        await super().disable()
 
     async def close(self) -> None:
         self._write("close")
@@ -245,7 +245,7 @@ async def test_a_loop_that_fails_does_what_is_configured_and_says_why(
     ):
         await run_hands(["failing"], options(folder, **more), serve=None, say=said.append)
     # A loop that does not tick any more cannot open the hand: it stops it.
-    done = {Behaviour.HOLD: [], Behaviour.RELEASE: ["release"]}.get(behaviour, ["stop"])
+    done = {Behaviour.HOLD: [], Behaviour.DISABLE: ["disable"]}.get(behaviour, ["stop"])
     assert words_in(calls) == ["activate", *done, "close"]
     (file,) = (folder / "logs").glob("*_000.mcap")
     told = [

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from rtee.actions.action_files import Shelf
 from rtee.actions.build import StepPlan, check_custom_name, compose, sequence, warnings_of
 from rtee.actions.index import Index
 from rtee.actions.naming import label, normalise
-from rtee.actions.shelf import Shelf
 from rtee.actions.types import (
     Action,
     ActionKind,

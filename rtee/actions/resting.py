@@ -9,9 +9,9 @@ import numpy as np
 
 from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.hand.frames import tip_pose_and_jacobian
-from rtee.hand.lines import rest_line
 from rtee.hand.model import Hand
 from rtee.hand.resting import APART, NEAR, OWN
+from rtee.hand.yaml_hints import rest_line
 from rtee.types import FloatArray
 
 _HERE: Final = 0.1

@@ -23,10 +23,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, RootModel
 from pydantic.alias_generators import to_camel, to_pascal
 
 from rtee.actions.build import SLACK, StepPlan, full_posture, generic
+from rtee.actions.decompose import find_parts, scale_of
 from rtee.actions.documents import Amount, Names, Number, located, read_document, validated
 from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label, normalise
-from rtee.actions.parts import find_parts, scale_of
 from rtee.actions.types import (
     Action,
     ActionReference,
@@ -194,7 +194,7 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
         for found in entries:
             with located(found.document, (found.key,)):
                 if _type_of(found) == stage:
-                    reader.take(found, stage)
+                    reader.add(found, stage)
     return reader.imported
 
 
@@ -228,7 +228,7 @@ class _Reader:
         self.library = ActionLibrary(hand)
         self.imported = Imported()
 
-    def take(self, found: _Found, stage: int | None) -> None:
+    def add(self, found: _Found, stage: int | None) -> None:
         name = str(found.key)
         if stage is None:
             self._add(self._primitive(found))

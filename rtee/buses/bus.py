@@ -91,8 +91,8 @@ class Bus(ABC):
             self._connected = True
             self.counters.opened += 1
 
-    async def release(self, owner: str) -> None:
-        """Give the bus back; the last owner closes it. May be called any number of times."""
+    async def detach(self, owner: str) -> None:
+        """Detach a device; the last one closes the link. May be called any number of times."""
         if owner not in self._owners:
             return
         self._owners.discard(owner)

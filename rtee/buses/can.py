@@ -124,11 +124,11 @@ class CanBus(Bus):
     def _taking(
         answer: asyncio.Future[CanFrame], accept: Callable[[CanFrame], bool]
     ) -> Callable[[CanFrame], None]:
-        def take(frame: CanFrame) -> None:
+        def receive(frame: CanFrame) -> None:
             if not answer.done() and accept(frame):
                 answer.set_result(frame)
 
-        return take
+        return receive
 
     def subscribe(
         self, callback: Callable[[CanFrame], None], identifier: int | None = None

@@ -7,9 +7,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Self, TypeVar, cast
 
 from rtee.buses.bus import Bus, TraceHook
+from rtee.buses.emulated_endpoints import PlayedEnds
 from rtee.buses.emulator import Emulator, EmulatorFactory
 from rtee.buses.link import Line
-from rtee.buses.played import PlayedEnds
 from rtee.errors import BusBusy
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class BusPool:
 
         Args:
             url: Its address.
-            owner: The device that asks; give it back with ``bus.release(owner)``.
+            owner: The device that asks; give it back with ``bus.detach(owner)``.
             baudrate: Bits per second.
             parity: ``N``, ``E`` or ``O``.
             stopbits: 1 or 2.
@@ -169,7 +169,7 @@ class BusPool:
 
         Args:
             channel: For example ``can0``.
-            owner: The device that asks; give it back with ``bus.release(owner)``.
+            owner: The device that asks; give it back with ``bus.detach(owner)``.
             interface: Name of a python-can interface.
             bitrate: Bits per second.
             emulator: Plays the node instead, on a virtual channel.
@@ -208,7 +208,7 @@ class BusPool:
 
         Args:
             address: ``tcp://host``.
-            owner: The device that asks; give it back with ``bus.release(owner)``.
+            owner: The device that asks; give it back with ``bus.detach(owner)``.
             ports: Where it publishes, takes commands, and answers requests.
             emulator: Plays the server instead, on this machine.
 
@@ -233,7 +233,7 @@ class BusPool:
 
         Args:
             interface: For example ``eth1``.
-            owner: The device that asks; give it back with ``bus.release(owner)``.
+            owner: The device that asks; give it back with ``bus.detach(owner)``.
             emulator: Plays the slaves instead, at the level of process data.
 
         Raises:
@@ -289,7 +289,7 @@ class BusPool:
         try:
             await found.connect()
         except BaseException:
-            await found.release(owner)
+            await found.detach(owner)
             raise
         return found
 

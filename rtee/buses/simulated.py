@@ -19,10 +19,10 @@ from typing import Any, Self
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.faults import Faults
+from rtee.buses.line_model import Wire
 from rtee.buses.link import Line
 from rtee.buses.simulated_ends import Pty, Tcp
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
-from rtee.buses.wire import Wire
 
 
 class Simulation(ABC):

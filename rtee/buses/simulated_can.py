@@ -11,8 +11,8 @@ from typing import Any
 from rtee.buses.can_guard import wake
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.faults import Faults
+from rtee.buses.line_model import CanWire
 from rtee.buses.simulated import Simulation
-from rtee.buses.wire import CanWire
 
 
 class SimulatedCan(Simulation):

@@ -129,7 +129,7 @@ class WaitingCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put the number in where it is left out."""
-        from rtee.remote.views import READY_WITHIN
+        from rtee.remote.monitoring import READY_WITHIN
 
         end = args.index("--") if "--" in args else len(args)
         for number in [i for i, word in enumerate(args[:end]) if word == "--wait"][::-1]:
@@ -181,7 +181,7 @@ def actions_of(name: str | None) -> ActionLibrary:
     return ActionLibrary.load(load_hand(folder), folder / "actions")
 
 
-def tell_copy(before: Path | None, after: Path | None) -> None:
+def report_copy(before: Path | None, after: Path | None) -> None:
     """Say in a line that a hand was copied to be changed, if it was.
 
     Args:
@@ -190,7 +190,7 @@ def tell_copy(before: Path | None, after: Path | None) -> None:
     """
     if before is None or after is None or before == after:
         return
-    from rtee.hand.own import told
+    from rtee.hand.own_copy import told
 
     if before.name == after.name == "actions":
         before, after = before.parent, after.parent

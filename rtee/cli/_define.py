@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import HAND_VARIABLE, actions_of, tell_copy
+from rtee.cli._common import HAND_VARIABLE, actions_of, report_copy
 from rtee.errors import RteeError, UnknownAction
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
         action = dataclasses.replace(action, description=_description(library, action.name))
     before = library.folder
     library.add(action, store=True, replace_same=replace)
-    tell_copy(before, library.folder)
+    report_copy(before, library.folder)
     for warning in warnings_of(action):
         print(f"rtee: warning: {warning}", file=sys.stderr)
     print(f"'{action.name}' is now an action of {library.hand.name}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import Hand, tell_copy
+from rtee.cli._common import Hand, report_copy
 
 if TYPE_CHECKING:
     from rtee.types import DeviceSpec
@@ -37,7 +37,7 @@ def calibrate(
     from rtee.cli._devices import devices_of, folder_of, with_options
     from rtee.drivers import calibration
     from rtee.drivers.registry import find_driver
-    from rtee.hand.own import own
+    from rtee.hand.own_copy import own
 
     specs = devices_of(hand, device, emulated=emulated)
 
@@ -53,7 +53,7 @@ def calibrate(
         if out is not None or not path.resolve().is_relative_to(folder.resolve()):
             return out or path
         copy = own(folder)
-        tell_copy(folder, copy)
+        report_copy(folder, copy)
         return copy / path.resolve().relative_to(folder.resolve())
 
     async def execute() -> None:

@@ -34,7 +34,7 @@ def compose(
 
     Example: rtee compose grasp trig:index trig:middle trig:thumb*0.3
     """
-    from rtee.actions.words import read_use
+    from rtee.actions.cli_syntax import read_use
 
     library = actions_of(hand)
     uses = [read_use(part) for part in parts]

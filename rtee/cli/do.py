@@ -71,8 +71,8 @@ def do(
 
     Example: rtee do pinch_tight index thumb --intensity 0.6
     """
+    from rtee.actions.cli_syntax import read_efforts
     from rtee.actions.naming import label
-    from rtee.actions.words import read_efforts
     from rtee.cli._online import result_json, sentence, with_hand
     from rtee.cli._progress import follow
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from rtee.drivers.play import Player
+    from rtee.drivers.emulator_server import Player
 
 app = typer.Typer()
 
@@ -79,8 +79,8 @@ def emulate(
     ] = None,
 ) -> None:
     """Play a device for other software until Ctrl-C; lines typed meanwhile make faults."""
+    from rtee.drivers.emulator_server import Player
     from rtee.drivers.objects import ObjectInHand, grasping
-    from rtee.drivers.play import Player
 
     player = Player(
         device,
@@ -95,7 +95,7 @@ def emulate(
         strict=strict_rate,
     )
     if object_ is not None:
-        grasping(player.emulator).place(ObjectInHand.parse(object_))
+        grasping(player.emulator).place_object(ObjectInHand.parse(object_))
     for name in fault or []:
         player.emulator.inject(name)
     with player:

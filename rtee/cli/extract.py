@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import JsonOption, complete_hand, hand_folder, tell_copy
+from rtee.cli._common import JsonOption, complete_hand, hand_folder, report_copy
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -84,7 +84,7 @@ def extract(
     folder = hand_folder(hand) if hand is not None else None
     if save and folder is None:
         raise ConfigError("--save needs a hand of the configuration; with --urdf give --out")
-    from rtee.hand.own import own, own_place
+    from rtee.hand.own_copy import own, own_place
 
     home = own_place(folder) if save and folder else None
     targets = [*([out] if out else []), *([home / "actions"] if home else [])]
@@ -100,7 +100,7 @@ def extract(
             found = run(model, jobs=jobs, rank=rank.value, progress=progress)
     page = {} if report is None else {report: _report(model, found, folder, jobs)}
     if home is not None and folder is not None:
-        tell_copy(folder, own(folder))
+        report_copy(folder, own(folder))
     _write(targets, page, model, found)
     if as_json:
         from rtee.actions.describe import describe

@@ -32,7 +32,7 @@ def generic(
     Example: rtee generic point index_proximal=0 middle_proximal=0.8
     """
     from rtee.actions.build import generic as make
-    from rtee.actions.words import read_set_points
+    from rtee.actions.cli_syntax import read_set_points
 
     library = actions_of(hand)
     values = read_set_points(set_points)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import HandOption, actions_of, tell_copy
+from rtee.cli._common import HandOption, actions_of, report_copy
 from rtee.errors import ActionError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def import_(
     before = library.folder
     library.save(out)
     if out is None:
-        tell_copy(before, library.folder)
+        report_copy(before, library.folder)
     for note in imported.notes:
         print(f"note: {note}")
     for action in kept:

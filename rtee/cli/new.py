@@ -63,7 +63,7 @@ def _ask(question: str, default: bool) -> bool:
 
 
 def _copy(folder: Path, target: Path) -> None:
-    from rtee.hand.own import copy_hand
+    from rtee.hand.own_copy import copy_hand
 
     copy_hand(folder, target)
     print(f"{target} is made, a copy of {folder}.\nNext: rtee actions {_known(target)}")

@@ -10,7 +10,7 @@ from rtee.cli._common import ConnectOption, JsonOption, RunningOption
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
-    from rtee.remote.views import HandStatus
+    from rtee.remote.monitoring import HandStatus
 
 app = typer.Typer()
 

@@ -50,15 +50,15 @@ def scan(
 
     async def execute() -> list[Address]:
         async with BusPool() as pool:
-            return await scanning.scan(plans, pool, tell)
+            return await scanning.scan(plans, pool, report)
 
-    def tell(line: str) -> None:
+    def report(line: str) -> None:
         if sys.stderr.isatty():
             print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
 
     plans = _plans(port, host, can, interface, bitrate, unit)
     results = asyncio.run(execute())
-    tell("")
+    report("")
     if as_json:
         print(json.dumps({"addresses": [asdict(one) for one in results]}, indent=2))
     else:

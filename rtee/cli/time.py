@@ -31,7 +31,7 @@ def time(
 
     Example: rtee time wide openWide:after=0.5 grasp:before=0.2,alias=close
     """
-    from rtee.actions.words import read_step
+    from rtee.actions.cli_syntax import read_step
 
     library = actions_of(hand)
     plans = [read_step(step) for step in steps]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import complete_hand, tell_copy
+from rtee.cli._common import complete_hand, report_copy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -159,7 +159,7 @@ def _all(
     """Do what is not known yet; every result is kept as it comes."""
     from rtee.drivers.mujoco.objects import parse_object
     from rtee.errors import ConfigError
-    from rtee.hand.own import own
+    from rtee.hand.own_copy import own
     from rtee.trials.store import FILE_NAME, fingerprint, read_results
     from rtee.trials.sweep import all_trials, bench, sweep, sweep_on_cluster
 
@@ -178,7 +178,7 @@ def _all(
     if todo:
         if out is None:
             folder = own(ready.folder)
-            tell_copy(ready.folder, folder)
+            report_copy(ready.folder, folder)
             path = folder / FILE_NAME
         keep = _Kept(path, made_with, known)
         keep.write()  # so that it fails before, not after
@@ -186,7 +186,7 @@ def _all(
         coming = sweep_on_cluster(name, todo, cluster) if cluster else sweep(name, todo, processes)
         with keep.until_done(len(todo), again), closing(coming):
             for result in _with_progress(coming, len(todo)):
-                keep.take(result)
+                keep.add(result)
     return [known[trial.key] for trial in trials]
 
 
@@ -198,7 +198,7 @@ class _Kept:
         self._write_at = 0.0
         self._taken = 0
 
-    def take(self, result: TrialResult) -> None:
+    def add(self, result: TrialResult) -> None:
         """Keep a result; it is written now, unless writing would take too much of the time."""
         self._known[result.trial.key] = result
         self._taken += 1

@@ -81,8 +81,11 @@ class Driver(ABC):
     async def stop(self) -> None:
         """Stop motion now and stay powered; must not raise."""
 
-    async def release(self) -> None:
-        """Let go: make the device limp where it can be, else stop it; must not raise."""
+    async def disable(self) -> None:
+        """Take the drive power away, so that the actuators are limp; must not raise.
+
+        A device whose power cannot be switched is stopped instead.
+        """
         await self.stop()
 
     async def recover(self) -> None:

@@ -125,7 +125,7 @@ class Grasps(ABC):
             "which they meet the object, 0 to 1"
         )
 
-    def place(self, thing: ObjectInHand) -> None:
+    def place_object(self, thing: ObjectInHand) -> None:
         """Put an object between the fingers, in the place of one that is there.
 
         Raises:
@@ -146,14 +146,14 @@ class Grasps(ABC):
                 math.copysign(1.0, way),
             )
 
-    def take_away(self) -> None:
+    def remove_object(self) -> None:
         """Take away what is between the fingers."""
         for one in self.closings():
             one.motor.obstacle = None
 
 
 def grasping(emulator: Emulator) -> Grasps:
-    """Return an emulator as one that an object can be put into.
+    """Return an emulator that an object can be given to.
 
     Raises:
         ConfigError: if nothing can be put between its fingers.
@@ -201,5 +201,5 @@ def make_with_object(kind: type[Emulator], options: Mapping[str, Any]) -> Emulat
         return kind.from_options(options)
     thing = ObjectInHand.parse(given)
     made = kind.from_options({**options, "emulator": properties})
-    grasping(made).place(thing)
+    grasping(made).place_object(thing)
     return made

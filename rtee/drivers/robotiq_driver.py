@@ -14,8 +14,8 @@ from typing import ClassVar, Generic, TypeVar
 
 from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
-from rtee.drivers.blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.emulators import owner_of
+from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.robotiq_faults import NOT_ACTIVATED, Fault
 from rtee.drivers.robotiq_kinds import RobotiqSettings, RobotiqStatus
 from rtee.errors import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal, Protocol
 
-from rtee.drivers.blocks import ExchangeKind
+from rtee.drivers.register_blocks import ExchangeKind
 
 SAME = 2
 """Positions this near to each other are the same [counts]."""

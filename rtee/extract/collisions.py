@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import FARTHEST_CLEARANCE
-from rtee.extract.forms import TOUCH
+from rtee.extract.distance_queries import TOUCH
 from rtee.extract.grain import COARSE
 from rtee.extract.motion import Known, Motion, Way
 from rtee.extract.pairs import LinkPair

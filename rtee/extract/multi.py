@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import PrimitiveKind
-from rtee.extract.clear import Patience
+from rtee.extract.collision_free import Patience
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Link, MultiPinch, Placed, linked, trees
 from rtee.extract.pairs import LinkPair

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rtee.actions.types import PrimitiveKind
-from rtee.extract.clear import Patience
+from rtee.extract.collision_free import Patience
 from rtee.extract.collisions import Watch
 from rtee.extract.descent import descend
 from rtee.extract.evidence import Inspector

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from rtee.extract.clear import ClearSearch, Patience
+from rtee.extract.collision_free import ClearSearch, Patience
 from rtee.extract.collisions import Watch
 from rtee.extract.evidence import Inspector
 from rtee.extract.goals import Goal, Placed

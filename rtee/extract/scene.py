@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.extract.couplings import Couplings
+from rtee.extract.distance_queries import TOUCH, Forms
 from rtee.extract.drafts import Draft, draft, least_width, outer
-from rtee.extract.forms import TOUCH, Forms
 from rtee.extract.hinge import Jaw, clip_jaws
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.space import Space

@@ -55,19 +55,19 @@ class Bridge:
         try:
             await work()
         except RteeError as error:
-            self.tell("Refused", str(error), "orange")
+            self.notify("Refused", str(error), "orange")
         except OSError as error:
-            self.tell("Failed", str(error), "red")
+            self.notify("Failed", str(error), "red")
         except Exception as error:
             log.exception("a click could not be followed")
-            self.tell("Failed", f"{type(error).__name__}: {error}", "red")
+            self.notify("Failed", f"{type(error).__name__}: {error}", "red")
 
     @property
     def watched(self) -> bool:
         """Whether anybody has the page open."""
         return bool(self.server.get_clients())
 
-    def tell(self, title: str, text: str, colour: Any = "blue") -> None:
+    def notify(self, title: str, text: str, colour: Any = "blue") -> None:
         """Show a notification in every window."""
         for client in self.server.get_clients().values():
             client.add_notification(title, text, color=colour, auto_close_seconds=_SECONDS)

@@ -19,16 +19,16 @@ from rtee.actions.types import Action, ActionKind, Evidence, Posture
 from rtee.errors import ConfigError, RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import LONGEST
+from rtee.gui.panels.action_editor import MakingPanel
 from rtee.gui.panels.actions import ActionsPanel
 from rtee.gui.panels.cards import Card
 from rtee.gui.panels.header import Header
-from rtee.gui.panels.making import MakingPanel
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
-from rtee.gui.tried import tried_in
+from rtee.gui.trial_results import tried_in
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
@@ -148,7 +148,7 @@ class Session:
     async def _ask_trials(self) -> None:
         with contextlib.suppress(RequestRejected, ConfigError):
             text = await self._remote.trials()
-            self._actions.tell(await anyio.to_thread.run_sync(tried_in, text))
+            self._actions.show_trials(await anyio.to_thread.run_sync(tried_in, text))
 
     async def _follow_events(self, events: AsyncIterator[Event]) -> None:
         async for event in events:
@@ -160,7 +160,7 @@ class Session:
             await self._ask_trials()
         elif event.kind not in ("limited", "at_rest"):
             title = event.kind.replace("_", " ")
-            self._bridge.tell(title, event.text, _COLOURS.get(event.severity, "blue"))
+            self._bridge.notify(title, event.text, _COLOURS.get(event.severity, "blue"))
 
     async def _follow_status(self) -> None:
         while True:
@@ -178,7 +178,7 @@ class Session:
             while True:
                 watched = self._bridge.watched
                 await anyio.sleep(_SCENE_PERIOD if watched else _UNWATCHED_PERIOD)
-                for state in states.take(1 if watched else _UNWATCHED_STEP):
+                for state in states.drain(1 if watched else _UNWATCHED_STEP):
                     self._take(state)
                 if watched:
                     with self._bridge.server.atomic():

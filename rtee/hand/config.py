@@ -12,9 +12,7 @@ from pydantic import BaseModel, Field, ValidationError, field_validator, model_v
 
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.catalog import FILE_NAME
-from rtee.hand.model import CLEARANCE
-from rtee.hand.names import check_name
-from rtee.hand.sections import (
+from rtee.hand.config_schema import (
     ActuatorLimits,
     Device,
     LimitsSection,
@@ -27,7 +25,10 @@ from rtee.hand.sections import (
     Section,
     Thermal,
 )
+from rtee.hand.model import CLEARANCE
+from rtee.hand.names import check_name
 from rtee.hand.yamlfile import YamlDocument, read_yaml
+from rtee.types import FORMER_NAMES
 
 
 class HandConfig(Section):
@@ -128,6 +129,11 @@ def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError
         reason.removeprefix("Value error, ").removeprefix("Input ") for reason in reasons
     )
     match error["type"]:
+        case "extra_forbidden" if location[-1] in FORMER_NAMES:
+            return document.error(location, f"is called '{FORMER_NAMES[str(location[-1])]}' now")
+        case "literal_error" if error["input"] in FORMER_NAMES:
+            former = error["input"]
+            return document.error(location, f"'{former}' is called '{FORMER_NAMES[former]}' now")
         case "extra_forbidden":
             hint = suggestion(str(location[-1]), _keys(location[:-1]))
             return document.error(location, f"unknown key; {hint}")

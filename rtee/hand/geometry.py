@@ -14,8 +14,8 @@ import pinocchio as pin
 from rtee.errors import ModelError
 from rtee.hand.kinematics import Kinematics, pose
 from rtee.hand.linalg import norm, turned
+from rtee.hand.mesh_repair import mended
 from rtee.hand.meshes import check_mesh
-from rtee.hand.meshparts import mended
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry, UrdfLink

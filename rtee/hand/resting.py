@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from rtee.hand.lines import rest_line
 from rtee.hand.model import Hand
+from rtee.hand.yaml_hints import rest_line
 from rtee.types import FloatArray
 
 if TYPE_CHECKING:

@@ -15,11 +15,11 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from rtee.errors import ConfigError, ModelError
+from rtee.hand.allowed_collisions import ALWAYS, TouchingPair, touching_pairs
 from rtee.hand.candidates import carriers, double_limits, in_words, passive_candidates
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.discovery import name_fingers
 from rtee.hand.files import make_folder, new_folder, read_bytes, reason, write_atomically
-from rtee.hand.lines import ignore_line, rest_line
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Finger, Hand
@@ -28,9 +28,9 @@ from rtee.hand.resting import closed_rest_of
 from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
 from rtee.hand.srdf import read_srdf
 from rtee.hand.srdfwrite import format_srdf, with_disabled
-from rtee.hand.touching import ALWAYS, TouchingPair, touching_pairs
 from rtee.hand.urdf import Urdf
 from rtee.hand.xmlfile import read_xml
+from rtee.hand.yaml_hints import ignore_line, rest_line
 
 _FILENAME = re.compile(r"""(\bfilename\s*=\s*)("[^"]*"|'[^']*')""")
 _DECLARATION = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")

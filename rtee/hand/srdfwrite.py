@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.sax.saxutils import escape, quoteattr
 
+from rtee.hand.allowed_collisions import TouchingPair
 from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.model import Finger, Hand, JointRole
-from rtee.hand.touching import TouchingPair
 
 _HEAD = """<?xml version="1.0"?>
 <!-- Which links of the URDF are fingers. Edit names and chains; rtee checks them when it reads. -->

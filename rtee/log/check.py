@@ -15,8 +15,8 @@ from rtee.commands import CommandRecord
 from rtee.errors import LogError, RteeError
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
-from rtee.log.contents import REPLAY, Replayable
-from rtee.log.plain import from_json
+from rtee.log.dataclass_json import from_json
+from rtee.log.layout import REPLAY, Replayable
 from rtee.log.recording import Entry, Recording
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
@@ -138,7 +138,7 @@ def _check(recording: Recording, replayable: Replayable) -> Check:
         stamp = float(states.time[row])
         for what in due(int(states.tick[row]), stamp):
             if isinstance(what, Plan):
-                controller.take(what, stamp)
+                controller.accept(what, stamp)
             else:
                 controller.apply(what.command, what.stamp)
         controller.step(stamp, measured)

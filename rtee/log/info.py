@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from rtee.errors import MessageError
-from rtee.log import rows
+from rtee.log import column_reader
 from rtee.log.chunks import MESSAGE
+from rtee.log.file_index import Survey, survey
 from rtee.log.reader import read
+from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.recording import Recording
-from rtee.log.scan import DamagedRecordError, messages_of
-from rtee.log.survey import Survey, survey
 from rtee.messages import topics
 from rtee.messages.convert import decode_loop_statistics
 from rtee.types import LoopStatistics
@@ -185,11 +185,11 @@ def _statistics(file: Survey) -> LoopStatistics | None:
                 continue
             try:
                 data, _ = messages_of(place.record.read(stream))
-                found = rows.walk(data).get(number)
+                found = column_reader.walk(data).get(number)
                 if found:
                     start = found[-1]
                     array = np.frombuffer(data, dtype=np.uint8)
-                    size = int(rows.lengths(array, np.array([start], dtype=np.int64))[0])
+                    size = int(column_reader.lengths(array, np.array([start], dtype=np.int64))[0])
                     begin = start + MESSAGE.size
                     return decode_loop_statistics(data[begin : begin + size])
             except (DamagedRecordError, MessageError):

@@ -8,11 +8,11 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rtee.errors import LogError
-from rtee.hand.carried import FOLDER, with_addresses
+from rtee.hand.embedded_meshes import FOLDER, with_addresses
 from rtee.hand.files import write_all
 from rtee.hand.names import check_name
-from rtee.log.contents import REPLAY, Replayable
-from rtee.log.plain import from_json
+from rtee.log.dataclass_json import from_json
+from rtee.log.layout import REPLAY, Replayable
 from rtee.log.recording import Recording
 from rtee.loop.observer import TickRecord
 

@@ -9,16 +9,16 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from rtee.errors import LogError, MessageError
-from rtee.log import rows
-from rtee.log.ahead import chunks_ahead
+from rtee.log import column_reader
 from rtee.log.chunks import MESSAGE
-from rtee.log.contents import MESHES
+from rtee.log.file_index import ChunkPlace, Survey, survey
+from rtee.log.layout import MESHES
 from rtee.log.plans import plan_of
+from rtee.log.prefetch import chunks_ahead
+from rtee.log.record_scanner import DamagedRecordError
 from rtee.log.recording import ActuatorSeries, Channel, Entry, JointSeries, Recording
 from rtee.log.rotation import parts_of, recordings
-from rtee.log.scan import DamagedRecordError
 from rtee.log.sink import reason
-from rtee.log.survey import ChunkPlace, Survey, survey
 from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
 from rtee.messages.command import command_record_of
@@ -95,10 +95,10 @@ class _Collector:
                     f"is a recording of '{other.hand}', not of '{self._hand}'", path=other.path
                 )
         self._notes = [f"{each.path.name}: {note}" for each in surveys for note in each.notes]
-        self._rows: dict[str, rows.Rows] = {}
+        self._rows: dict[str, column_reader.Rows] = {}
         for name in _TABLES:
             most = sum(self._count(each, name) for each in surveys) if name in wanted else 0
-            self._rows[name] = rows.Rows(message_type(topics.TYPES[name]), most)
+            self._rows[name] = column_reader.Rows(message_type(topics.TYPES[name]), most)
         self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
         self._damaged = 0
 
@@ -151,9 +151,9 @@ class _Collector:
         self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, str]
     ) -> None:
         array = np.frombuffer(data, dtype=np.uint8)
-        starts = rows.starts_of(place, stream, array, channels)
+        starts = column_reader.starts_of(place, stream, array, channels)
         if starts is None:
-            walked = rows.walk(data)
+            walked = column_reader.walk(data)
             starts = {k: np.array(v, dtype=np.int64) for k, v in walked.items() if k in channels}
         for number, offsets in starts.items():
             name = channels[number]
@@ -162,11 +162,11 @@ class _Collector:
             else:
                 self._decode(name, array, offsets)
 
-    def _decode(self, name: str, array: rows.Bytes, starts: rows.Offsets) -> None:
+    def _decode(self, name: str, array: column_reader.Bytes, starts: column_reader.Offsets) -> None:
         kind = message_type(topics.TYPES[name])
-        times = rows.log_times(array, starts).tolist()
-        sizes = rows.lengths(array, starts).tolist()
-        order = rows.sequences(array, starts).tolist()
+        times = column_reader.log_times(array, starts).tolist()
+        sizes = column_reader.lengths(array, starts).tolist()
+        order = column_reader.sequences(array, starts).tolist()
         for start, size, time, number in zip(starts.tolist(), sizes, times, order, strict=True):
             begin = start + MESSAGE.size
             try:
@@ -242,7 +242,7 @@ class _Collector:
 
     def _series(self, name: str, start: int) -> JointSeries:
         table = self._rows[name]
-        order = rows.order_of(table.times)
+        order = column_reader.order_of(table.times)
         wall = table.times[order]
         return JointSeries(
             t=(wall - start) / _SECOND,
@@ -253,7 +253,7 @@ class _Collector:
 
     def _actuators(self, start: int) -> ActuatorSeries:
         table = self._rows[topics.ACTUATOR_STATES]
-        order = rows.order_of(table.times)
+        order = column_reader.order_of(table.times)
         wall = table.times[order]
         wide = ["position", "velocity", "effort", "current", "temperature", "grasped", "fresh"]
         return ActuatorSeries(

@@ -15,10 +15,10 @@ from typing import Final, Self
 
 from rtee.commands import CommandRecord
 from rtee.errors import LogError
-from rtee.hand.carried import CarriedMeshes, carried_meshes
+from rtee.hand.embedded_meshes import CarriedMeshes, carried_meshes
 from rtee.hand.model import Hand
-from rtee.log.contents import REPLAY, Contents, Replayable
-from rtee.log.plain import to_json
+from rtee.log.dataclass_json import to_json
+from rtee.log.layout import REPLAY, Contents, Replayable
 from rtee.log.settings import RecorderSettings, RecorderStatus
 from rtee.log.sink import reason
 from rtee.log.writer import ITSELF, Item, LogWriter

@@ -14,12 +14,12 @@ from typing import BinaryIO
 import numpy as np
 
 from rtee.errors import LogError
-from rtee.log import rows
+from rtee.log import column_reader
 from rtee.log.chunks import PackedChunk, index_records
+from rtee.log.file_index import ChunkPlace, Survey, survey
 from rtee.log.mcapfile import McapFile, Preamble, being_written
-from rtee.log.scan import DamagedRecordError, messages_of
+from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.sink import reason
-from rtee.log.survey import ChunkPlace, Survey, survey
 
 _SECOND = 1e9
 _RECORD_HEAD = 9
@@ -133,10 +133,10 @@ def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
             continue
         array = np.frombuffer(data, dtype=np.uint8)
         entries = {}
-        for number, offsets in rows.walk(data).items():
+        for number, offsets in column_reader.walk(data).items():
             if number in found.channels:
                 starts = np.array(offsets, dtype=np.int64)
-                times = rows.log_times(array, starts).astype(np.uint64)
+                times = column_reader.log_times(array, starts).astype(np.uint64)
                 entries[number] = (times, starts.astype(np.uint64))
         if not entries:
             continue

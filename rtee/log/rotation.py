@@ -10,7 +10,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from rtee.log.mcapfile import MAGIC, being_written
-from rtee.log.scan import Record, metadata_of, scan
+from rtee.log.record_scanner import Record, metadata_of, scan
 
 METADATA = "rtee"
 """Name of the metadata record that every recording of rtee carries."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rtee.log.chunks import PackedChunk
-from rtee.log.contents import Contents
+from rtee.log.layout import Contents
 from rtee.log.mcapfile import McapFile, being_written
 from rtee.log.rotation import FLIGHT, Retention, flight_path, part_path, session_name
 from rtee.log.settings import RecorderSettings

@@ -13,8 +13,8 @@ import numpy as np
 
 from rtee.commands import CommandRecord
 from rtee.log.chunks import ChunkBuilder
-from rtee.log.contents import CHANNELS, Contents
 from rtee.log.flight import FlightRecorder
+from rtee.log.layout import CHANNELS, Contents
 from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink

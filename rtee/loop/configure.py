@@ -25,7 +25,7 @@ from rtee.types import DeviceSpec
 
 if TYPE_CHECKING:
     from rtee.hand.config import HandConfig
-    from rtee.hand.sections import Device
+    from rtee.hand.config_schema import Device
 
 KINEMATIC = "kinematic"
 """The driver that needs no device."""
@@ -52,8 +52,8 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
         stall=StallSettings(loop.stall.time, loop.stall.speed),
         grasp=GraspSettings(
             loop.grasp.effort,
-            loop.grasp.holding_effort,
-            loop.grasp.holding_after,
+            loop.grasp.grip_effort,
+            loop.grasp.grip_after,
             loop.grasp.touch,
         ),
         safety=SafetySettings(
@@ -62,12 +62,12 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
             on_link_lost=Behaviour(safety.on_link_lost),
             on_error=Behaviour(safety.on_error),
             max_step=safety.max_step,
-            idle_release=safety.idle_release,
+            idle_disable=safety.idle_disable,
         ),
         thermal=ThermalSettings(
             thermal.warn,
             thermal.derate,
-            thermal.release,
+            thermal.disable,
             dict(thermal.nominal_current),
             thermal.time_constant,
             thermal.ambient,

@@ -20,7 +20,7 @@ from rtee.errors import (
     RteeError,
     UserError,
 )
-from rtee.loop.accounts import Accounts
+from rtee.loop.exchange_counters import Accounts
 from rtee.loop.settings import DeviceSettings
 from rtee.types import ActuatorState, Event, Lifecycle
 

@@ -20,19 +20,19 @@ from rtee.commands import (
     Jog,
     SetAcceptsEffort,
     SetActive,
-    SetHoldingEffort,
+    SetGripEffort,
 )
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.executor import Executor
-from rtee.loop.heat import CurrentHeat
 from rtee.loop.limiter import Limiter
 from rtee.loop.motion import Limits
 from rtee.loop.plan import Plan
-from rtee.loop.plausible import Plausibility
+from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import make_profile
 from rtee.loop.settings import LoopSettings
 from rtee.loop.thermal import Level, Thermal
+from rtee.loop.thermal_model import CurrentHeat
 from rtee.types import Event, Feedback, Result
 
 _THERMAL_EVERY = 0.1
@@ -51,14 +51,14 @@ class Outbox:
 
     Attributes:
         items: Feedback, results and events.
-        release: Actuators whose device must be released: too hot.
+        disable: Actuators whose device must be disabled: too hot.
     """
 
     items: list[Feedback | Result | Event] = field(default_factory=list)
-    release: set[int] = field(default_factory=set)
+    disable: set[int] = field(default_factory=set)
 
     def __bool__(self) -> bool:
-        return bool(self.items or self.release)
+        return bool(self.items or self.disable)
 
 
 class Controller:
@@ -124,9 +124,9 @@ class Controller:
         return self._executor.running
 
     @property
-    def holding_effort(self) -> float:
+    def grip_effort(self) -> float:
         """Effort kept on what is held, as a fraction of the effort limit."""
-        return self._grasp.holding_effort
+        return self._grasp.grip_effort
 
     @property
     def moving(self) -> bool:
@@ -155,7 +155,7 @@ class Controller:
         """Return in words of which of some actuators the measured position is not believed."""
         return "; ".join(words for i in indices if (words := self._plausible.words(i)))
 
-    def take(self, plan: Plan, stamp: float) -> None:
+    def accept(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted."""
         self._leave_hold(plan.involved)
         self._goal_effort = {
@@ -189,8 +189,8 @@ class Controller:
                 self._seeding.update(frozen)
             case Jog():
                 self._jog(command, stamp)
-            case SetHoldingEffort(fraction):
-                self._grasp = replace(self._grasp, holding_effort=fraction)
+            case SetGripEffort(fraction):
+                self._grasp = replace(self._grasp, grip_effort=fraction)
                 self._set_efforts()
             case SetActive(active):
                 self._set_active(active)
@@ -320,14 +320,14 @@ class Controller:
     def _ease_off(self, stamp: float, measured: Measured) -> None:
         """Reduce the effort of blocked actuators after a time; tell when a grasp is lost."""
         grasp = self._grasp
-        for i in self._contact.blocked_longer_than(grasp.holding_after, stamp):
+        for i in self._contact.blocked_longer_than(grasp.grip_after, stamp):
             if i in self._holding:
                 continue
             self._holding.add(i)
             if not (self._accepts[i] and math.isfinite(self._effort_limit(i))):
                 here = measured.position[i]
                 push = self._profile.target[i] - here
-                self._profile.go({i: here + grasp.holding_effort * push})
+                self._profile.go({i: here + grasp.grip_effort * push})
             self._set_efforts()
         limits, position = self.reference_effort, self._limiter.position
         for i in self._contact.lost(stamp, measured, position, limits):
@@ -344,7 +344,7 @@ class Controller:
         for i, actuator in enumerate(self.hand.actuators):
             limit = self._effort_limit(i)
             if i in self._holding:
-                limit = min(limit, grasp.holding_effort * actuator.effort)
+                limit = min(limit, grasp.grip_effort * actuator.effort)
             self.reference_effort[i] = limit * self._thermal.factor[i]
 
     def _watch_temperature(self, stamp: float, measured: Measured) -> None:
@@ -355,8 +355,8 @@ class Controller:
             name = self.hand.actuators[change.index].name
             estimated = math.isnan(measured.temperature[change.index])
             self.outbox.items.append(change.event(name, stamp, estimated=estimated))
-            if change.level is Level.RELEASE:
-                self.outbox.release.add(change.index)
+            if change.level is Level.DISABLE:
+                self.outbox.disable.add(change.index)
         if derating or any(factor != 1.0 for factor in self._thermal.factor):
             self._set_efforts()
 

@@ -10,7 +10,7 @@ from enum import Enum
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.plan import Leg, Plan
-from rtee.loop.plausible import Plausibility
+from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import Profile
 from rtee.loop.settings import LoopSettings
 from rtee.types import Feedback, JointKind, Result

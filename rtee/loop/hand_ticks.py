@@ -20,12 +20,12 @@ from rtee.drivers.base import Driver
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
-from rtee.loop.gather import Gather
 from rtee.loop.histogram import TickStatistics
-from rtee.loop.notify import Observers
 from rtee.loop.observer import TickRecord
+from rtee.loop.observers import Observers
 from rtee.loop.plan import Plan
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
+from rtee.loop.state_aggregator import Gather
 from rtee.loop.supervisor import Supervisor
 from rtee.types import (
     DeviceStatus,
@@ -174,10 +174,10 @@ class HandTicks:
     def tick(self, tick: Tick) -> None:
         """Do one tick; takes no time to speak of and never waits."""
         self.move_on(tick)
-        self.tell()
+        self.notify_observers()
 
     def move_on(self, tick: Tick) -> None:
-        """Move the reference on and hand it to the devices' tasks; `tell` tells of it.
+        """Move the reference on and hand it to the devices' tasks; `notify_observers` reports it.
 
         Whoever watches may wake other threads, which then want the interpreter: first the devices.
         """
@@ -188,8 +188,8 @@ class HandTicks:
         while self._pending:
             self._begin(self._pending.popleft(), tick.number, stamp)
         controller.step(stamp, gather.measured)
-        if self.settings.safety.idle_release is not None:
-            self._rest_when_idle(stamp, self.settings.safety.idle_release)
+        if self.settings.safety.idle_disable is not None:
+            self._rest_when_idle(stamp, self.settings.safety.idle_disable)
         record = self._record = TickRecord(
             tick.number,
             stamp,
@@ -211,7 +211,7 @@ class HandTicks:
                 moving = self._was_active[device.name] and not device.muted
                 device.offer(self._reference(device, record) if moving else None)
 
-    def tell(self) -> None:
+    def notify_observers(self) -> None:
         """Tell the observers what the last `move_on` did."""
         record = self._record
         if self._begun:
@@ -231,15 +231,15 @@ class HandTicks:
                 self._status_at = stamp + crc32(self.name.encode()) / 2**32 * window
 
     def _rest_when_idle(self, stamp: float, within: float) -> None:
-        """Let the hand go limp once it was idle for a time [s]."""
+        """Disable the hand once it was idle for a time [s]."""
         powered = any(self._was_active.values())
         if not powered or not self.controller.idle or math.isinf(self._busy_at):
             self._busy_at = stamp
         elif stamp - self._busy_at >= within:
             self._busy_at = math.inf
-            text = f"{self.name}: idle for {within:g} s, released; `rtee recover` wakes it"
+            text = f"{self.name}: idle for {within:g} s, disabled; `rtee recover` wakes it"
             self._observers.event(Event("idle", self.name, text, stamp))
-            self.behave(Behaviour.RELEASE, text)
+            self.behave(Behaviour.DISABLE, text)
 
     def _reference(self, device: Supervisor, record: TickRecord) -> Reference:
         top = np.array(self.controller.max_velocity)
@@ -291,7 +291,7 @@ class HandTicks:
     def _begin(self, what: Plan | Command, tick: int, stamp: float) -> None:
         if isinstance(what, Plan):
             self._begun.append((what, stamp))
-            self.controller.take(what, stamp)
+            self.controller.accept(what, stamp)
             return
         self._begun.append((CommandRecord(tick, stamp, what), stamp))
         self.controller.apply(what, stamp)
@@ -325,11 +325,11 @@ class HandTicks:
                         waiting[0].set()
                 case Event():
                     self._observers.event(item)
-        if outbox.release:
-            hot, outbox.release = outbox.release, set()
+        if outbox.disable:
+            hot, outbox.disable = outbox.disable, set()
             for device in self.devices.values():
                 if hot.intersection(device.indices):
-                    self._start(device.release, CONFIRM_WITHIN)
+                    self._start(device.disable, CONFIRM_WITHIN)
 
     def now(self) -> float:
         """Return the time of the clock it lives by [s]."""

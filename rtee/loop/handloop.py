@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping
 
 import anyio
 
-from rtee.commands import Cancel, Freeze, Hold, Jog, SetHoldingEffort
+from rtee.commands import Cancel, Freeze, Hold, Jog, SetGripEffort
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.loop.hand_ticks import CONFIRM_WITHIN, HandTicks
 from rtee.loop.observer import LoopObserver, TickRecord
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 ITSELF = "rtee"
 """The client of goals that the loop gives itself."""
 
-HOLDING_EFFORT = "holding_effort"
+GRIP_EFFORT = "grip_effort"
 """The gain of the hand itself: the effort kept on what is held."""
 
 
@@ -153,9 +153,9 @@ class HandLoop(HandTicks):
         )
         return confirmed
 
-    async def release(self, reason: str = "released") -> list[tuple[str, bool]]:
-        """Let all devices go limp; they are inactive afterwards. Returns as `stop`."""
-        return await self._all_devices(reason, Supervisor.release)
+    async def disable(self, reason: str = "disabled") -> list[tuple[str, bool]]:
+        """Disable all devices; they are limp and inactive afterwards. Returns as `stop`."""
+        return await self._all_devices(reason, Supervisor.disable)
 
     async def keep(self, reason: str = "") -> list[tuple[str, bool]]:
         """Send every device its last reference: where it is, or what it holds with.
@@ -234,7 +234,7 @@ class HandLoop(HandTicks):
     async def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
         """Change gains of a device, or of every device that has them.
 
-        Without a device, ``holding_effort`` is the effort kept on what is held, 0 to 1 of the
+        Without a device, ``grip_effort`` is the effort kept on what is held, 0 to 1 of the
         effort limit.
 
         Raises:
@@ -245,9 +245,9 @@ class HandLoop(HandTicks):
             raise ConfigError(f"unknown device '{device}'; {suggestion(device, self.devices)}")
         chosen = [d for d in self.devices.values() if device in (None, d.name)]
         gains = dict(gains)
-        holding = gains.pop(HOLDING_EFFORT, None) if device is None else None
+        holding = gains.pop(GRIP_EFFORT, None) if device is None else None
         if holding is not None and not 0.0 <= holding <= 1.0:
-            raise ConfigError(f"{HOLDING_EFFORT} must be 0 to 1, not {holding:g}")
+            raise ConfigError(f"{GRIP_EFFORT} must be 0 to 1, not {holding:g}")
         for name, value in gains.items():
             known = {gain for d in chosen for gain in d.driver.capabilities.gains}
             if name not in known:
@@ -259,7 +259,7 @@ class HandLoop(HandTicks):
             if own:
                 await supervisor.set_gains(own)
         if holding is not None:
-            self._pending.append(SetHoldingEffort(float(holding)))
+            self._pending.append(SetGripEffort(float(holding)))
 
     # --- when nobody drives it ---------------------------------------------------------------
 
@@ -276,8 +276,8 @@ class HandLoop(HandTicks):
                 self.hold(reason)
             case Behaviour.STOP:
                 self._start(self.stop, reason)
-            case Behaviour.RELEASE:
-                self._start(self.release, reason)
+            case Behaviour.DISABLE:
+                self._start(self.disable, reason)
             case Behaviour.OPEN:
                 self.hold(reason)
                 try:

@@ -46,8 +46,8 @@ class Behaviour(StrEnum):
     """Stop the devices' motion now, powered."""
     OPEN = "open"
     """Go to the rest posture, then hold."""
-    RELEASE = "release"
-    """Let go: limp where the device can be."""
+    DISABLE = "disable"
+    """Take the drive power away, so that the actuators are limp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +82,14 @@ class GraspSettings:
 
     Attributes:
         effort: Measured effort above this fraction of the effort limit means contact.
-        holding_effort: Effort limit while holding, as a fraction of the effort limit.
-        holding_after: Time after the grasp at which the effort is reduced to it [s].
+        grip_effort: Effort limit while holding, as a fraction of the effort limit.
+        grip_after: Time after the grasp at which the effort is reduced to it [s].
         touch: Force at a fingertip above which it touches [N], where that is measured.
     """
 
     effort: float = 0.2
-    holding_effort: float = 0.4
-    holding_after: float = 2.0
+    grip_effort: float = 0.4
+    grip_after: float = 2.0
     touch: float = 0.1
 
 
@@ -104,7 +104,7 @@ class SafetySettings:
         on_error: When the loop itself fails.
         max_step: Largest change of a reference per tick [rad | m]; ``None``: one tick at the
             velocity limit.
-        idle_release: A hand that nobody has moved for this long, and that holds nothing, goes limp
+        idle_disable: A hand that nobody has moved for this long, and that holds nothing, goes limp
             [s]; ``None``: never.
     """
 
@@ -113,7 +113,7 @@ class SafetySettings:
     on_link_lost: Behaviour = Behaviour.HOLD
     on_error: Behaviour = Behaviour.STOP
     max_step: float | None = None
-    idle_release: float | None = None
+    idle_disable: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +122,8 @@ class ThermalSettings:
 
     Attributes:
         warn: An event is raised.
-        derate: The effort limit falls linearly from here, to nothing at `release`.
-        release: The device is released.
+        derate: The effort limit falls linearly from here, to nothing at `disable`.
+        disable: The device is disabled.
         nominal_current: Current by actuator that it may be given for ever [A]; with it, the
             temperature is estimated from the measured current. ``defaults``: of all others.
         time_constant: Time in which it comes within 37 % of its final temperature [s].
@@ -132,7 +132,7 @@ class ThermalSettings:
 
     warn: float = 60.0
     derate: float = 70.0
-    release: float = 80.0
+    disable: float = 80.0
     nominal_current: Mapping[str, float] = field(default_factory=dict)
     time_constant: float = 30.0
     ambient: float = 25.0

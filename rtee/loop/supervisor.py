@@ -1,4 +1,4 @@
-"""What others may ask of a device's task: stop, hold, release, recover, how it is doing."""
+"""What others may ask of a device's task: stop, hold, disable, recover, how it is doing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import logging
 import math
 from collections.abc import Awaitable, Callable, Mapping
 
-from rtee.buses.patience import patiently
+from rtee.buses.retry import patiently
 from rtee.errors import DriverError
 from rtee.loop.connection import BACKOFF
 from rtee.loop.exchange import Exchange
@@ -54,9 +54,9 @@ class Supervisor(Exchange):
         """
         return await self._confirmed("stop", self._stop, within)
 
-    async def release(self, within: float) -> bool:
-        """Let the device go limp; it is inactive afterwards. Returns as `stop`."""
-        return await self._confirmed("release", self._release, within)
+    async def disable(self, within: float) -> bool:
+        """Disable the device; it is limp and inactive afterwards. Returns as `stop`."""
+        return await self._confirmed("disable", self._disable, within)
 
     async def hold(self, reference: Reference | None, within: float) -> bool:
         """Send one last reference: the given one, else where it is. Returns as `stop`."""
@@ -82,12 +82,12 @@ class Supervisor(Exchange):
         self._take(await patiently(self.driver.sense))
         return True
 
-    async def _release(self) -> bool:
+    async def _disable(self) -> bool:
         self._reference = None
-        await patiently(self.driver.release)
+        await patiently(self.driver.disable)
         await patiently(self.driver.deactivate)
         self.lifecycle = Lifecycle.INACTIVE
-        self.trouble = "it was released"
+        self.trouble = "it was disabled"
         self._activate_on_connect = False
         self._take(await patiently(self.driver.sense))
         return True

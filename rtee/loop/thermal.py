@@ -1,4 +1,4 @@
-"""Watch temperatures: warn, give less effort, let go; and tell a broken sensor from a hot motor."""
+"""Watch temperatures: warn, derate, disable; and tell a broken sensor from a hot motor."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HYSTERESIS = 2.0
 """A level is left this far below its threshold [°C]."""
 
 _LEAST = 0.1
-"""Derating leaves this fraction of the effort limit until release."""
+"""Derating leaves this fraction of the effort limit until the device is disabled."""
 
 
 class Level(IntEnum):
@@ -29,7 +29,7 @@ class Level(IntEnum):
     OK = 0
     WARN = 1
     DERATE = 2
-    RELEASE = 3
+    DISABLE = 3
     INVALID = 4
 
     def words(self, name: str, factor: float) -> str:
@@ -39,7 +39,7 @@ class Level(IntEnum):
                 return f"the temperature sensor of {name} is invalid"
             case Level.DERATE:
                 return f"{name} is hot, its effort limited to {factor:.0%}"
-            case Level.RELEASE:
+            case Level.DISABLE:
                 return f"{name} is too hot"
             case Level.WARN:
                 return f"{name} is warm"
@@ -51,10 +51,10 @@ _SAYING = {
     Level.OK: ("is cool again:", "info"),
     Level.WARN: ("is warm:", "warning"),
     Level.DERATE: ("is hot and gets less effort:", "warning"),
-    Level.RELEASE: ("is too hot, its device is released:", "error"),
+    Level.DISABLE: ("is too hot, its device is disabled:", "error"),
     Level.INVALID: ("has an invalid temperature sensor:", "warning"),
 }
-_RISING = (Level.WARN, Level.DERATE, Level.RELEASE)
+_RISING = (Level.WARN, Level.DERATE, Level.DISABLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ class Thermal:
         if not low <= celsius <= high:
             return Level.INVALID
         found = Level.OK
-        thresholds = (self._settings.warn, self._settings.derate, self._settings.release)
+        thresholds = (self._settings.warn, self._settings.derate, self._settings.disable)
         for level, threshold in zip(_RISING, thresholds, strict=True):
             keep = _HYSTERESIS if present is not Level.INVALID and present >= level else 0.0
             if celsius >= threshold - keep:
@@ -145,6 +145,6 @@ class Thermal:
             return 1.0
         if level is Level.INVALID:
             return before
-        span = self._settings.release - self._settings.derate
-        left = (self._settings.release - celsius) / span if span > 0 else 0.0
+        span = self._settings.disable - self._settings.derate
+        left = (self._settings.disable - celsius) / span if span > 0 else 0.0
         return min(1.0, max(_LEAST, left))

@@ -20,7 +20,7 @@ from rtee.commands import (
     Jog,
     SetAcceptsEffort,
     SetActive,
-    SetHoldingEffort,
+    SetGripEffort,
 )
 from rtee.errors import MessageError
 from rtee.messages.convert import Data, header
@@ -46,7 +46,7 @@ def plain(command: Command) -> Plain:
             # repr: the shortest text from which the same number is read again, bit for bit.
             limit = "" if math.isinf(max_velocity) else repr(float(max_velocity))
             return "jog", limit, positions
-        case SetHoldingEffort(fraction):
+        case SetGripEffort(fraction):
             return "holding", "", {"effort": fraction}
         case SetActive(active):
             return "active", "", {name: float(flag) for name, flag in active.items()}
@@ -69,7 +69,7 @@ def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:
             case "jog":
                 return Jog(numbers, float(text) if text else math.inf)
             case "holding":
-                return SetHoldingEffort(numbers["effort"])
+                return SetGripEffort(numbers["effort"])
             case "active":
                 return SetActive({name: bool(flag) for name, flag in numbers.items()})
             case "accepts":

@@ -22,7 +22,7 @@ string client                # who asks
     "rtee_msgs/msg/ClientRequest": """\
 # A client asks for something: the lease, a stop, to open, to recover a device.
 string client                # who asks
-string what                  # take, release or the device's name; empty: all
+string what                  # acquire, release or the device's name; empty: all
 """,
     "rtee_msgs/msg/StopReply": """\
 # What the devices answered to a stop.
@@ -209,7 +209,7 @@ string action                # its action
 bool recording               # a recording is written
 string recording_path        # to this file
 string recording_trouble     # what it has lost and why, or empty
-float64 holding_effort       # effort kept on what is held, as a fraction of the effort limit
+float64 grip_effort       # effort kept on what is held, as a fraction of the effort limit
 rtee_msgs/LoopStatistics statistics
 rtee_msgs/DeviceStatus[] devices
 string profile               # how references move, and why if not as in hand.yaml

@@ -31,8 +31,8 @@ from rtee.actions.types import Action, ActionReference, CustomAction, PrimitiveG
 from rtee.messages.state import State
 from rtee.remote.client import GoalOptions, RemoteHand, connect
 from rtee.remote.goal import RunningGoal
+from rtee.remote.monitoring import READY_WITHIN, HandStatus
 from rtee.remote.planner import HandInfo
-from rtee.remote.views import READY_WITHIN, HandStatus
 from rtee.types import Event, Feedback, Result
 
 T = TypeVar("T")
@@ -171,9 +171,9 @@ class BlockingHand:
         """Start, stop or mark the recording; see `RemoteHand.record`."""
         self._call(self._hand.record, what, text)
 
-    def take(self) -> None:
-        """Hold the hand until `release`: nobody else may move it."""
-        self._call(self._hand.take)
+    def acquire(self) -> None:
+        """Acquire the lease, until `release`: nobody else may move the hand."""
+        self._call(self._hand.acquire)
 
     def release(self) -> None:
         """Give the hand back."""

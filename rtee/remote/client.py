@@ -20,9 +20,9 @@ import anyio.to_thread
 from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
 from rtee.hand.names import safe_name
 from rtee.messages import decode_feedback, decode_result, encode_goal, topics
+from rtee.remote.action_client import Library
 from rtee.remote.find import open_hand
 from rtee.remote.goal import RunningGoal
-from rtee.remote.library import Library
 from rtee.remote.link import Link
 from rtee.types import Feedback, Goal, Result, Stage
 
@@ -72,7 +72,7 @@ class RemoteHand(Library):
     """A running hand; made by `connect`.
 
     Everything that moves it is refused with `LeaseHeld` while another client holds it. A client
-    holds it while a goal of its own runs, and from `take` to `release`; `stop` needs neither.
+    holds it while a goal of its own runs, and from `acquire` to `release`; `stop` needs neither.
 
     Attributes:
         name: The hand's name.
@@ -94,7 +94,7 @@ class RemoteHand(Library):
         feedback = decode_feedback(data)
         running = self._goals.get(feedback.goal_id)
         if running is not None:
-            running.tell(feedback)
+            running.deliver(feedback)
 
     def _on_result(self, data: bytes) -> None:
         if not self._goals:
@@ -102,13 +102,13 @@ class RemoteHand(Library):
         result = decode_result(data)
         running = self._goals.pop(result.goal_id, None)
         if running is not None:
-            running.tell(result)
+            running.deliver(result)
 
     def _on_gone(self) -> None:
         super()._on_gone()
         goals, self._goals = self._goals, {}
         for running in goals.values():
-            running.tell(NoHand(f"the hand '{self.name}' has gone"))
+            running.deliver(NoHand(f"the hand '{self.name}' has gone"))
 
     # --- moving it
 
@@ -243,7 +243,7 @@ class RemoteHand(Library):
     async def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
         """Change gains of a device, or of every device that has them.
 
-        Without a device, ``holding_effort`` is the effort kept on what is held, 0 to 1 of the
+        Without a device, ``grip_effort`` is the effort kept on what is held, 0 to 1 of the
         effort limit.
         """
         await self._values("gains", device or "", gains, None)
@@ -260,9 +260,9 @@ class RemoteHand(Library):
         """
         await self._link.ask("record", {"client": self.client, "what": what, "text": text})
 
-    async def take(self) -> None:
-        """Hold the hand until `release`: nobody else may move it."""
-        await self._say("take")
+    async def acquire(self) -> None:
+        """Acquire the lease, until `release`: nobody else may move the hand."""
+        await self._say("acquire")
         self._taken = True
 
     async def release(self) -> None:
@@ -283,7 +283,7 @@ class RemoteHand(Library):
     @contextlib.asynccontextmanager
     async def held(self) -> AsyncIterator[None]:
         """Hold the hand for as long as the context lasts."""
-        await self.take()
+        await self.acquire()
         try:
             yield
         finally:

@@ -62,7 +62,7 @@ class RunningGoal:
         if not self.done:
             await self._cancel()
 
-    def tell(self, what: Feedback | Result | Exception) -> None:
+    def deliver(self, what: Feedback | Result | Exception) -> None:
         """Take what came from the hand."""
         if isinstance(what, Feedback):
             self._feedback.put_nowait(what)

@@ -14,7 +14,7 @@ JOGGING = 1.0
 class Lease:
     """Who holds a hand.
 
-    A client holds it from ``take`` to ``release``, and without asking while a goal of its own runs
+    A client holds it from ``acquire`` to ``release``, and without asking while its own goal runs
     and shortly after it has jogged. A client that has died holds nothing.
 
     One thread at a time may use it, but for `ended` and `holder`, which any may at any time.
@@ -45,7 +45,7 @@ class Lease:
         if holder and holder != client:
             raise LeaseHeld(holder)
 
-    def take(self, client: str) -> None:
+    def acquire(self, client: str) -> None:
         """Hold the hand until `release`; raises `LeaseHeld`."""
         self.check(client)
         self._taken = client

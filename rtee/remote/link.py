@@ -14,7 +14,7 @@ from rtee.errors import LeaseHeld, MessageError, NoHand, RequestRejected
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE, CLIENTS, PUT, REQUESTS, STOP
 from rtee.messages.schema import message_type
-from rtee.remote.putting import Putting
+from rtee.remote.fast_requests import Putting
 from rtee.remote.session import direct
 
 _REPLY = message_type("rtee_msgs/msg/Reply")
@@ -46,18 +46,18 @@ class Link:
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(function, *arguments)
 
-    def _declared(self, key: str, take: Callable[[bytes], object]) -> zenoh.Subscriber[None]:
+    def _declared(self, key: str, receive: Callable[[bytes], object]) -> zenoh.Subscriber[None]:
         def received(sample: zenoh.Sample) -> None:
-            self._call_soon(_decoded, take, sample.payload.to_bytes())
+            self._call_soon(_decoded, receive, sample.payload.to_bytes())
 
         return self._session.declare_subscriber(key, direct(received))
 
-    def subscribe(self, topic: str, take: Callable[[bytes], object]) -> None:
+    def subscribe(self, topic: str, receive: Callable[[bytes], object]) -> None:
         """Have messages on a topic of the hand taken until the link is closed."""
-        self._subscribers.append(self._declared(network_key(self.hand, topic), take))
+        self._subscribers.append(self._declared(network_key(self.hand, topic), receive))
 
     @contextlib.contextmanager
-    def subscribed(self, key: str, take: Callable[[bytes], object], most: int) -> Any:
+    def subscribed(self, key: str, receive: Callable[[bytes], object], most: int) -> Any:
         """Have messages on a key taken for as long as the context lasts.
 
         While the event loop is held up, the newest ``most`` wait.
@@ -66,7 +66,7 @@ class Link:
 
         def drain() -> None:
             while waiting:
-                _decoded(take, waiting.popleft())
+                _decoded(receive, waiting.popleft())
 
         def received(sample: zenoh.Sample) -> None:
             waiting.append(sample.payload.to_bytes())
@@ -191,7 +191,7 @@ class Link:
             self._session.close()  # type: ignore[no-untyped-call]
 
 
-def _decoded(take: Callable[[bytes], object], data: bytes) -> None:
+def _decoded(receive: Callable[[bytes], object], data: bytes) -> None:
     # Anybody may publish on a key; what is no message there is nobody's.
     with contextlib.suppress(MessageError):
-        take(data)
+        receive(data)

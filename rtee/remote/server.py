@@ -21,13 +21,13 @@ from rtee.errors import RequestRejected
 from rtee.loop.handloop import HandLoop
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE, ANSWERS, ASK, CLIENTS, CONTROL, STOP
-from rtee.remote.asked import numbered, receive, refusal, reply
-from rtee.remote.asking import Asking, Recording
-from rtee.remote.control import Control
+from rtee.remote.command_handlers import Control
 from rtee.remote.directory import announced
+from rtee.remote.incoming_request import numbered, receive, refusal, reply
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.publishing import Publisher, Streams
+from rtee.remote.query_handlers import Asking, Recording
 from rtee.remote.session import EXPRESS, direct, let_go_at_once, open_server
 from rtee.remote.worker import Worker
 
@@ -156,10 +156,10 @@ class Server:
         receive(query, STOP, self._control.stop, partial(self._reply_by, self.stops, query))
 
     def _on_control(self, query: zenoh.Query) -> None:
-        receive(query, CONTROL, self._control.take, partial(self._reply_by, self.outbox, query))
+        receive(query, CONTROL, self._control.handle, partial(self._reply_by, self.outbox, query))
 
     def _on_put(self, sample: zenoh.Sample) -> None:
-        receive(sample, CONTROL, self._control.take, partial(self._answer_put, sample))
+        receive(sample, CONTROL, self._control.handle, partial(self._answer_put, sample))
 
     def _answer_put(self, sample: zenoh.Sample, data: bytes, ok: bool) -> None:
         # Done after what was asked for: only then does it matter to whom the answer goes.
@@ -171,7 +171,7 @@ class Server:
 
     def _on_question(self, query: zenoh.Query) -> None:
         send = partial(reply, self._hand, query)
-        if not self.questions.put(partial(receive, query, ASK, self._asking.take, send)):
+        if not self.questions.put(partial(receive, query, ASK, self._asking.handle, send)):
             error = RequestRejected("too many requests are waiting")
             self._reply_by(self.outbox, query, refusal(error), False)
 

@@ -61,7 +61,7 @@ class DeviceCase:
         tolerance: Error at which a posture counts as reached [rad | m].
         within: Longest time to reach a posture [s].
         stopping: Time after which a stopped device must stand still [s].
-        hold: Makes the emulated device active and holding something, as found at start-up.
+        grip_object: Makes the emulated device active and holding something, as found at start-up.
         commands: Counts the motion commands that the emulator has heard.
         efforts: Effort limits in force when the last motion began, in SI units.
         max_efforts: Effort limits to try that with, within the device's range.
@@ -86,7 +86,7 @@ class DeviceCase:
     tolerance: float = 0.02
     within: float = 5.0
     stopping: float = 0.1
-    hold: Callable[[Any], None] | None = None
+    grip_object: Callable[[Any], None] | None = None
     commands: Callable[[Any], int] | None = None
     efforts: Callable[[Any], Sequence[float]] | None = None
     max_efforts: Sequence[float] | None = None

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import pytest
 
 from rtee.buses.faults import Faults
-from rtee.buses.patience import patiently
+from rtee.buses.retry import patiently
 from rtee.errors import (
     BusBroken,
     BusClosed,
@@ -113,11 +113,11 @@ class DriverContract:
 
     def test_attaching_to_a_holding_device_moves_nothing(self) -> None:
         """A device that is active and holds something is taken over as it is."""
-        hold, commands = self.needed("hold"), self.needed("commands")
+        grip_object, commands = self.needed("grip_object"), self.needed("commands")
 
         async def test() -> None:
             async with self.session() as session:
-                await session.before(hold)
+                await session.before(grip_object)
                 heard = commands(session.emulator)
                 state = await session.start()
                 here = Reference.at(state.position)
@@ -250,7 +250,7 @@ class DriverContract:
 
         run(test)
 
-    def test_stop_and_release_never_raise(self) -> None:
+    def test_stop_and_disable_never_raise(self) -> None:
         """Neither before connecting, nor with the cable pulled, nor after closing."""
         self.wired()
 
@@ -260,7 +260,7 @@ class DriverContract:
                 await session.start()
                 session.wire.unplug()
                 await session.driver.stop()
-                await session.driver.release()
+                await session.driver.disable()
                 await session.driver.close()
                 await session.driver.stop()
 

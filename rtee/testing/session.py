@@ -9,8 +9,8 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
-from rtee.buses.patience import patiently
 from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
 from rtee.buses.simulated import Simulation
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import owner_of

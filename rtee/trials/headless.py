@@ -149,7 +149,7 @@ class HeadlessHand(Generic[P]):
             tell = getattr(observer, "on_plan", None)
             if tell is not None:
                 tell(plan, self.time)
-        self.controller.take(plan, self.time)
+        self.controller.accept(plan, self.time)
         self._tell()
 
     def wait(self, duration: float) -> None:
@@ -233,4 +233,4 @@ class HeadlessHand(Generic[P]):
                 else:
                     observer.on_event(item)
         outbox.items.clear()
-        outbox.release.clear()
+        outbox.disable.clear()

@@ -9,7 +9,7 @@ from typing import Any
 from rtee.errors import ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.fingerprint import fingerprint as fingerprint
-from rtee.hand.own import TRIALS
+from rtee.hand.own_copy import TRIALS
 from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
 from rtee.hand.yamlwrite import emit
 from rtee.trials.result import Trial, TrialResult

@@ -20,9 +20,9 @@ from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import OPEN
 from rtee.loop.settings import LoopSettings
-from rtee.trials.carrier import CarrierScript
+from rtee.trials.arm_motion import CarrierScript
+from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.place import Places
 from rtee.types import FloatArray, Goal
 
 MOMENTS = ("start", "approach", "grasp", "lift", "carry", "set down", "open", "retreat")

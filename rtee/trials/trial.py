@@ -15,9 +15,9 @@ from rtee.hand.model import Hand
 from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.loop.settings import LoopSettings
-from rtee.trials.carrier import CarrierScript
+from rtee.trials.arm_motion import CarrierScript
+from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.place import Place, Places
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
 from rtee.types import Goal
@@ -117,7 +117,7 @@ class _Run:
         except ActionError as error:
             return self._ended("", str(error), outcome="")
         headless.wait(_SETTLE)
-        around.release()
+        around.remove_support()
         headless.wait(_SETTLE)
         self._tell("grasp")
         forces = tuple(

@@ -85,7 +85,7 @@ async def test_unplugging_breaks_and_connecting_mends(pool: BusPool) -> None:
 
 async def test_a_closed_bus_says_so(pool: BusPool) -> None:
     bus = await bus_in(pool)
-    await bus.release("a")
+    await bus.detach("a")
     with pytest.raises(BusClosed):
         await bus.send(CanFrame(0x10))
 

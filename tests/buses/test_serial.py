@@ -152,10 +152,10 @@ async def test_two_owners_share_and_the_last_one_closes(pool: BusPool, url: str)
     assert first is second
     assert first.owners == {"a", "b"}
     assert len(pool.simulation("a").emulators) == 2
-    await first.release("a")
+    await first.detach("a")
     assert first.connected
-    await first.release("b")
-    await first.release("b")
+    await first.detach("b")
+    await first.detach("b")
     assert not first.connected
     with pytest.raises(BusClosed):
         await first.transact(frame_of(b"a"), StarParser(), 1.0)
@@ -334,7 +334,7 @@ async def test_a_port_that_is_slow_to_close_holds_up_only_who_closes_it(
         original(port)
 
     monkeypatch.setattr(link, "_close", slow)
-    closing = asyncio.ensure_future(bus.release("a"))
+    closing = asyncio.ensure_future(bus.detach("a"))
     again = asyncio.ensure_future(bus_in(pool, "/dev/ttyUSB9"))
     await asyncio.sleep(0.01)
     assert not closing.done(), "who closes waits until the port is given back"

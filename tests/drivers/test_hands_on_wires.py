@@ -26,9 +26,9 @@ from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer, TickRecord
 from rtee.loop.settings import Behaviour
-from rtee.loop.stopping import bring_to_rest
+from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.supervisor import Supervisor
-from rtee.loop.ticker import drive
+from rtee.loop.tick_driver import drive
 from rtee.prepare import RunOptions, prepare
 from rtee.testing.session import open_files
 from rtee.types import Event, Goal, Lifecycle, Result
@@ -173,7 +173,7 @@ async def test_the_last_frame_is_the_configured_one(behaviour: Behaviour) -> Non
             assert last.go
             # A byte of position is 0.4 % of the way; meanwhile it moved on a little.
             assert abs(last.position - position) < 30
-        case Behaviour.STOP | Behaviour.RELEASE:
+        case Behaviour.STOP | Behaviour.DISABLE:
             assert (last.activate, last.go) == (True, False)
         case Behaviour.OPEN:
             assert last.go
@@ -224,11 +224,11 @@ async def test_an_object_taken_away_is_told() -> None:
     async with on_wires("robotiq_2f_85", object_in_hand="50mm") as (gripper,):
         gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
         assert (await gripper.result()).grasped
-        gripper.wire.call(gripper.emulator.take_away)
+        gripper.wire.call(gripper.emulator.remove_object)
         await until(lambda: "grasp_lost" in [event.kind for event in gripper.events])
         gripper.loop.submit(Goal("open"))
         assert (await gripper.result()).reached
-        gripper.wire.call(lambda: gripper.emulator.place(ObjectInHand.parse("40mm")))
+        gripper.wire.call(lambda: gripper.emulator.place_object(ObjectInHand.parse("40mm")))
         gripper.loop.submit(Goal("PinchTight", ("finger_1", "finger_2")))
         assert (await gripper.result()).grasped
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from rtee.drivers.emulator_server import Player
 from rtee.drivers.emulators import emulator_names, make_emulator
 from rtee.drivers.objects import STIFFNESS, Closing, ObjectInHand, grasping
-from rtee.drivers.play import Player
 from rtee.errors import ConfigError
 from rtee.prepare import RunOptions, prepare
 
@@ -73,12 +73,12 @@ def test_every_device_closes_as_far_as_its_object_lets_it(name: str) -> None:
         assert one.part == pytest.approx(0.64, abs=0.005)
         # A servo of proportional gain does not reach its limit over the rest of the way.
         assert 0.8 * one.effort < abs(one.motor.effort) <= one.effort  # type: ignore[attr-defined]
-    grasping(emulator).take_away()
+    grasping(emulator).remove_object()
     for one in closings:
         settled(one)
         assert one.part == pytest.approx(1.0, abs=0.01)
     with pytest.raises(ConfigError, match="closed further than that; open them first"):
-        grasping(emulator).place(ObjectInHand(0.5))
+        grasping(emulator).place_object(ObjectInHand(0.5))
 
 
 def test_the_joints_of_a_torque_controlled_hand_are_stopped_too() -> None:

@@ -18,7 +18,7 @@ from rtee.hand.load import load_model
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import DeviceSettings, LoopSettings
-from rtee.loop.ticker import drive
+from rtee.loop.tick_driver import drive
 from rtee.types import DeviceSpec, Goal, Lifecycle
 
 pytestmark = pytest.mark.anyio

@@ -22,8 +22,8 @@ from rtee.gui.panels.choice import options_at
 from rtee.gui.panels.header import device_line
 from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table
-from rtee.gui.tried import Tried, key_of, line, tried_in
-from rtee.gui.tried import table as tried_table
+from rtee.gui.trial_results import Tried, key_of, line, tried_in
+from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, said
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand

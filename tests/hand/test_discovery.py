@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from rtee.hand.allowed_collisions import touching_pairs
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.hand.scaffold import without_linkages
-from rtee.hand.touching import touching_pairs
 
 Load = Callable[..., Hand]
 

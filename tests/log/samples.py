@@ -10,7 +10,7 @@ import numpy as np
 from rtee.commands import CommandRecord, Jog
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
-from rtee.log.contents import Contents
+from rtee.log.layout import Contents
 from rtee.log.settings import RecorderSettings
 from rtee.log.writer import LogWriter
 from rtee.loop.observer import TickRecord

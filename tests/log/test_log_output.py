@@ -25,11 +25,11 @@ from rtee.errors import LogError, MissingExtra
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Recording, read
-from rtee.log.contents import REPLAY, Replayable
+from rtee.log.dataclass_json import to_json
 from rtee.log.export import Format, export
 from rtee.log.figure import MOST_POINTS, By, figure, thinned
 from rtee.log.info import info
-from rtee.log.plain import to_json
+from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
 from rtee.log.plot_html import write_html
 from rtee.log.plot_png import write_png

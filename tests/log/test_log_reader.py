@@ -28,7 +28,7 @@ from log.samples import (
 )
 from rtee.errors import LogError
 from rtee.hand.model import Hand
-from rtee.log import read, rows
+from rtee.log import column_reader, read
 from rtee.log.recorder import RecorderSettings
 from rtee.messages import encode_string, message_type
 from rtee.messages.layout import joint_state_fields
@@ -185,7 +185,7 @@ def test_damaged_files_raise_nothing_but_log_error(story: Path, tmp_path: Path, 
 
 def test_a_damaged_chunk_is_left_out_and_said(story: Path, tmp_path: Path) -> None:
     data = bytearray(story.read_bytes())
-    from rtee.log.survey import survey
+    from rtee.log.file_index import survey
 
     place = survey(story).chunks[2]
     data[place.record.offset + 60] ^= 0xFF
@@ -268,7 +268,7 @@ def test_recordings_of_other_software_are_read(
 
 
 def test_an_index_that_lies_is_not_believed(claw: Hand, tmp_path: Path, story: Path) -> None:
-    from rtee.log.survey import survey
+    from rtee.log.file_index import survey
 
     data = bytearray(story.read_bytes())
     for chunk in survey(story).chunks:
@@ -280,9 +280,9 @@ def test_an_index_that_lies_is_not_believed(claw: Hand, tmp_path: Path, story: P
 
 
 def test_walking_stops_at_nonsense() -> None:
-    assert rows.walk(b"") == {}
-    assert rows.walk(b"\x05" + b"\xff" * 60) == {}
-    assert rows.walk(bytes(200)) == {}
+    assert column_reader.walk(b"") == {}
+    assert column_reader.walk(b"\x05" + b"\xff" * 60) == {}
+    assert column_reader.walk(bytes(200)) == {}
 
 
 def test_settings_leave_room_to_remove_old_parts() -> None:

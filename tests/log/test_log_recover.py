@@ -16,8 +16,8 @@ from log.samples import Log, recorded, settings
 from rtee.errors import LogError
 from rtee.hand.model import Hand
 from rtee.log import read
+from rtee.log.file_index import survey
 from rtee.log.recover import recover
-from rtee.log.survey import survey
 from rtee.messages.typestore import typestore
 
 

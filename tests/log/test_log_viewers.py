@@ -20,14 +20,14 @@ from typer.testing import CliRunner
 from log.samples import RATE, WALL, Time, recorded, settings, tick
 from rtee.cli.log import app
 from rtee.errors import ConfigError
-from rtee.hand.carried import carried_meshes, with_addresses
+from rtee.hand.embedded_meshes import carried_meshes, with_addresses
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.log import Recorder, read
 from rtee.log.check import recorded_hand
-from rtee.log.contents import Contents, Replayable
+from rtee.log.layout import Contents, Replayable
 from rtee.log.playback import write_hand
 from rtee.log.recover import recover
 from rtee.log.settings import RecorderSettings

@@ -33,13 +33,13 @@ def test_everything_is_taken_over() -> None:
             "rate": 500,
             "goal_timeout": 4.0,
             "stall": {"time": 0.3, "speed": 0.1},
-            "grasp": {"effort": 0.3, "holding_effort": 0.5, "holding_after": 1.5},
+            "grasp": {"effort": 0.3, "grip_effort": 0.5, "grip_after": 1.5},
         },
-        safety={"on_exit": "open", "on_client_lost": "release", "max_step": 0.01},
+        safety={"on_exit": "open", "on_client_lost": "disable", "max_step": 0.01},
         thermal={
             "warn": 50.0,
             "derate": 55.0,
-            "release": 65.0,
+            "disable": 65.0,
             "nominal_current": {"defaults": 0.4},
             "time_constant": 12.0,
             "ambient": 20.0,
@@ -53,11 +53,11 @@ def test_everything_is_taken_over() -> None:
     assert (settings.profile.kind, settings.profile.bandwidth) == (ProfileKind.FILTER, 3.0)
     assert (settings.stall.time, settings.stall.speed) == (0.3, 0.1)
     grasp = settings.grasp
-    assert (grasp.effort, grasp.holding_effort, grasp.holding_after) == (0.3, 0.5, 1.5)
+    assert (grasp.effort, grasp.grip_effort, grasp.grip_after) == (0.3, 0.5, 1.5)
     assert settings.safety.on_exit is Behaviour.OPEN
-    assert settings.safety.on_client_lost is Behaviour.RELEASE
+    assert settings.safety.on_client_lost is Behaviour.DISABLE
     assert settings.safety.max_step == 0.01
-    assert (settings.thermal.warn, settings.thermal.release) == (50.0, 65.0)
+    assert (settings.thermal.warn, settings.thermal.disable) == (50.0, 65.0)
     assert settings.thermal.nominal_current == {"defaults": 0.4}
     assert (settings.thermal.time_constant, settings.thermal.ambient) == (12.0, 20.0)
     realtime = realtime_settings(given)

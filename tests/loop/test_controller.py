@@ -23,7 +23,7 @@ def test_a_goal_between_permission_and_tick_starts_where_the_hand_is(
     controller = Controller(hand, settings)
     n = len(hand.actuators)
     controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
-    controller.take(make_plan(Goal("Trig", ("index",)), hand, library, settings), 0.0)
+    controller.accept(make_plan(Goal("Trig", ("index",)), hand, library, settings), 0.0)
     position = [START] * n
     unmeasured = [math.nan] * n
     for tick in range(500):

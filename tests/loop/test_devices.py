@@ -406,7 +406,7 @@ async def test_what_the_rest_of_the_hand_does_when_a_device_is_lost(
                 assert thumb.target == pytest.approx(thumb.position, abs=0.01)
                 assert 0.0 < thumb.position < 0.9
                 assert after is Lifecycle.ACTIVE
-            case Behaviour.RELEASE:
+            case Behaviour.DISABLE:
                 assert after is Lifecycle.INACTIVE
             case Behaviour.OPEN:
                 # The whole hand can't be opened any more; what is left of it is.

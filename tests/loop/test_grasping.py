@@ -79,7 +79,7 @@ async def test_losing_the_object_is_told_within_200_ms(hand: Hand) -> None:
         assert (await rig.do("Trig", "index")).grasped
         await rig.run(1.0)
         assert "grasp_lost" not in rig.watcher.kinds()
-        rig.driver.take_away("index")
+        rig.driver.remove_object("index")
         await rig.run(0.2)
         lost = [e for e in rig.watcher.events if e.kind == "grasp_lost"]
         assert lost
@@ -94,7 +94,7 @@ async def test_losing_it_is_told_though_the_effort_was_reduced_meanwhile(hand: H
         await rig.do("Trig", "index")
         await rig.run(4.0)
         assert "grasp_lost" not in rig.watcher.kinds()
-        rig.driver.take_away()
+        rig.driver.remove_object()
         await rig.run(0.2)
         assert "grasp_lost" in rig.watcher.kinds()
 
@@ -107,8 +107,8 @@ async def test_opening_is_no_loss(hand: Hand) -> None:
         assert "grasp_lost" not in rig.watcher.kinds()
 
 
-async def test_effort_steps_down_to_the_holding_effort(hand: Hand) -> None:
-    settings = LoopSettings(grasp=GraspSettings(holding_effort=0.3, holding_after=1.0))
+async def test_effort_steps_down_to_the_grip_effort(hand: Hand) -> None:
+    settings = LoopSettings(grasp=GraspSettings(grip_effort=0.3, grip_after=1.0))
     async with running(hand, settings, objects={"index": 0.4}) as rig:
         await rig.do("Trig", "index")
         assert rig.driver.plants[0].max_effort == 2.0
@@ -129,7 +129,7 @@ async def test_a_device_without_effort_limits_is_eased_off_by_its_position(hand:
             accepts = frozenset({"position"})
             self.capabilities = replace(self.capabilities, accepts=accepts)
 
-    settings = LoopSettings(grasp=GraspSettings(holding_effort=0.4, holding_after=0.5))
+    settings = LoopSettings(grasp=GraspSettings(grip_effort=0.4, grip_after=0.5))
     one = device(hand, objects={"index": 0.4})
     async with running(hand, settings, [(one, NoEffort(one.spec, BusPool()))]) as rig:
         with pytest.raises(GoalRejected, match="takes no effort limit"):
@@ -359,7 +359,7 @@ async def test_what_no_tip_feels_any_more_is_lost(hand: Hand) -> None:
 
 
 async def test_ten_minutes_on_a_rigid_object_stay_cool_and_hold(hand: Hand) -> None:
-    settings = LoopSettings(rate=20.0, grasp=GraspSettings(holding_effort=0.4))
+    settings = LoopSettings(rate=20.0, grasp=GraspSettings(grip_effort=0.4))
     options = {"temperatures": True, "heating": 90.0, "thermal_time": 60.0}
     async with running(hand, settings, objects={"index": 0.4}, **options) as rig:
         assert (await rig.do("Trig", "index", intensity=1.0)).grasped
@@ -373,8 +373,8 @@ async def test_ten_minutes_on_a_rigid_object_stay_cool_and_hold(hand: Hand) -> N
 async def test_heat_warns_then_derates_then_releases(hand: Hand) -> None:
     settings = LoopSettings(
         rate=50.0,
-        grasp=GraspSettings(holding_after=1e6),
-        thermal=ThermalSettings(warn=50.0, derate=60.0, release=70.0),
+        grasp=GraspSettings(grip_after=1e6),
+        thermal=ThermalSettings(warn=50.0, derate=60.0, disable=70.0),
     )
     options = {"temperatures": True, "heating": 5000.0, "thermal_time": 400.0}
     async with running(hand, settings, objects={"index_base": 0.4}, **options) as rig:
@@ -390,7 +390,7 @@ async def test_heat_warns_then_derates_then_releases(hand: Hand) -> None:
         thermal = [e for e in rig.watcher.events if e.kind == "thermal"]
         assert [e.severity for e in thermal] == ["warning", "warning", "error"]
         assert "less effort" in thermal[1].text
-        assert "released" in thermal[2].text
+        assert "disabled" in thermal[2].text
         assert efforts[0] == 2.0
         assert min(efforts) < 1.0
         assert rig.driver.plants[0].effort == 0.0

@@ -157,7 +157,7 @@ def test_a_program_beside_runs_on_the_cpus_from_before_the_loop_was_pinned() -> 
     )
     printed = in_process(
         "import anyio, os, sys\n"
-        "from rtee.loop.ending import companion\n"
+        "from rtee.loop.shutdown_signals import companion\n"
         "from rtee.loop.realtime import affinity\n"
         "cpus = affinity()\n"
         "print(sorted(cpus), flush=True)\n"

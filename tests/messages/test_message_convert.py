@@ -17,7 +17,7 @@ from rtee.commands import (
     Jog,
     SetAcceptsEffort,
     SetActive,
-    SetHoldingEffort,
+    SetGripEffort,
 )
 from rtee.errors import MessageError
 from rtee.messages import convert, message_type
@@ -67,7 +67,7 @@ COMMANDS = (
     Freeze("rejected", ("thumb_flexion",)),
     Jog({"thumb_flexion": 0.5}),
     Jog({"thumb_flexion": 0.5, "index": -1.0}, 0.1 + 0.2),
-    SetHoldingEffort(0.3),
+    SetGripEffort(0.3),
     SetActive({"thumb_flexion": True, "index": False}),
     SetAcceptsEffort({"thumb_flexion": False}),
     Abort("the device is lost", ("index",)),

@@ -21,7 +21,7 @@ from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer, TickRecord
 from rtee.loop.settings import DeviceSettings, LoopSettings
-from rtee.loop.ticker import drive
+from rtee.loop.tick_driver import drive
 from rtee.remote.server import Server
 from rtee.types import DeviceSpec, Event, Goal, Result
 

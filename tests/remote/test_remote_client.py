@@ -142,9 +142,9 @@ async def test_a_taken_hand_stays_taken_until_given_back(
     async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
         async with one.held():
             with pytest.raises(LeaseHeld):
-                await two.take()
+                await two.acquire()
             assert (await one.do("Trig", "index", intensity=0.1)).reached
-        await two.take()
+        await two.acquire()
         await two.release()
 
 
@@ -237,17 +237,17 @@ async def test_states_are_collected_until_somebody_looks(
     ):
         found = []
         while len(found) < 3:
-            found += states.take()
+            found += states.drain()
             await anyio.sleep(0.01)
         first = (await remote.state()).tick
         while (await remote.state()).tick < first + 20:  # noqa: ASYNC110
             await anyio.sleep(0.01)
-        kept = [state.tick for state in states.take()]
+        kept = [state.tick for state in states.drain()]
         assert kept == sorted(kept)
         assert len(kept) <= 8
         while (await remote.state()).tick < kept[-1] + 20:  # noqa: ASYNC110
             await anyio.sleep(0.01)
-        few = [state.tick for state in states.take(4)]
+        few = [state.tick for state in states.drain(4)]
         assert few[0] > kept[-1]
         assert len(few) == 2
         assert few[1] - few[0] >= 4

@@ -15,8 +15,8 @@ from rtee.errors import MessageError
 from rtee.hand.model import Hand
 from rtee.messages.requests import REQUESTS, Request
 from rtee.messages.schema import message_type
-from rtee.remote.asked import LONGEST
 from rtee.remote.client import RemoteHand
+from rtee.remote.incoming_request import LONGEST
 from rtee.remote.session import open_client
 
 from .serving import serving

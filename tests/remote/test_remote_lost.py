@@ -27,8 +27,8 @@ async def main():
             await hand.start("fist", speed=0.05)
         elif sys.argv[1] == "jog":
             await hand.jog({"near": 1.0}, 0.1)
-        elif sys.argv[1] == "take":
-            await hand.take()
+        elif sys.argv[1] == "acquire":
+            await hand.acquire()
         print("there", flush=True)
         await anyio.sleep_forever()
 anyio.run(main)
@@ -55,7 +55,7 @@ async def started(code: str, *arguments: str) -> anyio.abc.Process:
     return process
 
 
-@pytest.mark.parametrize("how", ["goal", "jog", "take"])
+@pytest.mark.parametrize("how", ["goal", "jog", "acquire"])
 async def test_a_killed_client_that_holds_the_hand_is_noticed(
     hand: Hand, library: ActionLibrary, how: str
 ) -> None:
@@ -108,7 +108,7 @@ async def test_a_client_that_holds_nothing_may_leave(hand: Hand, library: Action
         process.kill()
         await process.aclose()
         async with rtee.connect("small") as one:
-            await one.take()
+            await one.acquire()
             await one.release()
         async with rtee.connect("small") as two:
             assert (await two.do("Trig", "index", intensity=0.1)).reached
@@ -122,7 +122,7 @@ async def test_leaving_after_a_jog_is_no_loss(hand: Hand, library: ActionLibrary
         async with rtee.connect("small") as next_one:
             assert (await next_one.status()).holder == "", "it may be moved by others at once"
             await next_one.jog({"near": 0.5}, 0.5)
-            await next_one.take()
+            await next_one.acquire()
         lost = await served.event("client_lost")
         assert lost.source == next_one.client, "what was taken was not given back"
         assert [event.kind for event in served.watcher.events].count("client_lost") == 1

@@ -67,13 +67,13 @@ def test_a_goal_holds_the_hand_until_it_ends(lease: Lease) -> None:
 
 
 def test_taking_lasts_until_released(lease: Lease) -> None:
-    lease.take("a")
+    lease.acquire("a")
     with pytest.raises(LeaseHeld):
-        lease.take("b")
+        lease.acquire("b")
     lease.release("b")
     assert lease.holder == "a"
     lease.release("a")
-    lease.take("b")
+    lease.acquire("b")
 
 
 def test_jogging_holds_the_hand_for_a_moment(lease: Lease, time: Time) -> None:
@@ -90,10 +90,10 @@ def test_jogging_holds_the_hand_for_a_moment(lease: Lease, time: Time) -> None:
     lease.check("b")
 
 
-@pytest.mark.parametrize("how", ["take", "goal", "jog"])
+@pytest.mark.parametrize("how", ["acquire", "goal", "jog"])
 def test_who_is_gone_holds_nothing(lease: Lease, how: str) -> None:
     {
-        "take": lambda: lease.take("a"),
+        "acquire": lambda: lease.acquire("a"),
         "goal": lambda: lease.started("a", "1"),
         "jog": lambda: lease.jogged("a"),
     }[how]()

@@ -13,8 +13,8 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 from typer.testing import CliRunner
 
 import rtee
+from rtee.actions.cli_syntax import read_efforts
 from rtee.actions.library import ActionLibrary
-from rtee.actions.words import read_efforts
 from rtee.cli import do, open
 from rtee.errors import ActionError, GoalRejected, NoHand, NotReady, RequestRejected
 from rtee.hand.model import Hand
@@ -52,7 +52,7 @@ async def test_a_hand_that_is_ready_can_be_moved_at_once(
     async with serving(hand, library) as served, rtee.connect("small") as remote:
         await remote.ready(20.0, told.append)
         assert told == []
-        await served.loop.release()
+        await served.loop.disable()
         with pytest.raises(
             NotReady, match=r"'small' is not ready after 0.2 s: device 'sim' is"
         ) as e:
@@ -70,7 +70,7 @@ def test_the_blocking_twin_is_ready_too(served: Served, portal: BlockingPortal) 
     with rtee.connect_blocking("small") as remote:
         remote.ready(timeout=20.0)
         assert remote.do("fist", intensity=0.1).reached
-        portal.call(served.loop.release)
+        portal.call(served.loop.disable)
         with pytest.raises(NotReady, match="inactive"):
             remote.ready(timeout=0.2)
 
@@ -86,7 +86,7 @@ def test_a_hand_that_goes_is_no_silent_wait(
 
 def test_do_waits_until_the_devices_are_active(served: Served, portal: BlockingPortal) -> None:
     with rtee.connect_blocking("small") as remote:
-        portal.call(served.loop.release)
+        portal.call(served.loop.disable)
         with pytest.raises(NotReady, match=r"after 0\.\d+ s: device 'sim' is inactive"):
             run(do, "fist", "--wait", "0.3")
         remote.recover()

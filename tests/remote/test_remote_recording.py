@@ -50,13 +50,13 @@ async def test_without_a_recorder_that_is_said(hand: Hand, library: ActionLibrar
             await remote.record("start")
 
 
-async def test_the_holding_effort_can_be_changed(hand: Hand, library: ActionLibrary) -> None:
+async def test_the_grip_effort_can_be_changed(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library) as served, rtee.connect("small") as remote:
-        before = (await remote.status()).holding_effort
-        assert before == served.loop.settings.grasp.holding_effort
-        await remote.set_gains({"holding_effort": 0.25})
-        await until(lambda: served.loop.controller.holding_effort == 0.25)
-        assert (await remote.status()).holding_effort == 0.25
+        before = (await remote.status()).grip_effort
+        assert before == served.loop.settings.grasp.grip_effort
+        await remote.set_gains({"grip_effort": 0.25})
+        await until(lambda: served.loop.controller.grip_effort == 0.25)
+        assert (await remote.status()).grip_effort == 0.25
         for bad in (1.5, -0.1, float("nan")):
             with pytest.raises(RequestRejected, match="must be 0 to 1"):
-                await remote.set_gains({"holding_effort": bad})
+                await remote.set_gains({"grip_effort": bad})

@@ -17,7 +17,7 @@ pytest.importorskip("mujoco")
 
 from rtee.cli.try_ import app
 from rtee.errors import ConfigError
-from rtee.hand.own import copy_hand
+from rtee.hand.own_copy import copy_hand
 from rtee.trials.store import read_results
 
 GRIPPER = "robotiq_2f_85"

@@ -17,7 +17,7 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError, UnknownAction
 from rtee.hand.catalog import hand_names
 from rtee.loop.observer import Observer
-from rtee.trials.place import Places
+from rtee.trials.grasp_placement import Places
 from rtee.trials.recorded import recorder_for
 from rtee.trials.store import (
     FILE_NAME,

@@ -81,7 +81,7 @@ class JointControl:
         self._reference = [None] * JOINTS
         self._integral = [0.0] * JOINTS
 
-    def take(self, finger: int, counts: Sequence[int], stamp: float) -> list[list[int]] | None:
+    def receive(self, finger: int, counts: Sequence[int], stamp: float) -> list[list[int]] | None:
         """Take one finger's positions; with the set complete, return the counts of all torques.
 
         Args:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from rtee.buses.patience import patiently
+from rtee.buses.retry import patiently
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import (
     FINGERS,
@@ -121,7 +121,7 @@ class AllegroDriver(Driver):
         version = info.version if options.version is None else options.version
         self.control = self._controller(version)
         link.listen(self._take)
-        await link.tell_every(Periods(self._period(version)))
+        await link.set_periods(Periods(self._period(version)))
         await self._first_set()
         self.capabilities = replace(
             self.capabilities,
@@ -199,10 +199,10 @@ class AllegroDriver(Driver):
         with contextlib.suppress(BusError):
             if self._driving:
                 await self.deactivate()
-            await link.tell_every(Periods())
+            await link.set_periods(Periods())
         self._link = None
         self._driving = False
-        await link.bus.release(owner_of(self.spec))
+        await link.bus.detach(owner_of(self.spec))
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the bus."""
@@ -211,7 +211,7 @@ class AllegroDriver(Driver):
     # --- the joint control -------------------------------------------------------------------
 
     def _take(self, finger: int, counts: Sequence[int], stamp: float) -> None:
-        torques = self.control.take(finger, counts, stamp)
+        torques = self.control.receive(finger, counts, stamp)
         if torques is not None and self._driving and self._link is not None:
             with contextlib.suppress(BusError):
                 self._link.torques(torques)
@@ -280,7 +280,7 @@ class AllegroDriver(Driver):
         """Hold the measured pose."""
         self._hold()
 
-    async def release(self) -> None:
+    async def disable(self) -> None:
         """Send no torque and switch the motors off."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
@@ -292,7 +292,7 @@ class AllegroDriver(Driver):
         link = self._hand
         await link.order(Command.SYSTEM_OFF)
         await asyncio.sleep(_PAUSE)
-        await link.tell_every(Periods(self._period(self.control.scale.version)))
+        await link.set_periods(Periods(self._period(self.control.scale.version)))
         await link.order(Command.SYSTEM_ON)
         await asyncio.sleep(_PAUSE)
         self._refuse(await link.info(patient=True))

@@ -60,7 +60,7 @@ class AllegroLink:
         """Send a command without data; raises `BusError`."""
         await self.bus.send(codec.order(command, self.hand))
 
-    async def tell_every(self, periods: Periods) -> None:
+    async def set_periods(self, periods: Periods) -> None:
         """Set how often the hand tells what by itself; raises `BusError`."""
         await self.bus.send(periods.to_frame(self.hand))
 

@@ -12,13 +12,13 @@ import numpy as np
 
 from rtee.buses.canopen import CanopenBus
 from rtee.buses.emulator import CanFrame
-from rtee.drivers.attached import Attached
 from rtee.drivers.base import Driver
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.cia301 import NmtState, emergency_name
 from rtee.drivers.cia402.codec import Limits, Mode, State, StatusBit
 from rtee.drivers.cia402.drive import DriveLink
 from rtee.drivers.cia402.options import Cia402Options
+from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.errors import (
     BusTimeout,

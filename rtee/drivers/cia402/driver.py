@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 from rtee.buses.emulator import CanFrame
-from rtee.buses.patience import patiently
+from rtee.buses.retry import patiently
 from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import NmtCommand
 from rtee.drivers.cia402.codec import Control, Mode, Object, State, StatusBit
@@ -135,7 +135,7 @@ class Cia402Driver(Cia402Cycle):
         self.drives = []
         self._bus = None
         if bus is not None:
-            await bus.release(owner_of(self.spec))
+            await bus.detach(owner_of(self.spec))
 
     def _disarm(self) -> None:
         for drive in self.drives:
@@ -281,7 +281,7 @@ class Cia402Driver(Cia402Cycle):
                 if all(drive.took(self.mode) for drive in self.drives):
                     break
 
-    async def release(self) -> None:
+    async def disable(self) -> None:
         """Take the motors' voltage away; they go limp as far as their gears let them."""
         self._active = False
         with contextlib.suppress(RteeError, OSError):

@@ -81,7 +81,9 @@ class Cia402Emulator(Emulator, Grasps):
         closed = self.properties.closed
         return [Closing(d.axis, 0.0, closed, RATED) for d in self.drives.values()]
 
-    def hold(self, node: int, position: float, stiffness: float = 1.0, closing: int = 1) -> None:
+    def grip_object(
+        self, node: int, position: float, stiffness: float = 1.0, closing: int = 1
+    ) -> None:
         """Put an object in a drive's way [counts]; stiffness in 0.1 % of rated torque per count."""
         self.drives[node].axis.obstacle = VirtualObject(position, stiffness, closing)
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from rtee.buses.patience import patiently
 from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 from rtee.drivers.diagnosis.port import check_address

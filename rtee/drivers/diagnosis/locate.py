@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 
-from rtee.buses.patience import patiently
+from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.errors import BusTimeout, FrameError
 from rtee.types import ActuatorState, Reference

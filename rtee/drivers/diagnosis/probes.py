@@ -57,7 +57,7 @@ async def _ended(bus: Bus, asked: Awaitable[list[Found]]) -> list[Found]:
     try:
         return await asked
     finally:
-        await bus.release(_OWNER)
+        await bus.detach(_OWNER)
 
 
 # --- Modbus ----------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from rtee.drivers.attached import Attached
 from rtee.drivers.base import Driver
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.link import DynamixelLink
@@ -18,6 +17,7 @@ from rtee.drivers.dynamixel.options import DynamixelOptions
 from rtee.drivers.dynamixel.setup import Found
 from rtee.drivers.dynamixel.units import Scale, Scales
 from rtee.drivers.emulators import owner_of
+from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.errors import ConfigError, DeviceFault, NotConnected
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
@@ -213,7 +213,7 @@ class DynamixelCycle(Driver):
         link, self._link = self._link, None
         self._active = False
         if link is not None:
-            await link.bus.release(owner_of(self.spec))
+            await link.bus.detach(owner_of(self.spec))
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the line."""

@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
-from rtee.buses.patience import patiently
+from rtee.buses.retry import patiently
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.calibration import (
     Calibrated,
@@ -240,7 +240,7 @@ class DynamixelDriver(DynamixelCycle):
         with contextlib.suppress(RteeError, OSError):
             await patiently(lambda: link.run(hold))
 
-    async def release(self) -> None:
+    async def disable(self) -> None:
         """Take the torque away; the fingers go limp."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)

@@ -147,7 +147,9 @@ class DynamixelEmulator(Emulator, Grasps):
             for made in [servo.properties]
         ]
 
-    def hold(self, number: int, position: float, stiffness: float = 5.0, closing: int = 1) -> None:
+    def grip_object(
+        self, number: int, position: float, stiffness: float = 5.0, closing: int = 1
+    ) -> None:
         """Put an object in a servo's way, met at a position [pulse]; stiffness in mA per pulse."""
         self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
 

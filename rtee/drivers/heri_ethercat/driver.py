@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rtee.buses.ethercat import EthercatBus, Ring, State
-from rtee.buses.patience import patiently
+from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.heri_ethercat import codec
@@ -248,7 +248,7 @@ class HeriEthercatDriver(Driver):
         self._powered = False
         bus, self._bus = self._bus, None
         if bus is not None:
-            await bus.release(owner_of(self.spec))
+            await bus.detach(owner_of(self.spec))
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the network."""
@@ -317,7 +317,7 @@ class HeriEthercatDriver(Driver):
             self._seed()
             await patiently(self._exchange)
 
-    async def release(self) -> None:
+    async def disable(self) -> None:
         """Take the motors' power away; tendons without power let go."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)

@@ -166,7 +166,7 @@ class HeriEmulator(Emulator, Grasps):
         motors = [motor for board in self.boards for motor in board.motors]
         return [Closing(motor, 0.0, made.upper, made.current) for motor in motors]
 
-    def hold(self, motor: int, position: float, stiffness: float = 10.0) -> None:
+    def grip_object(self, motor: int, position: float, stiffness: float = 10.0) -> None:
         """Put an object in a motor's way [rad]; stiffness in A/rad."""
         board, at = divmod(motor, MOTORS)
         self.boards[board].motors[at].obstacle = VirtualObject(position, stiffness)

@@ -53,7 +53,7 @@ class KinematicDriver(Driver):
             for actuator in spec.actuators
         ]
         for name, fraction in self._options.objects.items():
-            self.place(name, fraction)
+            self.place_object(name, fraction)
         self._time_constant = self._options.time_constant
         self._unmeasured = readonly([math.nan] * len(self.plants))
         self._last: float | None = None
@@ -84,7 +84,7 @@ class KinematicDriver(Driver):
 
     # --- what happens to the imagined device -------------------------------------------------
 
-    def place(self, name: str, fraction: float) -> None:
+    def place_object(self, name: str, fraction: float) -> None:
         """Put an object in the way of a finger or an actuator.
 
         Args:
@@ -101,7 +101,7 @@ class KinematicDriver(Driver):
             if name == plant.spec.name or name in plant.spec.fingers:
                 plant.obstacle = plant.at(fraction)
 
-    def take_away(self, name: str | None = None) -> None:
+    def remove_object(self, name: str | None = None) -> None:
         """Take away the object of a finger or an actuator; all objects without a name."""
         for plant in self.plants:
             if name is None or name == plant.spec.name or name in plant.spec.fingers:
@@ -188,8 +188,8 @@ class KinematicDriver(Driver):
             for plant in self.plants:
                 plant.target = plant.position
 
-    async def release(self) -> None:
-        """See `Driver.release`."""
+    async def disable(self) -> None:
+        """See `Driver.disable`."""
         if self._plugged:
             self._powered = False
 

@@ -117,7 +117,7 @@ class MujocoDriver(Driver):
         if self._simulation is not None:
             self._simulation.hold()
 
-    async def release(self) -> None:
+    async def disable(self) -> None:
         """Make the joints limp."""
         if self._simulation is not None:
             self._simulation.power(False)
@@ -134,7 +134,7 @@ class MujocoDriver(Driver):
 
     async def deactivate(self) -> None:
         """Leave the joints limp."""
-        await self.release()
+        await self.disable()
 
     async def close(self) -> None:
         """Forget the simulation."""

@@ -28,7 +28,7 @@ class SimOptions(BaseModel):
         object_mass: Mass of the object [kg].
         support: What carries the object before the grasp: ``held``: a yielding hand, which lets go
             when two links have touched it for a while; ``table``; ``floating``: it never weighs
-            anything unless it is released.
+            anything while it is supported.
         carrier: What carries the hand: nothing moves it, or a vertical lift, or an arm with six
             degrees of freedom that follows a script. A hand that is carried reaches down, else
             the base frame is the world's.

@@ -12,10 +12,10 @@ from rtee.drivers.mujoco.objects import add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import AXES, TABLE
+from rtee.hand.allowed_collisions import touch_at_rest
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
-from rtee.hand.touching import touch_at_rest
 from rtee.types import FloatArray, from_rest
 
 _INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)

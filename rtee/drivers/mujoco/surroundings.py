@@ -35,11 +35,11 @@ class Surroundings:
     """The carrier, the object and what it lies on.
 
     An object that is *held* is weightless and moves against a drag, as if a yielding hand presented
-    it; it is let go when two links have touched it for a while, or by `release`.
+    it; it is let go when two links have touched it for a while, or by `remove_support`.
 
     Attributes:
         has_object: There is an object.
-        released: The object bears its own weight.
+        unsupported: The object bears its own weight.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, options: SimOptions) -> None:
@@ -55,7 +55,7 @@ class Surroundings:
         self._carrier = int(model.body(CARRIER).id)
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, OBJECT)
         self.has_object = joint >= 0
-        self.released = not self.has_object or options.support == "table"
+        self.unsupported = not self.has_object or options.support == "table"
         self._table = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, TABLE)
         self._motors = [
             mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{CARRIER}/{axis}")
@@ -90,13 +90,13 @@ class Surroundings:
         self._data.qpos[self._qpos : self._qpos + 7] = self._start
         self._data.qvel[self._dof : self._dof + 6] = 0.0
 
-    def release(self) -> None:
+    def remove_support(self) -> None:
         """Let go of the object: from now on it bears its own weight."""
-        if self.has_object and not self.released:
+        if self.has_object and not self.unsupported:
             self._hold(False)
 
     def _hold(self, on: bool) -> None:
-        self.released = not on
+        self.unsupported = not on
         drag = [_DRAG] * 3 + [_TURN_DRAG] * 3 if on else 0.0
         self._model.dof_damping[self._dof : self._dof + 6] = drag
         self._model.body_gravcomp[self._parts] = 1.0 if on else 0.0
@@ -108,11 +108,11 @@ class Surroundings:
             time: Simulated time [s].
         """
         elapsed, self._last = time - self._last, time
-        if self.released or self._support == "floating":
+        if self.unsupported or self._support == "floating":
             return
         self._touched = self._touched + elapsed if len(self.touching()) >= _LINKS else 0.0
         if self._touched >= _CONFIRM:
-            self.release()
+            self.remove_support()
 
     @property
     def on_table(self) -> bool:

@@ -12,7 +12,6 @@ from pydantic import BaseModel
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
-from rtee.drivers.blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.onrobot_3fg.codec import (
     FIRMWARE,
@@ -36,6 +35,7 @@ from rtee.drivers.onrobot_3fg.codec import (
 from rtee.drivers.onrobot_3fg.emulator import OnRobot3FGEmulator
 from rtee.drivers.onrobot_3fg.options import OnRobot3FGOptions
 from rtee.drivers.options import read_options
+from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
 from rtee.errors import (
     BusError,
     BusTimeout,

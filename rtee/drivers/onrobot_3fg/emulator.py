@@ -148,7 +148,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         tips = 2.0 * self.fingers.offset * (1.0 if self.properties.grip == "external" else -1.0)
         return (width + tips - opened) / (closed - opened)
 
-    def hold(self, diameter: float = 0.08, force: int = 500, stiffness: float = 4e4) -> None:
+    def grip_object(self, diameter: float = 0.08, force: int = 500, stiffness: float = 4e4) -> None:
         """Grip an object of a diameter, as if another program had done so before."""
         self.axis.obstacle = VirtualObject(diameter, stiffness, closing=-1.0)
         self._targets = [force, round(self.properties.smallest * 1e4), 0, Control.GRIP]

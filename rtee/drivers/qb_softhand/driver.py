@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from rtee.buses.patience import patiently
-from rtee.drivers.attached import Attached
+from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command
@@ -243,7 +243,7 @@ class QbSoftHandDriver(Driver):
             self._closure = await patiently(self._measured)
             await self._send(self._closure)
 
-    async def release(self) -> None:
+    async def disable(self) -> None:
         """Deactivate the motors; the hand relaxes as far as friction lets it."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
@@ -271,4 +271,4 @@ class QbSoftHandDriver(Driver):
         """Give the line back; an active hand stays active."""
         link, self._link = self._link, None
         if link is not None:
-            await link.bus.release(owner_of(self.spec))
+            await link.bus.detach(owner_of(self.spec))

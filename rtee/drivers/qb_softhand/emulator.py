@@ -154,7 +154,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         made = self.options
         return [Closing(axis, 0.0, made.limit, made.current_limit_ma) for axis in self.axes]
 
-    def hold(self, closure: float, stiffness: float = 1.0) -> None:
+    def grip_object(self, closure: float, stiffness: float = 1.0) -> None:
         """Put an object between the fingers, met at a closure; stiffness in mA per tick."""
         for axis in self.axes:
             axis.obstacle = VirtualObject(closure * self.options.limit, stiffness)

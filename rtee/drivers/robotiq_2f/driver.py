@@ -12,9 +12,9 @@ from pydantic import BaseModel
 
 from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
-from rtee.drivers.blocks import PATIENT
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
+from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.calibration import (
     EndStops,
     checked,

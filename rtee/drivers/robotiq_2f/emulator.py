@@ -154,7 +154,7 @@ class Robotiq2FEmulator(ModbusEmulator, Grasps):
         """Return how far the fingers are closed at a width [m]."""
         return 1.0 - width / self.model.stroke
 
-    def hold(self, count: int = 180, stiffness: float = 20.0, force: int = 128) -> None:
+    def grip_object(self, count: int = 180, stiffness: float = 20.0, force: int = 128) -> None:
         """Close on an object met at ``count``, as if another program had gripped it before."""
         self.axis.obstacle = VirtualObject(count, stiffness)
         self._power_up(True)

@@ -7,8 +7,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from rtee.drivers.blocks import ExchangeKind
 from rtee.drivers.options import DeviceOptions
+from rtee.drivers.register_blocks import ExchangeKind
 
 
 class Robotiq2FOptions(DeviceOptions):

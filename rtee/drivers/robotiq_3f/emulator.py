@@ -131,7 +131,7 @@ class Robotiq3FEmulator(ModbusEmulator, Grasps):
         """Return how the fingers close; the scissor meets nothing."""
         return [Closing(axis, _OPEN, axis.upper, self.scale.force[1]) for axis in self.axes[:3]]
 
-    def hold(self, count: int = 150, stiffness: float = 10.0, force: int = 128) -> None:
+    def grip_object(self, count: int = 150, stiffness: float = 10.0, force: int = 128) -> None:
         """Close on an object met at ``count``, as if another program had gripped it before."""
         for axis in self.axes[:3]:
             axis.obstacle = VirtualObject(count, stiffness)

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from rtee.drivers.blocks import ExchangeKind
 from rtee.drivers.options import DeviceOptions
+from rtee.drivers.register_blocks import ExchangeKind
 from rtee.errors import ConfigError
 from rtee.types import DeviceSpec
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from rtee.buses.patience import patiently
-from rtee.drivers.attached import Attached
+from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.schunk_svh import codec, power
 from rtee.drivers.schunk_svh.channels import (
@@ -281,7 +281,7 @@ class SchunkSvhDriver(Driver):
             await patiently(self._seed)
             await patiently(lambda: self._hand.set_targets(self._targets))
 
-    async def release(self) -> None:
+    async def disable(self) -> None:
         """Switch every channel off; the fingers go limp."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
@@ -317,4 +317,4 @@ class SchunkSvhDriver(Driver):
         link, self._link = self._link, None
         self._answer = None
         if link is not None:
-            await link.bus.release(owner_of(self.spec))
+            await link.bus.detach(owner_of(self.spec))

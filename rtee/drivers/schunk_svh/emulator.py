@@ -188,7 +188,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         spec = self.table[channel]
         return spec.zero(self.stop_of(channel)) + closure * spec.range / spec.rad_per_tick
 
-    def hold(self, channel: int, closure: float, stiffness: float = 0.5) -> None:
+    def grip_object(self, channel: int, closure: float, stiffness: float = 0.5) -> None:
         """Put an object in the way of a channel, met at a closure; stiffness in mA per tick."""
         spec = self.table[channel]
         self.channels[channel].axis.obstacle = VirtualObject(

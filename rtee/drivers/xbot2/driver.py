@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from rtee.buses.patience import patiently
+from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
 from rtee.drivers.base import Driver
 from rtee.drivers.emulators import emulator_of, owner_of
@@ -173,7 +173,7 @@ class XBot2Driver(Driver):
         self._touched = False
         bus, self._bus = self._bus, None
         if bus is not None:
-            await bus.release(owner_of(self.spec))
+            await bus.detach(owner_of(self.spec))
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the connection."""

@@ -111,7 +111,7 @@ class XBot2Emulator(Emulator, Grasps):
         made = self.properties
         return [Closing(axis, made.lower, made.upper, made.effort) for axis in self.axes.values()]
 
-    def hold(self, joint: str, position: float, stiffness: float = 200.0) -> None:
+    def grip_object(self, joint: str, position: float, stiffness: float = 200.0) -> None:
         """Put an object in a joint's way, met at a position."""
         self.axes[joint].obstacle = VirtualObject(position, stiffness)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from rtee.actions.types import Action, ActionKind, kind_of
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.cards import Card, Show
-from rtee.gui.tried import Tried
+from rtee.gui.trial_results import Tried
 from rtee.remote.client import RemoteHand
 
 _FEW = 3
@@ -81,16 +81,16 @@ class ActionsPanel:
                     order=place,
                     remark=self._remark,
                 )
-            self._cards[key].tell(self._tried)
+            self._cards[key].show_trials(self._tried)
             self._known[key] = signature
         self._filter()
         return actions
 
-    def tell(self, tried: Tried) -> None:
+    def show_trials(self, tried: Tried) -> None:
         """Take what trials of the actions found."""
         self._tried = tried
         for card in self._cards.values():
-            card.tell(tried)
+            card.show_trials(tried)
 
     def remove(self) -> None:
         """Take the cards away, and their commands."""

@@ -17,9 +17,9 @@ from rtee.actions.types import (
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.choice import ElementChoice
 from rtee.gui.panels.execution import Execution, last_posture
-from rtee.gui.tried import Tried, key_of
-from rtee.gui.tried import line as tried_line
-from rtee.gui.tried import table as tried_table
+from rtee.gui.trial_results import Tried, key_of
+from rtee.gui.trial_results import line as tried_line
+from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, small
 from rtee.remote.client import GoalOptions, RemoteHand
 from rtee.types import Stage
@@ -185,7 +185,7 @@ class Card:
         self._said.content = small(escape(words))
         self._said.visible = bool(words)
 
-    def tell(self, tried: Tried) -> None:
+    def show_trials(self, tried: Tried) -> None:
         """Take what trials found."""
         self._tried = tried
         self._show_tried()

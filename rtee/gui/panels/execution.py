@@ -12,7 +12,7 @@ from rtee.actions.types import Action, Posture, Step
 from rtee.errors import RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, PREVIEW
-from rtee.gui.tried import key_of
+from rtee.gui.trial_results import key_of
 from rtee.gui.wording import described, said, small
 from rtee.remote.client import GoalOptions, RemoteHand
 from rtee.types import Feedback, Result

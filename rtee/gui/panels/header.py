@@ -9,7 +9,7 @@ import viser
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import STOP
 from rtee.remote.client import RemoteHand
-from rtee.remote.views import HandStatus
+from rtee.remote.monitoring import HandStatus
 from rtee.types import DeviceStatus, Lifecycle
 
 _SIGNS = {
@@ -81,9 +81,9 @@ class Header:
         confirmed = await self._hand.stop()
         silent = [name for name, word in confirmed.items() if not word]
         if silent:
-            self._bridge.tell("Stop NOT confirmed", f"by {', '.join(silent)}", "red")
+            self._bridge.notify("Stop NOT confirmed", f"by {', '.join(silent)}", "red")
         else:
-            self._bridge.tell("Stopped", f"confirmed by {', '.join(confirmed)}", "green")
+            self._bridge.notify("Stopped", f"confirmed by {', '.join(confirmed)}", "green")
 
     def show(self, status: HandStatus) -> None:
         """Show how the hand is doing."""

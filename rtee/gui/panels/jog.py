@@ -53,7 +53,7 @@ class JogPanel:
 
     async def _take_or_give(self) -> None:
         try:
-            await (self._remote.take() if self._hold.value else self._remote.release())
+            await (self._remote.acquire() if self._hold.value else self._remote.release())
         except RemoteError:
             self._hold.value = False
             raise

@@ -125,4 +125,4 @@ class PartsPanel:
             await self._remote.add_timed(name, list(self._parts), store=store)
         self._parts.clear()
         self._draw()
-        self._bridge.tell("Saved", f"action '{name}'", "green")
+        self._bridge.notify("Saved", f"action '{name}'", "green")

@@ -16,7 +16,7 @@ from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.log.rotation import recordings
 from rtee.remote.client import RemoteHand
-from rtee.remote.views import HandStatus
+from rtee.remote.monitoring import HandStatus
 
 Opened = Callable[[Playback | None], None]
 """Told of the recording that is shown; ``None``: the live hand again."""
@@ -101,12 +101,12 @@ class RecordingsPanel:
     async def _record(self, what: str) -> None:
         await self._remote.record(what.lower())
         words = "a recording begins" if what == "Start" else "the recording ends"
-        self._bridge.tell("Recording", words, "green")
+        self._bridge.notify("Recording", words, "green")
 
     async def _mark(self) -> None:
         text = str(self._text.value).strip()
         await self._remote.record("mark", text)
-        self._bridge.tell("Marked", text, "green")
+        self._bridge.notify("Marked", text, "green")
 
     def show_status(self, status: HandStatus) -> None:
         """Show which file is written."""

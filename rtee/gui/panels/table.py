@@ -11,7 +11,7 @@ import viser
 from rtee.gui.labels import short_names, units
 from rtee.hand.model import Hand
 from rtee.messages.state import State
-from rtee.remote.views import HandStatus
+from rtee.remote.monitoring import HandStatus
 
 _STYLE = "font-size:0.75em;border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums"
 

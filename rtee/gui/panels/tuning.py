@@ -5,7 +5,7 @@ from __future__ import annotations
 from rtee.errors import RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.remote.client import RemoteHand
-from rtee.remote.views import HandStatus
+from rtee.remote.monitoring import HandStatus
 
 _NONE = "–"
 
@@ -47,7 +47,7 @@ class TuningPanel:
     def _hold(self) -> None:
         if not self._quiet:
             share = self._holding.value / 100.0
-            self._bridge.call(lambda: self._remote.set_gains({"holding_effort": share}))
+            self._bridge.call(lambda: self._remote.set_gains({"grip_effort": share}))
 
     def _type(self) -> None:
         self._typed = True
@@ -64,11 +64,11 @@ class TuningPanel:
             device, gain = self._gains[label]
             await self._remote.set_gains({gain: value}, device)
             self._set_before[label] = value
-            self._bridge.tell("Gain set", f"{label} is {value:g}", "green")
+            self._bridge.notify("Gain set", f"{label} is {value:g}", "green")
 
     def show(self, status: HandStatus) -> None:
         """Offer the gains that the devices have."""
-        share = round(100.0 * status.holding_effort)
+        share = round(100.0 * status.grip_effort)
         if share != self._holding.value:
             self._quiet = True
             self._holding.value = share

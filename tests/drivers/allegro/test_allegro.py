@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.buses.emulator import CanFrame
-from rtee.buses.patience import patiently
 from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
 from rtee.buses.simulated_can import SimulatedCan
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import AllegroFrameError, Command, HandInfo, Periods, Status
@@ -90,8 +90,8 @@ def test_torques_come_with_the_complete_set_and_never_exceed_the_limits() -> Non
         made.refer(joint, 2.0)
     made.limit(5, 0.1)
     made.limit(6, 99.0)
-    assert [made.take(finger, (0, 0, 0, 0), 1.0) for finger in (2, 0, 3)] == [None] * 3
-    counts = made.take(1, (0, 0, 0, 0), 1.0)
+    assert [made.receive(finger, (0, 0, 0, 0), 1.0) for finger in (2, 0, 3)] == [None] * 3
+    counts = made.receive(1, (0, 0, 0, 0), 1.0)
     assert counts is not None
     assert counts[0] == [375, 675, 450, 285]
     assert counts[1] == [375, 120, 450, 285]
@@ -102,10 +102,10 @@ def test_a_joint_without_reference_gets_no_torque() -> None:
     made = control()
     made.refer(0, 0.1)
     made.refer(1, None)
-    made.take(0, (0, 0, 0, 0), 1.0)
-    made.take(1, (0, 0, 0, 0), 1.0)
-    made.take(2, (0, 0, 0, 0), 1.0)
-    assert made.take(3, (0, 0, 0, 0), 1.0) == [[120, 0, 0, 0], *[[0] * 4] * 3]
+    made.receive(0, (0, 0, 0, 0), 1.0)
+    made.receive(1, (0, 0, 0, 0), 1.0)
+    made.receive(2, (0, 0, 0, 0), 1.0)
+    assert made.receive(3, (0, 0, 0, 0), 1.0) == [[120, 0, 0, 0], *[[0] * 4] * 3]
 
 
 def test_sets_that_waited_in_the_computer_make_no_speed_of_their_own() -> None:
@@ -115,7 +115,7 @@ def test_sets_that_waited_in_the_computer_make_no_speed_of_their_own() -> None:
     for number in range(60):
         stamp = 1.0 + 0.03 * (number // 10) + 1e-4 * (number % 10)  # ten at once, every 30 ms
         for finger in range(4):
-            made.take(finger, (10 * number,) * 4, stamp)
+            made.receive(finger, (10 * number,) * 4, stamp)
     step = made.scale.to_rad(10) - made.scale.to_rad(0)
     assert abs(made.velocity[0]) < 1.2 * abs(step) / 0.003
 
@@ -149,7 +149,7 @@ def test_joints_come_to_their_goal_soon_and_stay_there_whatever_their_friction(
             away.append(math.dist(angles, goals))
         for finger in range(4):
             four = [made.scale.to_count(angle) for angle in angles[4 * finger : 4 * finger + 4]]
-            torques = made.take(finger, four, now)
+            torques = made.receive(finger, four, now)
         assert torques is not None
         for finger, counts in enumerate(torques):
             number = codec.identifier(Command.SET_TORQUE + finger)
@@ -265,7 +265,7 @@ async def test_activation_holds_the_measured_pose_and_closing_switches_off() -> 
 async def test_an_object_is_pressed_with_the_effort_limit() -> None:
     async with BusPool() as pool, connected(pool, device(kp=3.0)) as made:
         await made.activate()
-        hand(pool).hold(1, 0.6)
+        hand(pool).grip_object(1, 0.6)
         goal = (await patiently(made.sense)).position.copy()
         goal[1] = 1.4
         limit = np.full(16, 0.2)

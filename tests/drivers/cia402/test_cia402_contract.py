@@ -33,7 +33,7 @@ def case(mode: str) -> DeviceCase:
             "watchdog": 0.0,
             "enable_timeout": 0.5,
         },
-        hold=held,
+        grip_object=held,
         commands=moves,
         efforts=limits,
         max_efforts=[0.2],

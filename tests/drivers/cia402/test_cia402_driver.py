@@ -106,7 +106,7 @@ async def test_every_new_set_point_is_taken_in_profile_mode() -> None:
 async def test_limits_go_before_the_position_and_an_object_is_held_with_them() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         await made.activate()
-        drives(pool).hold(5, 0.5 * COUNTS, stiffness=2.0)
+        drives(pool).grip_object(5, 0.5 * COUNTS, stiffness=2.0)
         sent: list[int] = []
         pool.buses[0].trace = lambda _, way, data, __: (
             sent.append(int.from_bytes(data[:4], "big")) if way == "tx" else None
@@ -144,7 +144,7 @@ async def test_what_is_held_is_not_dropped_by_attaching(mode: str) -> None:
     async with BusPool() as pool:
         async with connected(pool, device(mode=mode)) as first:
             await first.activate()
-            drives(pool).hold(5, 0.5 * COUNTS, stiffness=2.0)
+            drives(pool).grip_object(5, 0.5 * COUNTS, stiffness=2.0)
             await settle(first, [1.0], max_effort=np.array([0.2]))
         axis = drives(pool).drives[5].axis
         effort, target = axis.effort, axis.target
@@ -203,7 +203,7 @@ async def test_stop_holds_the_measured_pose_and_release_takes_the_voltage() -> N
         await anyio.sleep(0.1)
         assert 0.1 < where < 2.0
         assert (await made.sense()).position[0] == pytest.approx(where, abs=0.05)
-        await made.release()
+        await made.disable()
         assert drives(pool).drives[5].state is State.SWITCH_ON_DISABLED
 
 

@@ -14,7 +14,7 @@ def held(emulator: Any) -> None:
     for number, servo in emulator.servos.items():
         servo.write(table.OPERATING_MODE.address, b"\x05")
         servo.write(table.TORQUE.address, b"\x01")
-        emulator.hold(number, 2060.0, stiffness=50.0)
+        emulator.grip_object(number, 2060.0, stiffness=50.0)
         servo.write(table.GOAL_POSITION.address, (2200).to_bytes(4, "little"))
         servo.axis.advance(1.0)
         assert servo.axis.effort > 100.0
@@ -41,7 +41,7 @@ class TestDynamixel(DriverContract):
             "retries": 9,
             "deadline": 0.1,
         },
-        hold=held,
+        grip_object=held,
         commands=moves,
         efforts=limits,
         max_efforts=[0.2, 0.3, 0.4],

@@ -175,7 +175,7 @@ async def test_limits_are_written_before_the_position_and_only_when_they_change(
 async def test_an_object_is_held_with_the_effort_limit() -> None:
     async with BusPool(wire_time=False) as pool, connected(pool, device(1)) as made:
         await made.activate()
-        line(pool).hold(0, 2048 + 300, stiffness=5.0)
+        line(pool).grip_object(0, 2048 + 300, stiffness=5.0)
         limit = np.array([0.15])
         end = time.monotonic() + 5.0
         state = await made.sense()
@@ -303,7 +303,7 @@ async def test_stop_holds_and_release_lets_go() -> None:
         await anyio.sleep(0.1)
         assert 0.0 < where < 0.5
         assert (await made.sense()).position[0] == pytest.approx(where, abs=0.03)
-        await made.release()
+        await made.disable()
         await made.sense()
         assert line(pool).servos[0].get(table.TORQUE) == 0
 

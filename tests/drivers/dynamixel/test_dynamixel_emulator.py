@@ -113,7 +113,7 @@ def test_moves_with_its_profile_velocity_and_torque_takes_the_pose_for_goal() ->
 
 def test_an_object_is_squeezed_with_no_more_than_the_goal_current() -> None:
     master = line()
-    master.emulator.hold(1, 2500.0, stiffness=2.0)
+    master.emulator.grip_object(1, 2500.0, stiffness=2.0)
     for register, value in ((table.OPERATING_MODE, 5), (table.TORQUE, 1)):
         assert master.write(1, register, value) == 0
     assert master.write(1, table.GOAL_CURRENT, 200) == 0
@@ -185,7 +185,7 @@ def test_return_delay_and_latency_make_the_turnaround() -> None:
 
 def test_overload_takes_the_torque_and_only_a_reboot_clears_it() -> None:
     master = line(overload_time=0.5, reboot_time=0.4)
-    master.emulator.hold(1, 2100.0, stiffness=50.0)
+    master.emulator.grip_object(1, 2100.0, stiffness=50.0)
     assert master.write(1, table.TORQUE, 1) == 0
     assert master.write(1, table.GOAL_POSITION, 4000) == 0
     for _ in range(20):

@@ -175,7 +175,7 @@ async def test_activation_does_not_jump_and_pressures_are_told() -> None:
         await made.activate()
         await anyio.sleep(0.05)
         assert (await made.sense()).position == pytest.approx([0.3] * 4, abs=1e-3)
-        hand(pool).hold(1, 0.8)
+        hand(pool).grip_object(1, 0.8)
         end = time.monotonic() + 5.0
         state = await made.sense()
         while state.current[1] < 0.995 and time.monotonic() < end:
@@ -212,8 +212,8 @@ async def test_the_torque_reference_of_a_board_is_the_smaller_limit_of_its_motor
             return take(outputs, now)
 
         hand(pool).cycle = heard  # type: ignore[method-assign]
-        hand(pool).hold(0, 0.5)
-        hand(pool).hold(3, 0.5)
+        hand(pool).grip_object(0, 0.5)
+        hand(pool).grip_object(3, 0.5)
         there = [1.0, 0.3, 0.3, 1.0]
 
         async def push(limits: list[float]) -> np.ndarray:
@@ -286,7 +286,7 @@ async def test_release_takes_the_power_and_stop_holds() -> None:
         await anyio.sleep(0.1)
         assert (await made.sense()).position == pytest.approx(where, abs=0.02)
         assert (where < 1.0).all()
-        await made.release()
+        await made.disable()
         assert not any(board.power for board in hand(pool).boards)
 
 

@@ -127,14 +127,14 @@ async def test_an_object_stops_a_finger_and_gives_effort() -> None:
     state = await driver.sense()
     assert state.effort.tolist() == [0.7, -0.4]
     assert state.position[1] == -0.5
-    driver.take_away("index")
+    driver.remove_object("index")
     clock.seconds += 5.0
     assert (await driver.sense()).position.tolist() == pytest.approx([2.0, -1.0])
 
 
 async def test_an_object_behind_the_finger_is_not_met() -> None:
     driver, clock = await active(start={"bend": 1.5})
-    driver.place("bend", 0.5)
+    driver.place_object("bend", 0.5)
     await driver.move(Reference.at([0.0, 0.0]))
     clock.seconds += 5.0
     assert (await driver.sense()).position[0] == pytest.approx(0.0, abs=1e-6)
@@ -171,7 +171,7 @@ async def test_stop_and_release() -> None:
     clock.seconds += 1.0
     assert (await driver.sense()).position[0] == at
     await driver.move(Reference.at([2.0, 0.0]))
-    await driver.release()
+    await driver.disable()
     clock.seconds += 1.0
     assert (await driver.sense()).position[0] == at
 
@@ -195,7 +195,7 @@ async def test_it_breaks_and_mends() -> None:
     with pytest.raises(BusBroken):
         await driver.move(Reference.at([0.0, 0.0]))
     await driver.stop()
-    await driver.release()
+    await driver.disable()
     driver.plug()
     await driver.configure()
     driver.fail("overload")

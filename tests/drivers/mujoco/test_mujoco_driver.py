@@ -92,7 +92,7 @@ async def test_stop_holds_and_release_lets_go() -> None:
         held = (await driver.sense()).position[0]
     assert 0.0 < held < 0.7
     assert held == pytest.approx(stopped, abs=0.1)
-    await driver.release()
+    await driver.disable()
     for _ in range(5):
         assert (await driver.sense()).effort[0] == 0.0
 
@@ -108,7 +108,7 @@ async def test_gains_are_tuned_while_it_runs() -> None:
 
 async def test_a_gain_does_not_power_a_limp_hand() -> None:
     driver = await active()
-    await driver.release()
+    await driver.disable()
     await driver.set_gains({"kp.finger_joint": 100.0})
     await driver.move(Reference.at([0.5]))
     assert (await driver.sense()).effort[0] == 0.0
@@ -129,10 +129,10 @@ async def test_an_object_is_held_until_it_is_gripped() -> None:
     for _ in range(100):
         waiting = (await driver.sense()).extras["object_pose"]
     assert waiting[:3] == pytest.approx(before[:3], abs=1e-3)
-    assert not driver.simulation.surroundings.released
+    assert not driver.simulation.surroundings.unsupported
     await run(driver, Reference.at([0.8], max_effort=[5.0]), 400)
     state = await driver.sense()
-    assert driver.simulation.surroundings.released
+    assert driver.simulation.surroundings.unsupported
     assert state.extras["contact_force"].min() > 1.0
     assert state.position[0] < 0.75
     assert np.linalg.norm(state.extras["object_pose"][:3] - before[:3]) < 0.03
@@ -141,7 +141,7 @@ async def test_an_object_is_held_until_it_is_gripped() -> None:
 async def test_without_gripping_it_falls_when_released() -> None:
     driver = await active(object="box:0.02x0.02x0.02")
     before = (await driver.sense()).extras["object_pose"]
-    driver.simulation.surroundings.release()
+    driver.simulation.surroundings.remove_support()
     for _ in range(20):
         state = await driver.sense()
     assert state.extras["object_pose"][2] < before[2] - 0.02
@@ -177,7 +177,7 @@ async def test_an_object_stands_on_the_table_and_is_lifted_by_the_carrier() -> N
     start = around.pose
     for _ in range(100):
         await driver.sense()
-    assert around.released
+    assert around.unsupported
     assert around.pose[:3] == pytest.approx(start[:3], abs=2e-3)
     await run(driver, Reference.at([0.8], max_effort=[5.0]), 300)
     assert around.touching()

@@ -26,7 +26,7 @@ TCP = DeviceCase(
     driver="onrobot_3fg",
     actuators=(actuator("robot_onrobot_3fg15_finger_joint1", 0.0, 2.9, effort=10.0),),
     options={"host": "192.0.2.1", "emulator": {"haste": 8.0}, "settle": 0.02},
-    hold=lambda emulator: emulator.hold(),
+    grip_object=lambda emulator: emulator.grip_object(),
     commands=lambda emulator: emulator.moves,
     efforts=with_an_object,
     max_efforts=[4.0],

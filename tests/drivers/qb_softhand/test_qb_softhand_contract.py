@@ -9,7 +9,7 @@ from rtee.testing import DeviceCase, DriverContract, actuator, cycles
 
 
 def held(emulator: Any) -> None:
-    emulator.hold(0.3)
+    emulator.grip_object(0.3)
     emulator._activate(3)
     emulator.axes[0].target = 12_000.0
     emulator.axes[0].advance(1.0)
@@ -25,7 +25,7 @@ class TestSoftHand(DriverContract):
         driver="qb_softhand",
         actuators=(actuator("qbhand_synergy_joint", 0.0, 1.0, effort=3.0),),
         options={"emulator": {"speed": 200_000.0}},
-        hold=held,
+        grip_object=held,
         commands=told,
         fault="low_supply",
         homes=False,

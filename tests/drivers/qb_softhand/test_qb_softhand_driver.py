@@ -121,7 +121,7 @@ async def test_the_limit_the_hand_tells_is_its_scale() -> None:
 async def test_an_object_shows_in_current_and_effort() -> None:
     async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
         await made.activate()
-        hand(pool).hold(0.4, stiffness=3.0)
+        hand(pool).grip_object(0.4, stiffness=3.0)
         end = time.monotonic() + 5.0
         state = await made.sense()
         while state.current[0] < 1.495 and time.monotonic() < end:
@@ -152,7 +152,7 @@ async def test_stop_holds_and_release_deactivates() -> None:
         await anyio.sleep(0.05)
         assert 0.0 < where < 0.5
         assert (await made.sense()).position[0] == pytest.approx(where, abs=0.01)
-        await made.release()
+        await made.disable()
         for _ in range(100):
             if not hand(pool).active:
                 break

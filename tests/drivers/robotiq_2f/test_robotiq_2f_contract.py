@@ -32,7 +32,7 @@ RTU = DeviceCase(
         "home": "on_connect",
         "emulator": {"haste": 8.0, "activation_time": 0.2},
     },
-    hold=lambda emulator: emulator.hold(),
+    grip_object=lambda emulator: emulator.grip_object(),
     commands=lambda emulator: emulator.moves,
     efforts=begun_with,
     max_efforts=[12.0],
@@ -165,7 +165,7 @@ async def test_closing_on_an_object_is_a_grasp_and_on_nothing_is_none() -> None:
 
 async def test_a_held_object_stays_held_when_asked_to_stay() -> None:
     async with Session(RTU) as session:
-        await session.before(lambda emulator: emulator.hold())  # type: ignore[attr-defined]
+        await session.before(lambda emulator: emulator.grip_object())  # type: ignore[attr-defined]
         state = await session.start()
         assert state.grasped == (True,)
         effort = session.emulator.axis.effort

@@ -31,7 +31,7 @@ CASE = DeviceCase(
         "home": "on_connect",
         "emulator": {"activation_time": 0.2, "haste": 8.0},
     },
-    hold=lambda emulator: emulator.hold(),
+    grip_object=lambda emulator: emulator.grip_object(),
     commands=lambda emulator: emulator.moves,
     efforts=efforts,
     max_efforts=[5.0, 12.0],
@@ -94,7 +94,7 @@ async def test_nothing_moves_before_it_is_asked_for() -> None:
 async def test_another_mode_is_not_taken_unasked() -> None:
     options = {**CASE.options, "home": "on_demand", "mode": "pinch"}
     async with Session(replace(CASE, actuators=(FINGERS,), options=options)) as session:
-        await session.before(lambda emulator: emulator.hold())  # type: ignore[attr-defined]
+        await session.before(lambda emulator: emulator.grip_object())  # type: ignore[attr-defined]
         await session.connect()
         with pytest.raises(DeviceFault, match="in mode 'basic', not 'pinch'"):
             await session.driver.activate()

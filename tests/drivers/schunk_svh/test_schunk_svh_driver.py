@@ -124,7 +124,7 @@ async def test_attaches_to_a_hand_that_holds_without_moving_it(tmp_path: Path) -
             await first.activate()
             held = await settle(first, np.array([0.4, 0.3]))
         axis = hand(pool).channels[7].axis
-        hand(pool).hold(7, held[1] / 0.98)
+        hand(pool).grip_object(7, held[1] / 0.98)
         axis.target = -1e5
         axis.advance(1.0)
         held[1] = 0.98 * hand(pool).closure(7)
@@ -212,7 +212,7 @@ async def test_feels_an_object_and_holds_it() -> None:
     async with BusPool(wire_time=False) as pool, driver(pool, device(["Ring_Finger"])) as made:
         await made.configure()
         await made.activate()
-        hand(pool).hold(6, 0.5, stiffness=2.0)
+        hand(pool).grip_object(6, 0.5, stiffness=2.0)
         end = time.monotonic() + 5.0
         state = await made.sense()
         while state.current[0] > -0.299 and time.monotonic() < end:
@@ -235,7 +235,7 @@ async def test_stop_holds_the_measured_pose_and_release_lets_go() -> None:
         assert where < 0.8
         await anyio.sleep(0.05)
         assert (await made.sense()).position[0] == pytest.approx(where, abs=0.05)
-        await made.release()
+        await made.disable()
         assert not any(channel.axis.enabled for channel in hand(pool).channels)
 
 

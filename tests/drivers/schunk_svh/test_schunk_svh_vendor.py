@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from rtee.buses.wire import Wire
+from rtee.buses.line_model import Wire
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import CHANNELS, Channel, current_settings, position_settings
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Feedback, Packet, Parser

@@ -161,7 +161,7 @@ async def test_a_closure_and_a_state_in_rad_are_mapped() -> None:
 @pytest.mark.anyio
 async def test_effort_control_closes_with_the_limit_and_then_stays() -> None:
     async with BusPool() as pool, connected(pool, device("a", "b", control="effort")) as made:
-        server(pool).hold("a", 0.5, stiffness=100.0)
+        server(pool).grip_object("a", 0.5, stiffness=100.0)
         limit = np.array([4.0, 3.0])
         for _ in range(80):
             await made.sense()
@@ -183,7 +183,7 @@ async def test_limited_control_sends_the_limit_beside_the_position() -> None:
             return feed(data, now)
 
         server(pool).feed = heard  # type: ignore[method-assign]
-        server(pool).hold("a", 0.5, stiffness=100.0)
+        server(pool).grip_object("a", 0.5, stiffness=100.0)
 
         async def push(*limits: float) -> np.ndarray:
             for _ in range(80):

@@ -12,7 +12,7 @@ class TestXBot2(DriverContract):
         driver="xbot2",
         actuators=(actuator("claw", 0.0, 1.0), actuator("other", 0.0, 1.0)),
         options={"emulator": {"rate": 500.0, "speed": 10.0}, "deadline": 1.0, "rate": 50.0},
-        hold=lambda emulator: emulator.hold("claw", 0.15),
+        grip_object=lambda emulator: emulator.grip_object("claw", 0.15),
         commands=lambda emulator: emulator.commands,
         homes=False,
         wire_faults=frozenset({"drop", "corrupt", "duplicate", "delay"}),

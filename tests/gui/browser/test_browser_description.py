@@ -6,7 +6,7 @@ import base64
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtee.hand.carried import carried_meshes, with_addresses
+from rtee.hand.embedded_meshes import carried_meshes, with_addresses
 from rtee.hand.load import load_model
 
 from .marks import in_a_browser

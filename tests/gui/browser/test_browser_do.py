@@ -96,7 +96,7 @@ def test_an_action_made_elsewhere_appears_in_every_window_and_goes(
 def test_who_holds_the_hand_is_named_and_what_is_refused_is_said(
     window: Window, other: BlockingHand
 ) -> None:
-    other.take()
+    other.acquire()
     try:
         window.status(f"held by {other.client}")
         card = window.folder("PinchTight", unfold=True)

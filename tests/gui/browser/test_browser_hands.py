@@ -56,7 +56,7 @@ def test_what_trials_found_is_on_the_card(squeezer: Window) -> None:
     window.says("too wide for it", card)
 
 
-def test_gains_and_the_holding_effort_are_tuned(
+def test_gains_and_the_grip_effort_are_tuned(
     squeezer: Window, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window = squeezer
@@ -71,7 +71,7 @@ def test_gains_and_the_holding_effort_are_tuned(
     window.says("kd.finger_joint is 0.5")
     window.type("Holding effort [%]", "70", panel)
     with rtee.connect_blocking(SQUEEZER) as hand:
-        window.until(lambda: hand.status().holding_effort == 0.7)
+        window.until(lambda: hand.status().grip_effort == 0.7)
 
 
 def test_24_actuators_stay_usable(any_window: Window, hands: Hands) -> None:

@@ -166,9 +166,9 @@ class Player:
 
     def _object(self, text: str) -> None:
         if text:
-            grasping(self.emulator).place(ObjectInHand.parse(text))
+            grasping(self.emulator).place_object(ObjectInHand.parse(text))
         else:
-            grasping(self.emulator).take_away()
+            grasping(self.emulator).remove_object()
 
     def _state(self) -> str:
         """Return what the device would say of itself, and its faults."""

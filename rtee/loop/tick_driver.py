@@ -33,13 +33,13 @@ async def drive(
     failures: list[Exception] = []
     soon = asyncio.get_running_loop().call_soon
 
-    def tell() -> None:
+    def notify_observers() -> None:
         if not untold:
             return
         tick = untold.pop()
         try:
             for loop in loops:
-                loop.tell()
+                loop.notify_observers()
         except Exception as error:
             failures.append(error)
         if idle is not None:
@@ -56,11 +56,11 @@ async def drive(
         for loop in loops:
             loop.move_on(tick)
         untold.append(tick)
-        soon(tell)  # after the devices' tasks, which `move_on` has woken
+        soon(notify_observers)  # after the devices' tasks, which `move_on` has woken
 
     try:
         await clock.drive(at_tick)
     finally:
-        tell()
+        notify_observers()
     if failures:
         raise failures.pop()

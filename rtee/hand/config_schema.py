@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Reaction = Literal["hold", "stop", "open", "release"]
+Reaction = Literal["hold", "stop", "open", "disable"]
 
 
 class Section(BaseModel):
@@ -83,10 +83,10 @@ class Grasp(Section):
 
     effort: Fraction = 0.2
     """A stalled actuator above this share of its effort limit holds something."""
-    holding_effort: Fraction = 0.4
+    grip_effort: Fraction = 0.4
     """Effort while holding, as a share of the effort limit."""
-    holding_after: NotNegative = 2.0
-    """Time after the grasp until the effort is lowered to ``holding_effort`` [s]."""
+    grip_after: NotNegative = 2.0
+    """Time after the grasp until the effort is lowered to ``grip_effort`` [s]."""
     touch: NotNegative = 0.1
     """Force at a fingertip above which it touches [N], where a device measures it."""
 
@@ -124,8 +124,8 @@ class Safety(Section):
     """What the hand does when something ends or breaks."""
 
     on_exit: Reaction = "hold"
-    """When the loop ends: ``hold`` the pose, ``stop`` motion, ``open`` the hand, ``release``
-    (power off)."""
+    """When the loop ends: ``hold`` the pose, ``stop`` motion, ``open`` the hand, ``disable``
+    the drives (limp)."""
     on_client_lost: Reaction = "hold"
     """When the client that holds the hand has died."""
     on_link_lost: Reaction = "hold"
@@ -135,7 +135,7 @@ class Safety(Section):
     max_step: Positive | None = None
     """Largest change of a reference within one tick [rad | m]; unless given, what the velocity
     limit allows."""
-    idle_release: Positive | None = None
+    idle_disable: Positive | None = None
     """A hand that nobody has moved for this long [s], and that holds nothing, goes limp, where its
     devices can be; ``rtee recover`` wakes it. Unless given, it stays powered."""
 
@@ -146,9 +146,9 @@ class Thermal(Section):
     warn: float = 60.0
     """From here on a warning is given."""
     derate: float = 70.0
-    """From here on the effort limit falls, to nothing at ``release``."""
-    release: float = 80.0
-    """From here on the actuator is released."""
+    """From here on the effort limit falls, to nothing at ``disable``."""
+    disable: float = 80.0
+    """From here on the actuator's device is disabled."""
     nominal_current: dict[str, Positive] = {}
     """Current by actuator that it may be given for ever [A]; ``defaults``: of all others. Where no
     temperature is measured, it is estimated from the measured current."""
@@ -161,8 +161,8 @@ class Thermal(Section):
     def _rising(self) -> Self:
         if self.nominal_current and not self.ambient < self.warn:
             raise ValueError("should rise: ambient < warn")
-        if not self.warn <= self.derate <= self.release:
-            raise ValueError("should rise: warn <= derate <= release")
+        if not self.warn <= self.derate <= self.disable:
+            raise ValueError("should rise: warn <= derate <= disable")
         return self
 
 

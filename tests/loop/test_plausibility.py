@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.model import Hand
-from rtee.loop.plausible import MARGIN, Plausibility
+from rtee.loop.plausibility import MARGIN, Plausibility
 from rtee.loop.settings import LoopSettings
 from rtee.types import ActuatorSpec, ActuatorState, Event, Goal, JointKind
 
@@ -83,7 +83,7 @@ async def test_what_is_moved_by_hand_may_be_anywhere(hand: Hand) -> None:
     one = device(hand)
     driver = KinematicDriver(one.spec, BusPool())
     async with running(hand, None, [(one, driver)]) as rig:
-        await rig.loop.release()
+        await rig.loop.disable()
         await rig.run(0.1)
         driver.plants[0].position = 1.4
         await rig.run(0.1)

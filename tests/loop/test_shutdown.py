@@ -1,4 +1,4 @@
-"""Stop, release, dead clients and the end of the loop: what is configured happens, in time."""
+"""Stop, disable, dead clients and the end of the loop: what is configured happens, in time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rtee.errors import BusTimeout, GoalRejected
 from rtee.hand.model import Hand
 from rtee.loop.observer import Observer, TickRecord
 from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
-from rtee.loop.stopping import bring_to_rest
+from rtee.loop.shutdown import bring_to_rest
 from rtee.types import ActuatorState, Goal, Lifecycle, Reference
 
 from .hands import Rig, Watcher, device, running
@@ -38,9 +38,9 @@ class Listening(KinematicDriver):
         self.told.append("stop")
         await super().stop()
 
-    async def release(self) -> None:
-        self.told.append("release")
-        await super().release()
+    async def disable(self) -> None:
+        self.told.append("disable")
+        await super().disable()
 
     async def deactivate(self) -> None:
         self.told.append("deactivate")
@@ -110,7 +110,7 @@ async def test_a_stop_that_was_swallowed_is_not_confirmed(hand: Hand) -> None:
         assert await stopped(rig) == [("dummy", False)]
 
 
-@pytest.mark.parametrize("behaviour", [Behaviour.STOP, Behaviour.HOLD, Behaviour.RELEASE])
+@pytest.mark.parametrize("behaviour", [Behaviour.STOP, Behaviour.HOLD, Behaviour.DISABLE])
 async def test_what_was_not_heard_is_said_again(hand: Hand, behaviour: Behaviour) -> None:
     """A single frame that gets lost at the end must not leave a device without its last word."""
 
@@ -126,9 +126,9 @@ async def test_what_was_not_heard_is_said_again(hand: Hand, behaviour: Behaviour
             self._heard()
             await super().stop()
 
-        async def release(self) -> None:
+        async def disable(self) -> None:
             self._heard()
-            await super().release()
+            await super().disable()
 
         async def move(self, reference: Reference) -> None:
             self._heard()
@@ -251,8 +251,8 @@ async def test_a_dead_client(hand: Hand, behaviour: Behaviour) -> None:
                 assert "stop" in driver.told
             case Behaviour.OPEN:
                 assert at == pytest.approx(hand.rest.tolist(), abs=0.01)
-            case Behaviour.RELEASE:
-                assert driver.told[-2:] == ["release", "deactivate"]
+            case Behaviour.DISABLE:
+                assert driver.told[-2:] == ["disable", "deactivate"]
                 assert rig.loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE
 
 
@@ -297,8 +297,8 @@ async def test_the_last_command_is_the_configured_one(hand: Hand, behaviour: Beh
         case Behaviour.OPEN:
             assert driver.told[-1] == "move"
             assert last == pytest.approx(hand.rest.tolist(), abs=0.01)
-        case Behaviour.RELEASE:
-            assert "release" in driver.told
+        case Behaviour.DISABLE:
+            assert "disable" in driver.told
             assert driver.told[-1] == "deactivate"
     assert all(math.isfinite(x) for x in last)
 
@@ -315,7 +315,7 @@ async def test_without_ticks_the_end_comes_all_the_same(hand: Hand, behaviour: B
             Behaviour.HOLD: ["move"],
             Behaviour.STOP: ["stop"],
             Behaviour.OPEN: ["stop"],
-            Behaviour.RELEASE: ["release", "deactivate"],
+            Behaviour.DISABLE: ["disable", "deactivate"],
         }[behaviour]
         assert driver.told == expected
 
@@ -351,7 +351,7 @@ async def test_the_stop_path_cannot_throw(hand: Hand, behaviour: Behaviour, how:
         async def stop(self) -> None:
             await self._misbehave()
 
-        async def release(self) -> None:
+        async def disable(self) -> None:
             await self._misbehave()
 
     settings = device(hand)
@@ -374,15 +374,15 @@ async def test_the_end_is_shielded_from_cancellation(hand: Hand) -> None:
 
 
 async def test_an_idle_hand_goes_limp_and_wakes_where_it_is(hand: Hand) -> None:
-    settings = LoopSettings(safety=SafetySettings(idle_release=2.0))
+    settings = LoopSettings(safety=SafetySettings(idle_disable=2.0))
     configured, driver = listening(hand)
     async with running(hand, settings, [(configured, driver)]) as rig:
         await rig.run(1.5)
         assert (await rig.do("Trig", "index", intensity=0.5)).reached
         await rig.run(1.5)
-        assert "release" not in driver.told, "the time counts from the end of the motion"
+        assert "disable" not in driver.told, "the time counts from the end of the motion"
         await rig.run(1.0)
-        assert driver.told[-2:] == ["release", "deactivate"]
+        assert driver.told[-2:] == ["disable", "deactivate"]
         assert rig.watcher.kinds().count("idle") == 1
         with pytest.raises(GoalRejected, match="recover"):
             rig.loop.submit(Goal("open"))
@@ -397,15 +397,15 @@ async def test_an_idle_hand_goes_limp_and_wakes_where_it_is(hand: Hand) -> None:
 
 
 async def test_a_hand_that_holds_something_is_not_idle(hand: Hand) -> None:
-    settings = LoopSettings(safety=SafetySettings(idle_release=0.5))
+    settings = LoopSettings(safety=SafetySettings(idle_disable=0.5))
     configured, driver = listening(hand, objects={"index": 0.4})
     async with running(hand, settings, [(configured, driver)]) as rig:
         assert (await rig.do("Trig", "index")).grasped
         await rig.run(5.0)
-        assert "release" not in driver.told
-        driver.take_away()
+        assert "disable" not in driver.told
+        driver.remove_object()
         await rig.run(2.0)
-        assert driver.told[-2:] == ["release", "deactivate"]
+        assert driver.told[-2:] == ["disable", "deactivate"]
 
 
 async def test_a_goal_that_runs_at_the_end_gets_its_result(hand: Hand) -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from rtee.drivers.attached import Attached
+from rtee.drivers.hold_on_attach import Attached
 from rtee.testing import actuator
 from rtee.types import Reference
 

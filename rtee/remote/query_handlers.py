@@ -14,11 +14,11 @@ from typing import Any, Protocol
 
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.fingerprint import fingerprint
-from rtee.hand.own import TRIALS, told
+from rtee.hand.own_copy import TRIALS, told
 from rtee.loop.handloop import HandLoop
 from rtee.messages.convert import device_status_fields, loop_statistics_fields
 from rtee.remote.actions import action_fields, group_fields, made_of
-from rtee.remote.asked import Asked, accepted
+from rtee.remote.incoming_request import Asked, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.planner import info_fields
@@ -114,7 +114,7 @@ class Asking:
             "rename": self._rename,
         }
 
-    def take(self, asked: Asked) -> None:
+    def handle(self, asked: Asked) -> None:
         """Answer a question.
 
         Raises:
@@ -163,7 +163,7 @@ class Asking:
             "recording": bool(path),
             "recording_path": path,
             "recording_trouble": self._recording.status().trouble if self._recording else "",
-            "holding_effort": loop.controller.holding_effort,
+            "grip_effort": loop.controller.grip_effort,
             "statistics": loop_statistics_fields(statistics),
             "devices": [device_status_fields(status) for status in statuses],
             "profile": self._profile,

@@ -18,7 +18,7 @@ import pytest
 from rtee.actions.build import generic
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, UserError
-from rtee.hand import own
+from rtee.hand import own_copy
 from rtee.hand.catalog import find_hand
 from rtee.hand.load import load_configured, load_hand
 
@@ -189,7 +189,7 @@ def shipped(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     shutil.copytree(repository / "config" / GRIPPER, folder)
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
-    monkeypatch.setattr(own, "SHIPPED", folder.parent)
+    monkeypatch.setattr(own_copy, "SHIPPED", folder.parent)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
     monkeypatch.delenv("RTEE_CONFIG_PATH", raising=False)
     return folder
@@ -197,10 +197,10 @@ def shipped(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_hand_of_ones_own_is_changed_where_it_is(shipped: Path) -> None:
     mine = Path("config") / GRIPPER
-    own.copy_hand(shipped, mine)
-    assert own.is_own(mine)
-    assert own.own(mine) == mine
-    assert own.own_place(mine) == mine
+    own_copy.copy_hand(shipped, mine)
+    assert own_copy.is_own(mine)
+    assert own_copy.own(mine) == mine
+    assert own_copy.own_place(mine) == mine
 
 
 def test_reading_copies_nothing(shipped: Path) -> None:
@@ -222,7 +222,7 @@ def test_the_copy_goes_where_hands_are_looked_up_first(
     shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("RTEE_CONFIG_PATH", str(tmp_path / "mine"))
-    assert own.own(shipped) == tmp_path / "mine" / GRIPPER
+    assert own_copy.own(shipped) == tmp_path / "mine" / GRIPPER
     assert find_hand(GRIPPER) == tmp_path / "mine" / GRIPPER
     assert not (tmp_path / "work/config").exists()
 
@@ -237,7 +237,7 @@ def test_where_nothing_can_be_written_the_users_folder_takes_it(
         return Path(path).resolve() != here and allowed(path, mode)
 
     monkeypatch.setattr(os, "access", access)
-    assert own.own(shipped) == tmp_path / "settings/rtee/hands" / GRIPPER
+    assert own_copy.own(shipped) == tmp_path / "settings/rtee/hands" / GRIPPER
     assert find_hand(GRIPPER) == tmp_path / "settings/rtee/hands" / GRIPPER
 
 
@@ -247,24 +247,24 @@ def test_a_copy_that_would_be_hidden_is_refused(
     fixed = tmp_path / "fixed"
     shutil.copytree(shipped, fixed / GRIPPER)
     monkeypatch.setenv("RTEE_CONFIG_PATH", str(fixed))
-    monkeypatch.setattr(own, "SHIPPED", fixed)
-    monkeypatch.setattr(own, "_can_be_made", lambda place: place != fixed)
+    monkeypatch.setattr(own_copy, "SHIPPED", fixed)
+    monkeypatch.setattr(own_copy, "_can_be_made", lambda place: place != fixed)
     with pytest.raises(ConfigError, match=r"would be hidden by .*RTEE_CONFIG_PATH"):
-        own.own(fixed / GRIPPER)
+        own_copy.own(fixed / GRIPPER)
     assert not Path("config").exists()
 
 
 def test_a_copy_that_is_there_is_not_overwritten(shipped: Path) -> None:
-    own.own(shipped)
+    own_copy.own(shipped)
     with pytest.raises(ConfigError, match=f"your own is config/{GRIPPER}"):
-        own.own(shipped)
-    assert own.copied_since(shipped) == Path("config") / GRIPPER
+        own_copy.own(shipped)
+    assert own_copy.copied_since(shipped) == Path("config") / GRIPPER
 
 
 def test_the_copy_belongs_to_the_user(shipped: Path) -> None:
     for path in shipped.rglob("*"):
         path.chmod(0o555 if path.is_dir() else 0o444)
-    copy = own.own(shipped)
+    copy = own_copy.own(shipped)
     modes = [stat.S_IMODE(path.stat().st_mode) for path in (copy, *copy.rglob("*"))]
     assert all(mode & stat.S_IWUSR for mode in modes)
 
@@ -273,7 +273,7 @@ def test_the_copy_belongs_to_the_user(shipped: Path) -> None:
 
 
 def test_a_copy_of_another_name_is_a_hand_of_that_name(shipped: Path) -> None:
-    own.copy_hand(shipped, Path("config/my_gripper"))
+    own_copy.copy_hand(shipped, Path("config/my_gripper"))
     hand, config = load_configured("my_gripper")
     assert (hand.name, config.title) == ("my_gripper", load_configured(shipped)[1].title)
     library = ActionLibrary.load(hand, Path("config/my_gripper/actions"))
@@ -281,7 +281,7 @@ def test_a_copy_of_another_name_is_a_hand_of_that_name(shipped: Path) -> None:
     assert not Path("config/my_gripper/trials.yaml").exists()
     assert Path("config/hand.schema.json").is_file()
     with pytest.raises(ConfigError, match="already there"):
-        own.copy_hand(shipped, Path("config/my_gripper"))
+        own_copy.copy_hand(shipped, Path("config/my_gripper"))
 
 
 def test_a_copy_that_is_no_hand_leaves_nothing(shipped: Path, tmp_path: Path) -> None:
@@ -293,7 +293,7 @@ def test_a_copy_that_is_no_hand_leaves_nothing(shipped: Path, tmp_path: Path) ->
     file.write_text(text)
     assert load_hand(shipped).name == GRIPPER
     with pytest.raises(UserError):
-        own.own(shipped)
+        own_copy.own(shipped)
     assert not list(Path().iterdir())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtee.buses.emulator import Duplex, Emulator
-from rtee.buses.wire import Wire
+from rtee.buses.line_model import Wire
 from rtee.drivers.emulators import BUILT_IN, find_emulator
 
 BAUD = 10_000.0

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from rtee.drivers.play import Player
+from rtee.drivers.emulator_server import Player
 from rtee.errors import BusBroken, ConfigError
 
 STATUS = bytes.fromhex("09 03 07 D0 00 03 04 0E")

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hand.models import GRIPPER
+from rtee.hand.allowed_collisions import ADJACENT, ALWAYS, AT_REST, touching_pairs
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
-from rtee.hand.touching import ADJACENT, ALWAYS, AT_REST, touching_pairs
 
 BUTTON = """
   <link name="button">

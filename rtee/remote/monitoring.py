@@ -44,7 +44,7 @@ class HandStatus:
         action: Its action.
         recording: Path of the recording under way, or an empty string.
         recording_trouble: What it has lost and why, in words, or an empty string.
-        holding_effort: Effort kept on what is held, as a fraction of the effort limit.
+        grip_effort: Effort kept on what is held, as a fraction of the effort limit.
         statistics: The loop's clock.
         devices: The devices.
         profile: How references move, and why if not as in hand.yaml.
@@ -56,7 +56,7 @@ class HandStatus:
     action: str
     recording: str
     recording_trouble: str
-    holding_effort: float
+    grip_effort: float
     statistics: LoopStatistics
     devices: tuple[DeviceStatus, ...]
     profile: str = ""
@@ -68,7 +68,7 @@ class CollectedStates:
     def __init__(self, found: deque[bytes]) -> None:
         self._found = found
 
-    def take(self, step: int = 1) -> list[State]:
+    def drain(self, step: int = 1) -> list[State]:
         """Return the states since the last call, oldest first, and forget them.
 
         Args:
@@ -130,12 +130,12 @@ class View:
         reply = await self._link.ask("stream", {"client": self.client, "rate": rate})
         queue: asyncio.Queue[State | None] = asyncio.Queue(_MOST_WAITING)
 
-        def take(data: bytes) -> None:
+        def receive(data: bytes) -> None:
             _put(queue, decode_state(data))
 
         self._streams.add(queue)
         try:
-            with self._link.subscribed(reply["text"], take, _MOST_WAITING):
+            with self._link.subscribed(reply["text"], receive, _MOST_WAITING):
                 while not self._gone and (state := await queue.get()) is not None:
                     yield state
         finally:
@@ -183,7 +183,7 @@ class View:
             action=reply["action"],
             recording=reply["recording_path"],
             recording_trouble=reply["recording_trouble"],
-            holding_effort=reply["holding_effort"],
+            grip_effort=reply["grip_effort"],
             statistics=loop_statistics_of(reply["statistics"]),
             devices=tuple(device_status_of(device) for device in reply["devices"]),
             profile=reply["profile"],

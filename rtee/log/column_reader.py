@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from rtee.errors import MessageError
 from rtee.log.chunks import MESSAGE
-from rtee.log.scan import DamagedRecordError
-from rtee.log.survey import ChunkPlace
+from rtee.log.file_index import ChunkPlace
+from rtee.log.record_scanner import DamagedRecordError
 from rtee.messages.cdr import DTYPES
 from rtee.messages.layout import offsets
 from rtee.messages.schema import MessageType

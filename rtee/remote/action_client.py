@@ -17,7 +17,7 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.remote.actions import action_fields, action_of, group_of
-from rtee.remote.views import View
+from rtee.remote.monitoring import View
 
 _NOWHERE = Posture({}, ())
 

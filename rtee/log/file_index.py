@@ -14,8 +14,7 @@ from mcap.records import Attachment, Channel, Schema
 from rtee.errors import LogError
 from rtee.log.chunks import INDEX_ENTRY
 from rtee.log.mcapfile import MAGIC
-from rtee.log.rotation import METADATA
-from rtee.log.scan import (
+from rtee.log.record_scanner import (
     DamagedRecordError,
     Record,
     attachment_of,
@@ -27,6 +26,7 @@ from rtee.log.scan import (
     scan,
     schema_of,
 )
+from rtee.log.rotation import METADATA
 from rtee.log.sink import reason
 
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)

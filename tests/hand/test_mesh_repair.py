@@ -8,7 +8,7 @@ import coal
 import numpy as np
 import pytest
 
-from rtee.hand.meshparts import mended, parted
+from rtee.hand.mesh_repair import mended, parted
 
 COLLADA = """<?xml version="1.0" encoding="utf-8"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">

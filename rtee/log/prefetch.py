@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
-from rtee.log.scan import DamagedRecordError, messages_of
-from rtee.log.survey import ChunkPlace
+from rtee.log.file_index import ChunkPlace
+from rtee.log.record_scanner import DamagedRecordError, messages_of
 
 _AHEAD = 4
 

@@ -43,8 +43,8 @@ async def bring_to_rest(
                 behaviour = Behaviour.HOLD if opened else Behaviour.STOP
             with anyio.move_on_after(REST_WITHIN):
                 match behaviour:
-                    case Behaviour.RELEASE:
-                        confirmed |= dict(await loop.release(reason))
+                    case Behaviour.DISABLE:
+                        confirmed |= dict(await loop.disable(reason))
                     case Behaviour.STOP:
                         confirmed |= dict(await loop.stop(reason))
                     case _:

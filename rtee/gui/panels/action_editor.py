@@ -16,7 +16,7 @@ from rtee.gui.panels.tuning import TuningPanel
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
-from rtee.remote.views import HandStatus
+from rtee.remote.monitoring import HandStatus
 
 Refresh = Callable[[], Awaitable[object]]
 
@@ -58,23 +58,23 @@ class EditPanel:
         if self._which.value in self._custom:
             old, name = str(self._which.value), str(self._name.value).strip()
             await self._remote.rename_action(old, name)
-            self._bridge.tell("Renamed", f"'{old}' is now '{name}'", "green")
+            self._bridge.notify("Renamed", f"'{old}' is now '{name}'", "green")
 
     async def _delete(self) -> None:
         action = self._custom.get(str(self._which.value))
         if action is not None:
             await self._remote.remove_action(action.name)
             self._deleted.append(action)
-            self._bridge.tell("Deleted", f"'{action.name}'; Undo brings it back", "orange")
+            self._bridge.notify("Deleted", f"'{action.name}'; Undo brings it back", "orange")
 
     async def _undo(self) -> None:
         if not self._deleted:
-            self._bridge.tell("Undo", "nothing was deleted", "gray")
+            self._bridge.notify("Undo", "nothing was deleted", "gray")
             return
         action = self._deleted[-1]
         await self._remote.add_action(action, store=True)
         self._deleted.pop()
-        self._bridge.tell("Undone", f"action '{action.name}' is there again", "green")
+        self._bridge.notify("Undone", f"action '{action.name}' is there again", "green")
 
 
 class MakingPanel:
@@ -117,7 +117,7 @@ class MakingPanel:
         )
         name = str(self._name.value).strip()
         await self._remote.add_generic(name, within, store=bool(self._store.value))
-        self._bridge.tell("Saved", f"action '{name}'", "green")
+        self._bridge.notify("Saved", f"action '{name}'", "green")
 
     def show_actions(self, actions: Sequence[Action]) -> None:
         """Offer these actions."""

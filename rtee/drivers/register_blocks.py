@@ -190,7 +190,7 @@ class BlocksDriver(Driver):
         self._active = False
         bus, self._bus, self._blocks = self._bus, None, None
         if bus is not None:
-            await bus.release(owner_of(self.spec))
+            await bus.detach(owner_of(self.spec))
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the link."""

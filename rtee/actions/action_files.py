@@ -166,7 +166,7 @@ class Shelf:
 
     def _follow(self) -> None:
         """Go to the copy of the hand, where another program has made one since."""
-        from rtee.hand.own import copied_since
+        from rtee.hand.own_copy import copied_since
 
         if self.folder is not None and _of_a_hand(self.folder):
             copy = copied_since(self.folder.parent)
@@ -180,7 +180,7 @@ class Shelf:
             ActionError: if there is no folder.
             ConfigError: if a copy is needed and cannot be made.
         """
-        from rtee.hand.own import own, told
+        from rtee.hand.own_copy import own, told
 
         home = self._home()
         if not _of_a_hand(home):

@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from rtee.errors import LogError
+from rtee.types import FORMER_NAMES
 
 T = TypeVar("T")
 
@@ -61,9 +62,11 @@ def _made(value: Any, kind: Any) -> Any:
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
         known = {field.name for field in dataclasses.fields(kind)}
+        present = {key if key in known else FORMER_NAMES.get(key, key): value[key] for key in value}
         return typing.cast("Any", kind)(
-            **{key: _made(item, hints[key]) for key, item in value.items() if key in known}
+            **{key: _made(item, hints[key]) for key, item in present.items() if key in known}
         )
     if isinstance(kind, type) and issubclass(kind, Enum):
-        return kind(value)
+        known = {member.value for member in kind}
+        return kind(value if value in known else FORMER_NAMES.get(value, value))
     return kind(value)

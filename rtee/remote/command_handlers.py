@@ -17,7 +17,7 @@ from rtee.errors import ConfigError, GoalRejected, RequestRejected
 from rtee.hand.names import check_name
 from rtee.loop.handloop import HandLoop
 from rtee.messages import decode_goal
-from rtee.remote.asked import Asked
+from rtee.remote.incoming_request import Asked
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.types import Goal
@@ -49,11 +49,11 @@ class Control:
             "jog": self._jog,
             "gains": self._gains,
             "recover": self._recover,
-            "take": self._take,
+            "acquire": self._acquire,
             "release": self._release,
         }
 
-    def take(self, asked: Asked) -> None:
+    def handle(self, asked: Asked) -> None:
         """Do what is asked.
 
         Raises:
@@ -150,8 +150,8 @@ class Control:
         device = asked.fields["what"] or None
         self._later(asked, lambda: self._loop.recover(device))
 
-    def _take(self, asked: Asked) -> str:
-        self._lease.take(asked.fields["client"])
+    def _acquire(self, asked: Asked) -> str:
+        self._lease.acquire(asked.fields["client"])
         return ""
 
     def _release(self, asked: Asked) -> str:

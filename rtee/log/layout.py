@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 
 from mcap.records import Attachment, Channel, Schema
 
-from rtee.hand.carried import MEDIA_TYPES, CarriedMeshes, with_addresses
+from rtee.hand.embedded_meshes import MEDIA_TYPES, CarriedMeshes, with_addresses
 from rtee.hand.frames import JointFrames
 from rtee.hand.model import Hand
 from rtee.log.chunks import ChunkBuilder, PackedChunk

@@ -11,13 +11,19 @@ from hypothesis import strategies as st
 from rtee.commands import SetActive
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
-from rtee.log.plain import from_json, to_json
+from rtee.log.dataclass_json import from_json, to_json
 from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
-from rtee.loop.heat import CurrentHeat
-from rtee.loop.settings import LoopSettings, ThermalSettings
+from rtee.loop.settings import (
+    Behaviour,
+    GraspSettings,
+    LoopSettings,
+    SafetySettings,
+    ThermalSettings,
+)
 from rtee.loop.thermal import PLAUSIBLE, Level, Thermal
-from rtee.types import Event
+from rtee.loop.thermal_model import CurrentHeat
+from rtee.types import FORMER_NAMES, Event
 
 
 def settled(current: float, nominal: float = 0.5, **options: float) -> tuple[float, CurrentHeat]:
@@ -75,7 +81,7 @@ def test_a_huge_current_is_too_hot_not_a_broken_sensor() -> None:
     assert temperature == PLAUSIBLE[1]
     thermal = Thermal(ThermalSettings(), 1)
     changes = [c for k in range(20) for c in thermal.step(k * 0.1, [temperature])]
-    assert [change.level for change in changes] == [Level.RELEASE]
+    assert [change.level for change in changes] == [Level.DISABLE]
     assert "estimated from its current" in changes[0].event("index", 0.0, estimated=True).text
     assert heat.rise[0] > 0
 
@@ -101,10 +107,25 @@ def test_an_estimate_derates_and_releases_through_the_controller(hand: Hand) -> 
     events = [item for item in controller.outbox.items if isinstance(item, Event)]
     assert [event.severity for event in events] == ["warning", "warning", "error"]
     assert all("estimated" in event.text for event in events)
-    assert controller.outbox.release == {0}
+    assert controller.outbox.disable == {0}
     assert min(efforts) == pytest.approx(0.1 * efforts[0])
 
 
 def test_nominal_currents_are_kept_in_recordings() -> None:
     settings = LoopSettings(thermal=ThermalSettings(nominal_current={"index": 0.1, "thumb": 2.5}))
     assert from_json(to_json(settings), LoopSettings) == settings
+
+
+def test_settings_of_older_recordings_are_read_by_their_new_names() -> None:
+    safety = SafetySettings(on_exit=Behaviour.DISABLE, idle_disable=3.0)
+    settings = LoopSettings(
+        thermal=ThermalSettings(disable=77.0),
+        safety=safety,
+        grasp=GraspSettings(grip_effort=0.3, grip_after=1.0),
+    )
+    text = to_json(settings)
+    for former, name in FORMER_NAMES.items():
+        text = text.replace(f'"{name}"', f'"{former}"')
+    assert '"release": 77.0' in text
+    assert '"on_exit": "release"' in text
+    assert from_json(text, LoopSettings) == settings
