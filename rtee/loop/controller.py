@@ -273,7 +273,8 @@ class Controller:
         self._measured = measured
         if measured.touch:
             self._contact.feel(stamp, measured.touch)
-        self._seed(stamp, measured)
+        if self._seeding or not all(self.active):
+            self._seed(stamp, measured)
         self._plausible.step(stamp, measured.position, measured.fresh, self.active)
         limiter = self._limiter
         if stamp >= self._thermal_due:
