@@ -144,7 +144,7 @@ class ContactWatch:
     def begin(
         self, targets: Mapping[int, float], tolerance: Mapping[int, float], stamp: float
     ) -> None:
-        """Watch some actuators anew; what was known of them is forgotten.
+        """Start to watch some actuators; what was known of them is forgotten.
 
         Args:
             targets: Where they go, by index [rad | m].
@@ -187,7 +187,7 @@ class ContactWatch:
         return tuple(found)
 
     def feel(self, stamp: float, touch: Sequence[float]) -> None:
-        """Take the forces at the fingertips; called at every tick, before all else.
+        """Note the forces at the fingertips; called at every tick, before all else.
 
         Args:
             stamp: Now [s].
@@ -299,7 +299,7 @@ class ContactWatch:
             self._grips[i] = _Grip(ahead, measured.position[i])
 
     def _listen(self, i: int, watched: _Watched, position: float, stamp: float) -> None:
-        """Take the time since the last measurement: what was silence is no standing still."""
+        """Note the time since the last measurement; silence does not count as standing still."""
         gap, watched.seen = stamp - watched.seen, stamp
         if watched.new:
             watched.start = position

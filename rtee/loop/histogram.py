@@ -113,7 +113,7 @@ class TickStatistics:
             self._window_ns = woken_ns
 
     def summary(self, dropped: int = 0) -> LoopStatistics:
-        """Return what `LoopStatistics` tells."""
+        """Return the statistics as `LoopStatistics`."""
         lateness = self.lateness.percentiles((50.0, 99.0, 99.9))
         busy = self.busy.percentiles((50.0, 99.0, 99.9))
         return LoopStatistics(

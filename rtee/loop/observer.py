@@ -67,7 +67,7 @@ class TickRecord:
 
 
 class LoopObserver(Protocol):
-    """Is told everything that happens in one hand's loop.
+    """Receives everything that happens in one hand's loop.
 
     An observer may also have ``on_plan(plan, stamp)``: it is called after `on_goal` with what the
     goal comes to, a `rtee.loop.plan.Plan`.
@@ -77,25 +77,25 @@ class LoopObserver(Protocol):
     """
 
     def on_tick(self, record: TickRecord) -> None:
-        """Take what was known at a tick; called at every tick."""
+        """Receive what was known at a tick; called at every tick."""
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
-        """Take a goal that was accepted, at the tick it takes effect, before its set-points."""
+        """Receive a goal that was accepted, at the tick it takes effect, before its set-points."""
 
     def on_command(self, record: CommandRecord) -> None:
-        """Take a call that steered the controller; goals and commands come in their order."""
+        """Receive a call that steered the controller; goals and commands come in their order."""
 
     def on_feedback(self, feedback: Feedback) -> None:
-        """Take a goal's progress."""
+        """Receive a goal's progress."""
 
     def on_result(self, result: Result) -> None:
-        """Take how a goal ended; follows every accepted goal exactly once."""
+        """Receive how a goal ended; follows every accepted goal exactly once."""
 
     def on_event(self, event: Event) -> None:
-        """Take an event."""
+        """Receive an event."""
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Take how devices and clock are doing; called about once a second."""
+        """Receive how devices and clock are doing; called about once a second."""
 
 
 class Observer:

@@ -71,7 +71,7 @@ class Plausibility:
         self._doubted: dict[int, _Doubt] = {}
 
     def forget(self, indices: Iterable[int]) -> None:
-        """Begin anew with some actuators: they may have been moved by anything meanwhile."""
+        """Forget what is known of some actuators, which may have been moved by hand meanwhile."""
         for i in indices:
             self._last[i] = math.nan
             self._doubted.pop(i, None)

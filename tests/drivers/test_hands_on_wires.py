@@ -92,7 +92,9 @@ async def on_wires(*names: str, **options: Any) -> AsyncIterator[list[Wired]]:
             found.append(Wired(loop, pool))
         async with anyio.create_task_group() as running:
             running.start_soon(drive, [one.loop for one in found], Clock(RATE))
-            await until(lambda: all(one.device.connection.states > 2 and one.device.active for one in found))
+            await until(
+                lambda: all(one.device.connection.states > 2 and one.device.active for one in found)
+            )
             yield found
             running.cancel_scope.cancel()
         # Links that freeze, break and come back, fingers that slip: nothing of it is a lie.
