@@ -25,7 +25,6 @@ from rtee.drivers.robotiq_3f.codec import (
     Scale,
     Status,
 )
-from rtee.drivers.robotiq_3f.emulator import Robotiq3FEmulator
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
@@ -84,7 +83,7 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
     def _emulator(self) -> EmulatorFactory | None:
         # Found active, as after an earlier run, unless it is to be homed on connecting.
         found = {"activated": self.options.home == "on_demand", **self.options.emulator}
-        return emulator_of(self.spec, Robotiq3FEmulator, emulator=found)
+        return emulator_of(self.spec, "robotiq_3f", emulator=found)
 
     def _places(self) -> tuple[int, int, int]:
         network, base = self.options.port.startswith("tcp://"), self.options.register_base
