@@ -210,9 +210,9 @@ class OnRobot3FGDriver(BlocksDriver):
         if self._active:
             self._refuse(status)
         return ActuatorState.measured(
-            [self.scale.measured(status.raw_diameter)],
+            [self.scale.position.to_si(status.raw_diameter)],
             stamp,
-            effort=[self.scale.effort(status.force)],
+            effort=[self.scale.effort.to_si(status.force)],
             grasped=(status.grip_detected,),
         )
 
@@ -222,8 +222,8 @@ class OnRobot3FGDriver(BlocksDriver):
         if not reference.mask[0]:
             return
         command = self._next(
-            self.scale.register(float(reference.position[0])),
-            self.scale.force_register(float(reference.max_effort[0])),
+            self.scale.position.to_count(float(reference.position[0])),
+            self.scale.effort.to_count(float(reference.max_effort[0])),
             time.monotonic(),
         )
         if command is None:

@@ -141,7 +141,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             text = f"the optional controller reports fault {status.controller_fault}"
             warnings = (*warnings, text)
         return ActuatorState.measured(
-            [self.scale.position(status.position)],
+            [self.scale.position.to_si(status.position)],
             stamp,
             current=[status.current],
             grasped=(self._grasped(status),),
@@ -176,9 +176,9 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
         command = Command(
             activate=True,
             go=True,
-            position=self.scale.count(float(reference.position[0])),
-            speed=self.scale.speed_count(float(reference.max_velocity[0])),
-            force=self.scale.force_count(float(reference.max_effort[0])),
+            position=self.scale.position.to_count(float(reference.position[0])),
+            speed=self.scale.velocity.to_count(float(reference.max_velocity[0])),
+            force=self.scale.effort.to_count(float(reference.max_effort[0])),
         )
         if abs(command.position - status.position) <= SAME:
             if self._sent is None:
