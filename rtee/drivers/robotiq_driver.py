@@ -15,8 +15,7 @@ from typing import ClassVar, Generic, TypeVar
 from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
-from rtee.drivers.robotiq_faults import NOT_ACTIVATED, Fault
-from rtee.drivers.robotiq_kinds import RobotiqSettings, RobotiqStatus
+from rtee.drivers.robotiq_common import NOT_ACTIVATED, Fault, RobotiqOptions, RobotiqStatus
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -52,7 +51,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
     RESET: ClassVar[Sequence[int]]
     ACTIVATE: ClassVar[Sequence[int]]
 
-    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqSettings) -> None:
+    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqOptions) -> None:
         super().__init__(spec, buses)
         self._settings = settings
         self._status = self._told(())

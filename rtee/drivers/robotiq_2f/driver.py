@@ -24,18 +24,15 @@ from rtee.drivers.robotiq_2f.calibration import (
 from rtee.drivers.robotiq_2f.codec import (
     COUNT,
     FAULTS,
-    INPUT,
     MODELS,
-    OUTPUT,
     Command,
     Grasp,
     Scale,
     Status,
 )
 from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.drivers.robotiq_faults import Fault
-from rtee.drivers.robotiq_kinds import SAME, Grip
 from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
 

@@ -15,8 +15,6 @@ from rtee.drivers.robotiq_3f.codec import (
     AXES,
     COUNT,
     FAULTS,
-    INPUT,
-    OUTPUT,
     SCALES,
     AxisStatus,
     Command,
@@ -26,9 +24,8 @@ from rtee.drivers.robotiq_3f.codec import (
     Status,
 )
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.drivers.robotiq_faults import Fault
-from rtee.drivers.robotiq_kinds import SAME, Grip
 from rtee.errors import DeviceFault, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, Reference
 
