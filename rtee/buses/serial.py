@@ -16,7 +16,7 @@ from rtee.errors import BusBroken, BusTimeout, FrameError
 F = TypeVar("F")
 
 _NOTHING: Any = object()
-"""What an answer is that did not come in time."""
+"""Stands for an answer that did not come in time."""
 
 
 def _give_up(answer: asyncio.Future[Any]) -> None:
@@ -82,11 +82,11 @@ class SerialBus(Bus):
 
         Args:
             request: The bytes to send, or what makes them for each attempt.
-            parser: Cuts the answer; it is reset before every attempt.
+            parser: Finds the answer; it is reset before every attempt.
             deadline: Longest time for the whole transaction, retries and waiting for the line
                 included [s].
             retries: How often the request may be sent again within that time.
-            accept: Tells whether a frame is the answer; others are counted as strays.
+            accept: Returns whether a frame is the answer; others are counted as strays.
             whom: The device that is asked, for error messages of a line that several share.
 
         Raises:
@@ -138,7 +138,7 @@ class SerialBus(Bus):
         share: float,
         accept: Callable[[F], bool] | None,
     ) -> asyncio.Future[Any]:
-        """Send a request and return what its answer will be, `_NOTHING` when the time is up."""
+        """Send a request and return the future of its answer: `_NOTHING` when the time is up."""
         parser.reset()
         loop = asyncio.get_running_loop()
         answer = self._answer = loop.create_future()
@@ -157,7 +157,8 @@ class SerialBus(Bus):
             self._pause.start(due, ask)
         else:
             ask()
-        # One timer instead of asyncio.timeout, and after the request: this is done in every cycle.
+        # A timer costs less than asyncio.timeout, and is made after the request, so that this goes
+        # out sooner: it happens in every cycle.
         self._timer = loop.call_later(share, _give_up, answer)
         return answer
 
@@ -201,24 +202,20 @@ class SerialBus(Bus):
             raise BusTimeout(self.name, f"the line was not free within {deadline:.3f} s") from None
 
     def listen(self, listener: Callable[[bytes], None] | None) -> None:
-        """Hand bytes that nobody waits for to ``listener``, for devices that talk unasked."""
+        """Pass bytes that no request waits for to ``listener``, for devices that send unasked."""
         self._listener = listener
 
     def _write(self, data: bytes) -> None:
         self.check()
         if self._transport is None:
             raise BusBroken(self.name, "no link")
-        if self.trace is not None:
-            self.trace(self.name, "tx", data, time.monotonic())
+        self._count("tx", data, time.monotonic())
         self._transport.write(data)
         self._last = time.monotonic()
-        self.counters.bytes_sent += len(data)
 
     def _received(self, data: bytes) -> None:
         self._last = time.monotonic()
-        self.counters.bytes_received += len(data)
-        if self.trace is not None:
-            self.trace(self.name, "rx", data, self._last)
+        self._count("rx", data, self._last)
         if self._parser is None or self._answer is None:
             self.counters.strays += len(data)
             if self._listener is not None:
