@@ -25,6 +25,7 @@ from rtee.drivers.cia402.options import Cia402Options
 from rtee.drivers.emulators import emulator_of, owner_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
+from rtee.drivers.wiring import check_names
 from rtee.errors import (
     BusTimeout,
     ConfigError,
@@ -66,7 +67,8 @@ class Cia402Driver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.options = read_options(Cia402Options, spec)
-        _check_nodes(spec, self.options)
+        check_names(spec, "nodes", self.options.nodes)
+        _check_prismatic(spec, self.options)
         self._cycle: DriveCycle | None = None
         self._homed: set[int] = set()
         self._home_asked = False
@@ -314,15 +316,8 @@ def _disarm(cycle: DriveCycle) -> None:
         drive.download(Object.CONSUMER_HEARTBEAT, 1, "I", 0, tries=1)
 
 
-def _check_nodes(spec: DeviceSpec, options: Cia402Options) -> None:
-    """Raise `ConfigError` unless every actuator has a node, and a prismatic one its counts."""
-    names = {a.name for a in spec.actuators}
-    if names != set(options.nodes):
-        absent = sorted(names ^ set(options.nodes))
-        raise ConfigError(
-            f"device '{spec.name}': option 'nodes' must name the device's actuators, each "
-            f"once; these do not match: {', '.join(absent)}"
-        )
+def _check_prismatic(spec: DeviceSpec, options: Cia402Options) -> None:
+    """Raise `ConfigError` where a prismatic actuator's node has no counts per metre."""
     for actuator in spec.actuators:
         prismatic = actuator.kind is JointKind.PRISMATIC
         if prismatic and options.nodes[actuator.name].counts is None:
