@@ -13,7 +13,7 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.simulated import Simulation
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import owner_of
+from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import BusTimeout, FrameError
 from rtee.testing.case import DeviceCase

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 from typing import ClassVar
@@ -19,10 +19,10 @@ from rtee.drivers.cia402.cia301 import NmtCommand
 from rtee.drivers.cia402.codec import Control, Limits, Object, State, StatusBit
 from rtee.drivers.cia402.cycle import MODES, SET_UP_WITHIN, DriveCycle
 from rtee.drivers.cia402.drive import DriveLink
-from rtee.drivers.cia402.emulator import Cia402Emulator
 from rtee.drivers.cia402.identity import identify
 from rtee.drivers.cia402.options import Cia402Options
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.wiring import check_names
@@ -31,7 +31,6 @@ from rtee.errors import (
     ConfigError,
     DeviceFault,
     HandshakeError,
-    NotConnected,
     RteeError,
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, JointKind, Reference
@@ -69,7 +68,7 @@ class Cia402Driver(Driver):
         self.options = read_options(Cia402Options, spec)
         check_names(spec, "nodes", self.options.nodes)
         _check_prismatic(spec, self.options)
-        self._cycle: DriveCycle | None = None
+        self.connection: Connection[DriveCycle] = Connection(spec)
         self._homed: set[int] = set()
         self._home_asked = False
         self._active = False
@@ -84,26 +83,23 @@ class Cia402Driver(Driver):
             recoverable=True,
         )
 
-    @property
-    def _connected(self) -> DriveCycle:
-        if self._cycle is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._cycle
-
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
         """Open the network, identify the drives, set up their process data; enables nothing."""
         await self.close()
         options = self.options
-        bus = await self.buses.canopen(
-            options.channel,
-            owner=owner_of(self.spec),
-            interface=options.interface,
-            bitrate=options.bitrate,
-            emulator=emulator_of(self.spec, Cia402Emulator),
+        cycle = await self.connection.open(
+            self.buses.canopen(
+                options.channel,
+                owner=self.connection.owner,
+                interface=options.interface,
+                bitrate=options.bitrate,
+                emulator=emulator_of(self.spec, "cia402"),
+            ),
+            lambda bus: DriveCycle(self.spec, bus, options),
         )
-        cycle = self._cycle = DriveCycle(self.spec, bus, options)
+        bus = cycle.bus
         identities = [
             await bus.run(
                 partial(identify, drive, self.spec.name, options.channel, cycle.mode),
@@ -160,25 +156,19 @@ class Cia402Driver(Driver):
     async def close(self) -> None:
         """Give the network back; drives that are enabled stay so, without watching for us."""
         self._active = False
-        cycle = self._cycle
-        if cycle is None:
-            return
-        if cycle.bus.connected and cycle.operational and self.options.watchdog > 0.0:
-            with contextlib.suppress(RteeError, OSError):
-                await cycle.bus.run(partial(_disarm, cycle), _DISARM_WITHIN)
-        self._cycle = None
-        cycle.detach()
-        await cycle.bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the network."""
-        return {} if self._cycle is None else self._cycle.bus.counters.as_mapping()
+        if self.connection.is_open:
+            cycle = self.connection.link
+            if cycle.bus.connected and cycle.operational and self.options.watchdog > 0.0:
+                with contextlib.suppress(RteeError, OSError):
+                    await cycle.bus.run(partial(_disarm, cycle), _DISARM_WITHIN)
+            cycle.detach()
+        await super().close()
 
     # --- enabling ----------------------------------------------------------------------------
 
     async def activate(self) -> None:
         """Enable the drives where they are; homes first where that is needed and allowed."""
-        cycle = self._connected
+        cycle = self.connection.link
         await cycle.settle()
         unhomed = self._unhomed(cycle)
         if unhomed and self.options.home != "on_connect" and not self._home_asked:
@@ -216,7 +206,7 @@ class Cia402Driver(Driver):
 
     async def examine(self) -> str:
         """Return which drives are not homed; raises the fault that one reports."""
-        cycle = self._connected
+        cycle = self.connection.link
         await cycle.settle()
         cycle.check_faults()
         unhomed = ", ".join(d.name for d in self._unhomed(cycle))
@@ -225,8 +215,8 @@ class Cia402Driver(Driver):
     async def deactivate(self) -> None:
         """Take the motors' power away."""
         self._active = False
-        cycle = self._cycle
-        if cycle is not None and cycle.operational:
+        if self.connection.is_open and self.connection.link.operational:
+            cycle = self.connection.link
             for drive in cycle.drives:
                 drive.controlword = Control.SHUTDOWN
                 drive.forget()
@@ -236,7 +226,7 @@ class Cia402Driver(Driver):
 
     async def sense(self) -> ActuatorState:
         """Have the drives apply their set-points and report their state, by one SYNC."""
-        cycle = self._connected
+        cycle = self.connection.link
         await cycle.synchronise()
         if self._active:
             cycle.check_enabled()
@@ -255,7 +245,7 @@ class Cia402Driver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send limits that have changed, then set-points; they count from the next SYNC."""
-        cycle = self._connected
+        cycle = self.connection.link
         left: Collection[int] = ()
         if self._attached:
             here = [d.scale.to_position(d.position) for d in cycle.drives]
@@ -283,7 +273,7 @@ class Cia402Driver(Driver):
     async def stop(self) -> None:
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
-            cycle = self._connected
+            cycle = self.connection.link
             await patiently(cycle.synchronise)
             self._attached.begin()
             for drive in cycle.drives:
@@ -298,7 +288,7 @@ class Cia402Driver(Driver):
         """Take the motors' voltage away; they go limp as far as their gears let them."""
         self._active = False
         with contextlib.suppress(RteeError, OSError):
-            cycle = self._connected
+            cycle = self.connection.link
             for drive in cycle.drives:
                 drive.controlword = Control.DISABLE_VOLTAGE
             await patiently(cycle.exchange)
@@ -306,7 +296,7 @@ class Cia402Driver(Driver):
     async def recover(self) -> None:
         """Reset faults; the drives stay disabled until `activate`."""
         self._active = False
-        await self._connected.reset_faults()
+        await self.connection.link.reset_faults()
         self._home_asked = True
 
 

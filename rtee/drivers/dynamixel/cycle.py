@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtee.buses.dynamixel import DynamixelBus
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.options import DynamixelOptions
@@ -39,27 +40,28 @@ class ServoCycle:
     Args:
         spec: The device.
         options: Its options.
-        link: The line.
+        bus: The line.
 
     Attributes:
-        link: The line.
+        link: Group reads and writes on the line.
         names: The actuator of each servo, by id, in the order of the actuators.
         scales: Units of the joints, in the order of the actuators.
         found: The servos as they were found, by id.
         active: Whether the servos must have torque.
     """
 
-    def __init__(self, spec: DeviceSpec, options: DynamixelOptions, link: DynamixelLink) -> None:
-        self.link = link
+    def __init__(self, spec: DeviceSpec, options: DynamixelOptions, bus: DynamixelBus) -> None:
+        ids = [options.servos[a.name].id for a in spec.actuators]
+        self.link = DynamixelLink(bus, ids, options.deadline, options.retries, options.turnaround)
         self._device = spec.name
         self._options = options
         self._actuators = spec.actuators
         self._servos = [options.servos[a.name] for a in spec.actuators]
-        self.names = {options.servos[a.name].id: a.name for a in spec.actuators}
+        self.names = dict(zip(ids, (a.name for a in spec.actuators), strict=True))
         self.scales = [Scale(s.zero, s.direction, s.gear) for s in self._servos]
         self.found: dict[int, Found] = {}
         self.active = False
-        self._units = Scales(link.ids, self.scales)
+        self._units = Scales(ids, self.scales)
         self._count = 0
         self._temperature = np.full(len(self._servos), math.nan)
         self._extras: Mapping[str, FloatArray] = {}

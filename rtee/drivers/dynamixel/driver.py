@@ -16,6 +16,7 @@ from typing import ClassVar
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.calibration import (
     Calibrated,
@@ -24,14 +25,12 @@ from rtee.drivers.dynamixel.calibration import (
     write_calibration,
 )
 from rtee.drivers.dynamixel.cycle import ServoCycle
-from rtee.drivers.dynamixel.emulator import DynamixelEmulator
-from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.options import DynamixelOptions
 from rtee.drivers.dynamixel.table import model_of
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
 from rtee.drivers.wiring import check_names
-from rtee.errors import CalibrationError, NotConnected, RteeError
+from rtee.errors import CalibrationError, RteeError
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
 
 _SLOW = 5.0
@@ -58,7 +57,8 @@ class DynamixelDriver(Driver):
     positions when they change. Hardware errors show in the alert bit of every answer.
 
     Servos lose their turns with their supply: a joint whose range crosses the wrap is read in the
-    turn in which it lies within its limits. Servos with torque are left as they are.
+    turn in which it lies within its limits. Servos with torque are left as they are, when
+    the line is opened and when it is closed.
     """
 
     Options: ClassVar[type[DynamixelOptions]] = DynamixelOptions
@@ -67,7 +67,7 @@ class DynamixelDriver(Driver):
         super().__init__(spec, buses)
         self.options = read_options(DynamixelOptions, spec)
         check_names(spec, "servos", self.options.servos)
-        self._cycle: ServoCycle | None = None
+        self.connection: Connection[ServoCycle] = Connection(spec)
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "current", "temperature"}),
             accepts=frozenset({"position", "max_velocity"}),
@@ -85,27 +85,21 @@ class DynamixelDriver(Driver):
         count = 14 + n + answer + 14 + n * 5
         return 1.0 / (count * 10.0 / self.options.baudrate + self.options.turnaround)
 
-    @property
-    def _servos(self) -> ServoCycle:
-        if self._cycle is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._cycle
-
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
         """Open the line and find every servo; writes nothing."""
-        await self.close()
         options = self.options
-        bus = await self.buses.dynamixel(
-            options.port,
-            owner=owner_of(self.spec),
-            baudrate=options.baudrate,
-            emulator=emulator_of(self.spec, DynamixelEmulator),
+        cycle = await self.connection.open(
+            self.buses.dynamixel(
+                options.port,
+                owner=self.connection.owner,
+                baudrate=options.baudrate,
+                emulator=emulator_of(self.spec, "dynamixel"),
+            ),
+            lambda bus: ServoCycle(self.spec, options, bus),
         )
-        ids = [options.servos[a.name].id for a in self.spec.actuators]
-        link = DynamixelLink(bus, ids, options.deadline, options.retries, options.turnaround)
-        cycle = self._cycle = ServoCycle(self.spec, options, link)
+        link = cycle.link
         await link.run(cycle.find, _SLOW)
         if options.calibration is not None:
             self._adopt_calibration(cycle, options.calibration)
@@ -159,7 +153,7 @@ class DynamixelDriver(Driver):
 
     async def activate(self) -> None:
         """Set up and power the servos that are without torque, where they are."""
-        cycle = self._servos
+        cycle = self.connection.link
         cycle.link.patient = True
         await cycle.link.run(cycle.unwrap, _SLOW)
         await cycle.link.run(cycle.power, _SLOW)
@@ -168,43 +162,33 @@ class DynamixelDriver(Driver):
 
     async def examine(self) -> str:
         """Raise the fault that the servos report."""
-        cycle = self._servos
+        cycle = self.connection.link
         await cycle.link.run(cycle.check, _SLOW)
         return ""
 
     async def deactivate(self) -> None:
         """Take the torque away."""
-        cycle = self._cycle
-        if cycle is not None:
+        if self.connection.is_open:
+            cycle = self.connection.link
             cycle.active = False
             off = dict.fromkeys(cycle.link.ids, 0)
             await cycle.link.run(partial(cycle.link.write_group, table.TORQUE, off))
-
-    async def close(self) -> None:
-        """Give the line back; servos with torque keep it."""
-        cycle, self._cycle = self._cycle, None
-        if cycle is not None:
-            await cycle.link.bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the line."""
-        return {} if self._cycle is None else self._cycle.link.bus.counters.as_mapping()
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return current, velocity and position of all servos, read at once."""
-        cycle = self._servos
+        cycle = self.connection.link
         return await cycle.link.run(cycle.sense)
 
     async def move(self, reference: Reference) -> None:
         """Write changed limits, then the goal positions."""
-        cycle = self._servos
+        cycle = self.connection.link
         await cycle.link.run(partial(cycle.move, reference))
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Write gains of the position controllers of all servos."""
-        link = self._servos.link
+        link = self.connection.link.link
 
         def write() -> None:
             for name, value in gains.items():
@@ -217,10 +201,9 @@ class DynamixelDriver(Driver):
 
     async def stop(self) -> None:
         """Hold the measured pose."""
-        cycle = self._cycle
-        if cycle is not None:
-            with contextlib.suppress(RteeError, OSError):
-                await patiently(partial(cycle.link.run, cycle.hold))
+        with contextlib.suppress(RteeError, OSError):
+            cycle = self.connection.link
+            await patiently(partial(cycle.link.run, cycle.hold))
 
     async def disable(self) -> None:
         """Take the torque away; the fingers go limp."""
@@ -229,7 +212,7 @@ class DynamixelDriver(Driver):
 
     async def recover(self) -> None:
         """Reboot the servos with a hardware error; they are powered again by `activate`."""
-        cycle = self._servos
+        cycle = self.connection.link
         link, cycle.active = cycle.link, False
         link.patient = True
         broken = await link.run(partial(setup.hurt, link), _SLOW)
@@ -261,7 +244,7 @@ class DynamixelDriver(Driver):
             BusError: if the line fails.
             ConfigError: if the file cannot be written.
         """
-        cycle = self._servos
+        cycle = self.connection.link
         await self.deactivate()
         await ready("Put every joint into the rest posture; the servos are without torque.")
         await cycle.link.run(partial(cycle.set_zeros, rest), _SLOW)
