@@ -48,7 +48,7 @@ def doctor(
     import asyncio
 
     if files is not None:
-        from rtee.drivers.diagnosis.files import write_files
+        from rtee.drivers.diagnosis.machine import write_files
 
         for path in write_files(files):
             print(path)
