@@ -21,7 +21,8 @@ from rtee.gui.trial_results import Tried, key_of
 from rtee.gui.trial_results import line as tried_line
 from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, small
-from rtee.remote.client import GoalOptions, RemoteHand
+from rtee.remote.client import RemoteHand
+from rtee.remote.goal import GoalOptions
 from rtee.types import Stage
 
 Show = Callable[[Posture | None, float, Evidence | None], None]

@@ -14,7 +14,8 @@ from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, PREVIEW
 from rtee.gui.trial_results import key_of
 from rtee.gui.wording import described, said, small
-from rtee.remote.client import GoalOptions, RemoteHand
+from rtee.remote.client import RemoteHand
+from rtee.remote.goal import GoalOptions
 from rtee.types import Feedback, Result
 
 
