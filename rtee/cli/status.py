@@ -9,7 +9,6 @@ from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table, on_terminal
 
 if TYPE_CHECKING:
-    from rtee.remote.client import RemoteHand
     from rtee.remote.monitoring import HandStatus
 
 
@@ -19,10 +18,7 @@ def status(
     """Show the status of a hand's loop and its devices."""
     from dataclasses import asdict
 
-    async def execute(remote: RemoteHand) -> HandStatus:
-        return await remote.status()
-
-    found = with_hand(hand, connect, "status", execute)
+    found = with_hand(hand, connect, "status", lambda remote: remote.status())
     if as_json:
         print(to_json(asdict(found)))
     else:

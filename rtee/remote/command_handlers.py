@@ -24,6 +24,9 @@ from rtee.types import Goal
 
 Fields = Mapping[str, Any]
 
+_WITHOUT_LEASE = ("hello", "release")
+"""Requests that are accepted while another client holds the lease."""
+
 _MOST_WAITING = 64
 """Clients that may wait for the answer to ``hello``: far more than connect at once, but bounded."""
 
@@ -68,6 +71,8 @@ class CommandHandlers:
         with self._lock:
             if client not in self._clients and name != "hello":
                 raise RequestRejected("this client is not known here; say hello first")
+            if name not in _WITHOUT_LEASE:
+                self._lease.check(client)
             text = self._handlers[name](request) if goal is None else self._do(goal)
         return None if text is None else REPLY.encode(accepted(text))
 
@@ -112,7 +117,6 @@ class CommandHandlers:
 
     def _do(self, goal: Goal) -> str:
         check_name(goal.goal_id, "goal")
-        self._lease.check(goal.client)
         if self._lease.runs(goal.goal_id):
             raise GoalRejected(f"the goal '{goal.goal_id}' runs already")
         self._lease.started(goal.client, goal.goal_id)
@@ -124,19 +128,15 @@ class CommandHandlers:
         return goal.goal_id
 
     def _cancel(self, request: IncomingRequest) -> str:
-        self._lease.check(request.fields["client"])
         self._loop.cancel(request.fields["goal_id"])
         return ""
 
     def _hold(self, request: IncomingRequest) -> str:
-        client = request.fields["client"]
-        self._lease.check(client)
-        self._loop.hold(f"{client} asked to hold")
+        self._loop.hold(f"{request.fields['client']} asked to hold")
         return ""
 
     def _jog(self, request: IncomingRequest) -> str:
         fields = request.fields
-        self._lease.check(fields["client"])
         limit = None if math.isnan(fields["limit"]) else fields["limit"]
         self._loop.jog(_values(fields), limit)
         self._lease.jogged(fields["client"])
@@ -144,12 +144,10 @@ class CommandHandlers:
 
     def _gains(self, request: IncomingRequest) -> None:
         fields = request.fields
-        self._lease.check(fields["client"])
         values, device = _values(fields), fields["source"] or None
         self._answer_after(request, lambda: self._loop.set_gains(values, device))
 
     def _recover(self, request: IncomingRequest) -> None:
-        self._lease.check(request.fields["client"])
         device = request.fields["what"] or None
         self._answer_after(request, lambda: self._loop.recover(device))
 

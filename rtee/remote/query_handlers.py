@@ -36,6 +36,11 @@ _LONGEST_MARK = 1000
 _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
 """Requests whose answer changes only when the actions change."""
 
+_ABOUT_ACTIONS = frozenset(
+    {"actions", "primitives", "partners", "add", "store", "remove", "rename"}
+)
+"""Requests before which the files of actions are read again if they have changed."""
+
 _MOST_KEPT = 64
 """Cached answers: more than user interfaces ask for; each takes up to some hundred kilobytes."""
 
@@ -124,6 +129,8 @@ class QueryHandlers:
         name, fields = asked.request.name, asked.fields
         if name == "state":
             return self._streams.messages.state(self._loop.snapshot())
+        if name in _ABOUT_ACTIONS:
+            self._reload()
         if name in _CONSTANT:
             return self._cached(asked)
         return asked.request.answer.encode(self._handlers[name](fields))
@@ -133,8 +140,6 @@ class QueryHandlers:
 
         Working it out holds Python's lock for milliseconds, which the loop also needs.
         """
-        if asked.request.name not in ("info", "robot_description"):
-            self._reload()
         if self._version != self._library.version or len(self._cache) >= _MOST_KEPT:
             self._cache.clear()
             self._version = self._library.version
@@ -232,23 +237,19 @@ class QueryHandlers:
             self._changed("rtee", "the files of actions were read again")
 
     def _add(self, fields: Fields) -> Fields:
-        self._reload()
         action = made_of(self._library, fields["action"])
         self._library.add(action, store=fields["store"], replace_same=fields["replace"])
         return self._done(fields, f"the action '{action.name}' was added")
 
     def _store(self, fields: Fields) -> Fields:
-        self._reload()
         self._library.store(fields["name"])
         return self._done(fields, f"the action '{fields['name']}' was stored")
 
     def _remove(self, fields: Fields) -> Fields:
-        self._reload()
         self._library.remove(fields["name"])
         return self._done(fields, f"the action '{fields['name']}' was removed")
 
     def _rename(self, fields: Fields) -> Fields:
-        self._reload()
         self._library.rename(fields["name"], fields["what"])
         return self._done(fields, f"the action '{fields['name']}' is now called '{fields['what']}'")
 
