@@ -26,11 +26,11 @@ from rtee.messages.requests import REQUESTS
 from rtee.messages.schema import message_type
 from rtee.remote import directory
 from rtee.remote.actions import action_fields, action_of
+from rtee.remote.call_queue import CallQueue
 from rtee.remote.directory import announced, running, runtime_folder
 from rtee.remote.lease import JOGGING, Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.planner import info_fields, info_of
-from rtee.remote.worker import Worker
 
 # --- lease
 
@@ -97,9 +97,9 @@ def test_who_is_gone_holds_nothing(lease: Lease, how: str) -> None:
         "goal": lambda: lease.started("a", "1"),
         "jog": lambda: lease.jogged("a"),
     }[how]()
-    assert not lease.gone("b")
-    assert lease.gone("a")
-    assert not lease.gone("a")
+    assert not lease.client_left("b")
+    assert lease.client_left("a")
+    assert not lease.client_left("a")
     lease.check("b")
 
 
@@ -239,7 +239,7 @@ def test_hand_information_survives_the_network(hand: Hand) -> None:
 def test_a_worker_drops_what_there_is_no_room_for() -> None:
     busy, go = threading.Event(), threading.Event()
     done: list[int] = []
-    worker = Worker("test", most=2)
+    worker = CallQueue("test", most=2)
     worker.put(lambda: (busy.set(), go.wait()))
     assert busy.wait(10)
     assert [worker.put(partial(done.append, number)) for number in range(4)] == [
