@@ -6,7 +6,8 @@ import asyncio
 import math
 import types
 from asyncio.tasks import _enter_task, _leave_task
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import AsyncIterator, Callable, Coroutine, Generator
+from contextlib import asynccontextmanager
 from contextvars import Context
 from typing import Any
 
@@ -88,10 +89,14 @@ class Runner:
 
     # --- deadlines ---------------------------------------------------------------------------
 
-    def guard(self) -> asyncio.Timeout:
-        """Return the context in which the task works; it raises `TimeoutError` at a deadline."""
-        self._timeout = asyncio.timeout(None)
-        return self._timeout
+    @asynccontextmanager
+    async def guard(self) -> AsyncIterator[None]:
+        """Let the task work; raises `TimeoutError` at a deadline."""
+        try:
+            async with asyncio.timeout(None) as self._timeout:
+                yield
+        finally:
+            self._timeout = None
 
     def begin(self, within: float) -> None:
         """Set the deadline of the present work, from now [s]."""
