@@ -1,4 +1,4 @@
-"""The transmission as the searches evaluate it: non-linear couplings from tables."""
+"""The transmission for the searches: non-linear couplings are interpolated in tables."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rtee.hand.transmission import Coupling, Linear
 from rtee.types import FloatArray
 
 _KNOTS: Final = 1025
+"""Knots of a table, which agrees with smooth couplings to 1e-8 rad."""
 
 
 class Couplings:

@@ -25,6 +25,7 @@ _PARTS: Final = 64
 """Where a shape is larger than this many such edges, they are longer."""
 
 _HALVINGS: Final = 8
+"""How often the range of distances from the axis is halved: to less than a millimetre."""
 
 
 class ClippedShape(Shape):

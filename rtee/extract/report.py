@@ -19,7 +19,7 @@ from rtee.actions.types import (
     PrimitiveKind,
     Timed,
 )
-from rtee.extract.jobs import processors, spread
+from rtee.extract.jobs import parallel_map, processors
 from rtee.extract.report_page import (
     CLOSE_SHARE,
     Card,
@@ -90,7 +90,7 @@ def make_report(
             return Shot(renderer.picture(hand.rest, file_format="WEBP"))
         return _shot(renderer, view)
 
-    shots = spread(
+    shots = parallel_map(
         shoot, [rest, *every], jobs or processors(), progress or (lambda done, total: None)
     )
     taken = iter(shots[1:])
