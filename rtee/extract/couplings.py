@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.space import widened_limits
-from rtee.hand.linalg import times
+from rtee.hand.linalg import matvec
 from rtee.hand.model import Hand
 from rtee.hand.transmission import Coupling, Linear
 from rtee.types import FloatArray
@@ -34,7 +34,7 @@ class Couplings:
 
     def joints(self, u: FloatArray) -> FloatArray:
         """Return joint positions ``(m,)`` at actuator positions ``(n,)`` [rad | m]."""
-        q: FloatArray = times(self._matrix, u) + self._offset
+        q: FloatArray = matvec(self._matrix, u) + self._offset
         for table in self._tables:
             q[table.rows] = table.at(float(u[table.actuator]))[0]
         return q

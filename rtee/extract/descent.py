@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.resolution import COARSE, Resolution
-from rtee.hand.linalg import dot, times
+from rtee.hand.linalg import dot, matvec
 from rtee.types import FloatArray
 
 Slope = Callable[[], FloatArray]
@@ -95,7 +95,7 @@ def descend(
         free = np.where(held, 0.0, slope)
         if max(map(abs, free.tolist()), default=0.0) < _FLAT:
             break
-        direction = np.where(held, 0.0, -times(inverse, free))
+        direction = np.where(held, 0.0, -matvec(inverse, free))
         if dot(direction, free) >= 0.0:
             direction, inverse, fresh = -free, np.eye(len(y)), True
         longest = max(map(abs, direction.tolist()))
@@ -118,7 +118,7 @@ def descend(
         if along > _CURVED:
             if fresh:
                 inverse = np.eye(len(y)) * (along / dot(change, change))
-            bent = times(inverse, change) / along
+            bent = matvec(inverse, change) / along
             half = (0.5 * (dot(change, bent) + 1.0) / along) * step - bent
             update = step[:, None] * half
             inverse = inverse + (update + update.T)

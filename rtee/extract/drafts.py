@@ -11,7 +11,7 @@ import coal
 import numpy as np
 
 from rtee.hand.geometry import Shape, hull_of
-from rtee.hand.linalg import turned
+from rtee.hand.linalg import rotated
 from rtee.types import FloatArray
 
 SLACK: Final = 1e-4
@@ -128,8 +128,8 @@ def outer(
         levels = _along(np.array(body.points()), normals).max(axis=0)
         for i in [i for i in kept if i != j]:
             shape = shapes[i]
-            corners = turned(shape.points, shape.placement.rotation) + shape.placement.translation
-            local = turned(corners - holder.translation, holder.rotation.T)
+            corners = rotated(shape.points, shape.placement.rotation) + shape.placement.translation
+            local = rotated(corners - holder.translation, holder.rotation.T)
             if (_along(local, normals) <= levels).all():
                 kept.remove(i)
     return tuple(kept)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final, Protocol
@@ -56,6 +57,10 @@ class GoalFunction:
         """Return the value [m] and its derivative ``(k,)`` at coordinates ``(k,)``."""
         self.scene.place(self.space.posture(y))
         return self.goal.slope(self.space)
+
+    def fine(self) -> AbstractContextManager[None]:
+        """Measure on the full convex parts within this context."""
+        return self.scene.fine()
 
     def value(self, y: FloatArray) -> float:
         """Return the value [m] at coordinates ``(k,)``."""

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.hand.geometry import Shape, hull_of
-from rtee.hand.linalg import norms, turned
+from rtee.hand.linalg import norms, rotated
 from rtee.hand.tessellation import halved
 from rtee.types import FloatArray
 
@@ -70,7 +70,7 @@ class Jaw:
 
     def arms(self, points: FloatArray) -> FloatArray:
         """Return the distances of points ``(..., 3)`` in the shape's frame from the axis [m]."""
-        there = turned(points, self.pose.rotation) + self.pose.translation
+        there = rotated(points, self.pose.rotation) + self.pose.translation
         distances: FloatArray = norms(np.cross(there - self.origin, self.axis))
         return distances
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import dot, norm, norms, product, times, turned
+from rtee.hand.linalg import dot, matmul, matvec, norm, norms, rotated
 from rtee.types import FloatArray, JointKind, from_rest
 
 _STATIONS: Final = 33
@@ -72,7 +72,7 @@ class Motion:
         """Return the straight path from rest to a posture."""
         hand = self._scene.hand
         if hand.transmission.linear:
-            travel = np.abs(times(hand.transmission.matrix, goal - hand.rest))
+            travel = np.abs(matvec(hand.transmission.matrix, goal - hand.rest))
         else:
             stations = np.linspace(0.0, 1.0, _STATIONS).tolist()
             q = hand.transmission.joints(
@@ -137,9 +137,9 @@ class Motion:
         """
         one, other = self._scene.shapes[moving], self._scene.shapes[fixed]
         outward = other.placement.rotation
-        rotations = product(product(outward.T, motion[0]), one.placement.rotation)
+        rotations = matmul(matmul(outward.T, motion[0]), one.placement.rotation)
         positions = _sum(motion[0] * one.placement.translation, axis=2) + motion[1]
-        positions = product(positions - other.placement.translation, outward)
+        positions = matmul(positions - other.placement.translation, outward)
         # The other shape's box, seen from the shape, in a box of its own.
         low, high = other.box
         centres = _sum(rotations * ((low + high) / 2.0 - positions)[:, :, None], axis=1)
@@ -153,7 +153,7 @@ class Motion:
         turns, steps = np.diff(rotations, axis=0), np.diff(positions, axis=0)[:, None]
         most = np.zeros(len(steps))
         for ends in (slice(None, -1), slice(1, None)):
-            moved = product(corners[ends], turns.transpose(0, 2, 1)) + steps
+            moved = matmul(corners[ends], turns.transpose(0, 2, 1)) + steps
             squares = _sum(moved * moved, axis=2).max(axis=1)
             most = np.maximum(most, np.where(near[ends], squares, 0.0))
         result: FloatArray = np.sqrt(most)
@@ -190,7 +190,7 @@ class Motion:
         radii = []
         for shape in self._scene.shapes:
             placement = shape.placement
-            points = turned(shape.points, placement.rotation) + placement.translation
+            points = rotated(shape.points, placement.rotation) + placement.translation
             radii.append(float(norms(points).max()))
         return radii
 

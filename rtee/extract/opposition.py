@@ -12,7 +12,7 @@ import numpy as np
 from rtee.actions.types import Opposition
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import dot, norm, times
+from rtee.hand.linalg import dot, matvec, norm
 from rtee.types import FloatArray
 
 FRICTION: Final = 0.5
@@ -58,7 +58,7 @@ def opposition(
         The opposition, or ``None`` if the tips do not move against each other there.
     """
     closing = [
-        times(scene.point_jacobian(link, point), direction)
+        matvec(scene.point_jacobian(link, point), direction)
         for link, point in zip(tips.links, (witness.first, witness.second), strict=True)
     ]
     speeds = [norm(v) for v in closing]

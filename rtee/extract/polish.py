@@ -8,7 +8,7 @@ import numpy as np
 
 from rtee.extract.descent import Bounds, Minimum, Objective, within
 from rtee.extract.resolution import FINE, Resolution
-from rtee.hand.linalg import dot, product, row_times, times
+from rtee.hand.linalg import dot, matmul, matvec, vecmat
 from rtee.types import FloatArray
 
 _FIRST_STEP: Final = 0.3
@@ -97,7 +97,7 @@ def polish(
     for count in range(2, evaluations + 1):
         errors, slopes = pieces.errors(y, value), pieces.slopes
         step, weights, held = _model_step(slopes, errors, (weights, held), y, reach, (low, high))
-        predicted = -float((times(slopes, step) - errors).max())
+        predicted = -float((matvec(slopes, step) - errors).max())
         there = within(resolution.snap(y + step), (low, high))
         if predicted < _ENOUGH * abs(value) + resolution.value or (there == y).all():
             return Minimum(y, value, count)
@@ -137,9 +137,9 @@ def _model_step(
     for _ in range(_SWEEPS * len(y)):
         some = bool(held.any())
         free = np.where(held, 0.0, slopes) if some else slopes
-        linear = errors - times(slopes, fixed) if some else errors
-        weights = _simplex_minimum(reach * product(free, free.T), linear, weights)
-        step = fixed - reach * row_times(weights, free)
+        linear = errors - matvec(slopes, fixed) if some else errors
+        weights = _simplex_minimum(reach * matmul(free, free.T), linear, weights)
+        step = fixed - reach * vecmat(weights, free)
         there = y + step
         leaving = ~held & ((there < low) | (there > high))
         if leaving.any():
@@ -147,7 +147,7 @@ def _model_step(
         elif not some:
             break
         else:
-            pull = row_times(weights, slopes) + fixed / reach
+            pull = vecmat(weights, slopes) + fixed / reach
             freed = held & np.where(side < 0.0, pull < 0.0, pull > 0.0)
             if not freed.any():
                 break

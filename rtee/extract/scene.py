@@ -20,7 +20,7 @@ from rtee.extract.space import Space
 from rtee.extract.surface import encloses
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.kinematics import Kinematics
-from rtee.hand.linalg import norm, product, row_times, times
+from rtee.hand.linalg import matmul, matvec, norm, vecmat
 from rtee.hand.model import Hand
 from rtee.types import FloatArray, JointKind
 
@@ -137,7 +137,7 @@ class Scene:
         spec = self.hand.urdf.joints[self.hand.joints[moving - 1].name]
         origin, axis = (
             np.array(placement.translation),
-            times(placement.rotation, np.array(spec.axis)),
+            matvec(placement.rotation, np.array(spec.axis)),
         )
         first, second = (
             [Jaw(self.shapes[i], self.shape_pose(i).copy(), origin, axis) for i in tip]
@@ -224,9 +224,9 @@ class Scene:
             x, y, z = x * sign, y * sign, z * sign
             a, b, c = found.getNearestPoint1().tolist()
             rows.append((x, y, z, b * z - c * y, c * x - a * z, a * y - b * x))
-        torques = product(np.array(rows), self._jacobian())
+        torques = matmul(np.array(rows), self._jacobian())
         torques *= self._moved_by(tuple([(pair.number, pair.turned) for pair, _ in terms]), terms)
-        slope: FloatArray = row_times(torques.sum(axis=0), self._moved(space))
+        slope: FloatArray = vecmat(torques.sum(axis=0), self._moved(space))
         return slope
 
     def _moved_by(
@@ -259,7 +259,7 @@ class Scene:
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
-        result: FloatArray = row_times(row_times(row, self._jacobian()), self._levers(pair, space))
+        result: FloatArray = vecmat(vecmat(row, self._jacobian()), self._levers(pair, space))
         return result
 
     def _jacobian(self) -> FloatArray:
@@ -381,8 +381,8 @@ class Scene:
     def point_jacobian(self, link: str, point: FloatArray) -> FloatArray:
         """Return the Jacobian ``(3, n)`` of a point of a link by the actuators, base frame [m]."""
         jacobian = self._jacobian() * self.kinematics.support(self.kinematics.body(link))
-        jacobian = jacobian[:3] - product(pin.skew(point), jacobian[3:])
-        result: FloatArray = product(jacobian, self._slope)
+        jacobian = jacobian[:3] - matmul(pin.skew(point), jacobian[3:])
+        result: FloatArray = matmul(jacobian, self._slope)
         return result
 
     def bodies(self) -> tuple[FloatArray, FloatArray]:

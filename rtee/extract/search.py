@@ -139,7 +139,7 @@ def minima(
         if before.value - deepest.value < _LITTLE * abs(deepest.value):
             break
     deepest = min(done, key=lambda m: m.value)
-    with function.scene.fine():
+    with function.fine():
         done.append(polish(function, deepest.y, evaluations=_LAST, resolution=FINE))
     return Minima(distinct([*done, *first]), distinct(first))
 

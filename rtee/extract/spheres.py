@@ -8,7 +8,7 @@ import numpy as np
 
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import norms, turned
+from rtee.hand.linalg import norms, rotated
 from rtee.types import FloatArray
 
 _sum = np.add.reduce
@@ -47,7 +47,9 @@ def _sphere(scene: Scene, shapes: tuple[int, ...]) -> tuple[FloatArray, float]:
     corners = []
     for i in shapes:
         shape = scene.shapes[i]
-        corners.append(turned(shape.points, shape.placement.rotation) + shape.placement.translation)
+        corners.append(
+            rotated(shape.points, shape.placement.rotation) + shape.placement.translation
+        )
     points = np.concatenate(corners)
     centre: FloatArray = (points.min(axis=0) + points.max(axis=0)) / 2.0
     return centre, float(norms(points - centre).max())

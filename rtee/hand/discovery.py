@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from rtee.hand.chains import Chain
-from rtee.hand.names import safe_name
+from rtee.hand.names import safe_name, shared_length
 from rtee.hand.urdf import Urdf
 
 WORDS: Final = ("thumb", "index", "middle", "ring", "little", "pinky")
@@ -138,22 +138,11 @@ def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None
 def _distinct_parts(names: Sequence[str]) -> Iterable[str]:
     """Return what is left of names without the parts that all begin or end with."""
     parts = [name.split("_") for name in names]
-    head = _common(parts)
-    tail = _common([part[head:][::-1] for part in parts])
+    head = shared_length(parts)
+    tail = shared_length([part[head:][::-1] for part in parts])
     for name, part in zip(names, parts, strict=True):
         kept = "_".join(part[head : len(part) - tail])
         yield kept if kept and not kept.isdigit() else f"finger_{kept}" if kept else name
-
-
-def _common(parts: Sequence[Sequence[str]]) -> int:
-    if len(parts) < 2:
-        return 0
-    count = 0
-    for column in zip(*parts, strict=False):
-        if len(set(column)) > 1:
-            break
-        count += 1
-    return count
 
 
 def _unique(names: Sequence[str]) -> list[str]:

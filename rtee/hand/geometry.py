@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from rtee.errors import ModelError
 from rtee.hand.kinematics import Kinematics, pose
-from rtee.hand.linalg import norm, turned
+from rtee.hand.linalg import norm, rotated
 from rtee.hand.mesh_repair import mended
 from rtee.hand.meshes import check_mesh
 from rtee.hand.model import Hand
@@ -188,7 +188,7 @@ class HandGeometry:
         for i in self.of_link(link):
             shape = self.shapes[i]
             points, triangles = shape.triangles
-            vertices.append(turned(points, shape.in_link.rotation) + shape.in_link.translation)
+            vertices.append(rotated(points, shape.in_link.rotation) + shape.in_link.translation)
             faces.append(triangles + count)
             count += len(points)
         return np.concatenate(vertices), np.concatenate(faces)

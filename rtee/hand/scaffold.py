@@ -30,7 +30,7 @@ from rtee.hand.srdf import read_srdf
 from rtee.hand.srdfwrite import format_srdf, with_disabled
 from rtee.hand.urdf import Urdf
 from rtee.hand.xmlfile import read_xml
-from rtee.hand.yaml_hints import ignore_line, rest_line
+from rtee.hand.yamlwrite import ignore_line, rest_line
 
 _FILENAME = re.compile(r"""(\bfilename\s*=\s*)("[^"]*"|'[^']*')""")
 _DECLARATION = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")

@@ -47,7 +47,7 @@ def test_descent_respects_a_smaller_box() -> None:
     np.testing.assert_allclose(
         descend(function, np.ones(2), evaluations=50, bounds=bounds, resolution=FINE).y,
         [0.5, 0.2],
-        atol=FINE.pitch,
+        atol=FINE.coordinate,
     )
 
 
