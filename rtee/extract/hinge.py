@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from rtee.hand.geometry import Shape, hull_of
 from rtee.hand.linalg import norms, rotated
-from rtee.hand.tessellation import halved
+from rtee.hand.tessellation import subdivided
 from rtee.types import FloatArray
 
 OUTER: Final = 0.5
@@ -97,7 +97,7 @@ class Jaw:
         whole = outside.all(axis=1)
         low, high = self.shape.box
         edge = max(_EDGE, float((high - low).max()) / _PARTS)
-        pieces = halved(vertices[faces[~whole]], edge)
+        pieces = subdivided(vertices[faces[~whole]], edge)
         kept = pieces[(self.arms(pieces) > limit).all(axis=1)]
         return np.concatenate([vertices[faces[whole]], kept])
 
