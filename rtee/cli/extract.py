@@ -118,7 +118,7 @@ def _write(targets: list[Path], files: dict[Path, str], hand: HandModel, found: 
     """Write the primitives to some folders, and other files: all of it or nothing."""
     if not (targets or files):
         return
-    from rtee.actions.store import primitive_changes
+    from rtee.actions.action_files import primitive_changes
     from rtee.hand.files import write_all
 
     changes = [primitive_changes(target, hand, found.primitives) for target in targets]

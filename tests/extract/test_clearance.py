@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from extract.models import Model, box, sphere
-from rtee.actions.store import read_actions
+from rtee.actions.action_files import read_actions
 from rtee.actions.types import FARTHEST_CLEARANCE, Primitive
 from rtee.extract.evidence import Inspector
 from rtee.extract.extraction import extract
