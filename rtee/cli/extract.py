@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from rtee.actions.types import Primitive
     from rtee.extract.extraction import Extraction
-    from rtee.extract.report_page import Tried
+    from rtee.extract.report import Tried
     from rtee.hand.model import Hand as HandModel
 
 app = typer.Typer()
@@ -141,7 +141,7 @@ def _report(hand: HandModel, found: Extraction, folder: Path | None, jobs: int) 
 
 def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
     """Return what `rtee try --all` found, for the report, and what is to be noted about it."""
-    from rtee.extract.report_page import Tried
+    from rtee.extract.report import Tried
     from rtee.trials.store import FILE_NAME, fingerprint, read_results
 
     if folder is None:

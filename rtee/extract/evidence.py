@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -24,31 +24,17 @@ _DIGITS: Final = 9
 """Decimals of the evidence: lengths to a nanometre, far below what models are true to."""
 
 
-@dataclass(frozen=True, slots=True)
-class Surroundings:
-    """What else is near a posture and its path.
-
-    Attributes:
-        pose: Part of their margin that all other links keep in the posture: 1, a quarter, or 0.
-        path: The same of the posture and the straight path to it.
-        colliding: Pairs of links that touch in the posture.
-        clearance: The least distance of other links [m], on the path, too, where that is clear;
-            ``None`` where the posture is not clear.
-    """
-
-    pose: float
-    path: float
-    colliding: tuple[tuple[str, str], ...]
-    clearance: float | None
-
-
-def surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> Surroundings:
-    """Return what else is near a posture.
+def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tuple[Evidence, float]:
+    """Return what else is near a posture and the straight path to it.
 
     Args:
         scene: The hand's links.
         u: The posture as stored ``(n,)``.
         checker: The links that must not come near each other.
+
+    Returns:
+        What the evidence says about it, and the part of their margins that all other links keep in
+        the posture and on the path: 1, a quarter, or 0.
     """
     pose = path = 0.0
     near: list[LinkPair] = []
@@ -61,7 +47,10 @@ def surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> Surr
     scene.place(u)
     colliding = tuple(pair.links for pair in near if scene.touching(pair))
     clearance = _round(checker.clearance(u, path=path > 0.0)) if pose else None
-    return Surroundings(pose, path, colliding, clearance)
+    clear, path_clear = pose > 0.0, path > 0.0
+    return Evidence(
+        clear=clear, path_clear=path_clear, clearance=clearance, colliding=colliding
+    ), path
 
 
 @dataclass(frozen=True)
@@ -105,7 +94,7 @@ class Inspector:
         """
         scene = self.scene
         path = self.motion.path_to(u)
-        around = surroundings(scene, u, checker)
+        around, margin = _surroundings(scene, u, checker)
         scene.place(u)
         touching = scene.touching(tips)
         witness = scene.witness(tips) if touching else scene.exact_witness(tips)
@@ -117,20 +106,17 @@ class Inspector:
             scene.place(path.at(1.0 if contact_at is None else contact_at))
             meeting = scene.witness(tips)
         opposed = opposition(scene, tips, meeting, u - scene.hand.rest)
-        found = Evidence(
+        found = replace(
+            around,
             depth=_round(max(0.0, -witness.distance)) if touching else 0.0,
             distance=0.0 if touching else _round(max(0.0, witness.distance)),
             frame_distance=_round(norm(points[1] - points[0])),
             point=_triple((witness.first + witness.second) / 2.0),
             normal=_triple(witness.normal),
-            clear=around.pose > 0.0,
-            path_clear=around.path > 0.0,
-            clearance=around.clearance,
-            colliding=around.colliding,
             contact_at=None if contact_at is None else _round(contact_at),
             opposition=opposed,
         )
-        return Candidate(u, found, around.path)
+        return Candidate(u, found, margin)
 
     def multi_pinch(
         self,
@@ -149,7 +135,7 @@ class Inspector:
         """
         scene = self.scene
         path = self.motion.path_to(u)
-        around = surroundings(scene, u, checker)
+        around, margin = _surroundings(scene, u, checker)
         scene.place(u)
         touching = [edge for edge in edges if scene.touching(edge.tips)]
         witnesses = [scene.witness(edge.tips) for edge in touching]
@@ -160,20 +146,17 @@ class Inspector:
             for edge in touching
         ]
         contact_at = _linked_at(len(names), firsts)
-        evidence = Evidence(
+        evidence = replace(
+            around,
             depth=_round(sum(depths)),
             point=_triple(np.mean(middles, axis=0)) if middles else None,
-            clear=around.pose > 0.0,
-            path_clear=around.path > 0.0,
-            clearance=around.clearance,
-            colliding=around.colliding,
             contact_at=None if contact_at is None else _round(contact_at),
             pairs=tuple(
                 (names[edge.ends[0]], names[edge.ends[1]], _round(depth))
                 for edge, depth in zip(touching, depths, strict=True)
             ),
         )
-        return Candidate(u, evidence, around.path)
+        return Candidate(u, evidence, margin)
 
 
 def _linked_at(size: int, firsts: Sequence[tuple[tuple[int, int], float | None]]) -> float | None:
