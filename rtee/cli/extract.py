@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rtee.actions.types import Primitive
     from rtee.extract.extraction import Extraction
-    from rtee.extract.report_page import Tried
+    from rtee.extract.report import Tried
     from rtee.hand.model import Hand as HandModel
 
 _BAR_AFTER = 1.0
@@ -116,7 +116,7 @@ def _write(targets: list[Path], files: dict[Path, str], hand: HandModel, found: 
     """Write the primitives to some folders, and other files: everything or nothing."""
     if not (targets or files):
         return
-    from rtee.actions.store import primitive_changes
+    from rtee.actions.action_files import primitive_changes
     from rtee.hand.files import write_all
 
     changes = [primitive_changes(target, hand, found.primitives) for target in targets]
@@ -139,7 +139,7 @@ def _report(hand: HandModel, found: Extraction, folder: Path | None, jobs: int) 
 
 def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
     """Return the results of `rtee try --all` for the report, and notes about them."""
-    from rtee.extract.report_page import Tried
+    from rtee.extract.report import Tried
     from rtee.trials.store import FILE_NAME, fingerprint, read_results
 
     if folder is None:

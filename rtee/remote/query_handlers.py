@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rtee.errors import RequestRejected, RteeError
-from rtee.hand.fingerprint import fingerprint
+from rtee.hand.catalog import fingerprint
 from rtee.hand.own_copy import TRIALS, told
 from rtee.loop.handloop import HandLoop
 from rtee.messages.convert import device_status_fields, loop_statistics_fields
