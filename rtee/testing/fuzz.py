@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 _MOST = 8
+"""Failures after which a trial ends, and good frames that are tried until one is found."""
 
 
 @dataclass(frozen=True)

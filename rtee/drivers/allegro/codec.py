@@ -11,9 +11,9 @@ from typing import ClassVar, Self
 
 from rtee.buses.emulator import CanFrame
 
-BITRATE = 1_000_000
+BITRATE = 1_000_000  # of the bus [bit/s]; the hand has no other
 FINGERS = 4
-PER_FINGER = 4
+PER_FINGER = 4  # joints of each finger
 JOINTS = FINGERS * PER_FINGER
 
 _INT16 = struct.Struct("<4h")

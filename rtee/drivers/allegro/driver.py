@@ -42,8 +42,13 @@ from rtee.errors import (
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _STALE = 0.25
+"""Positions older than this count as lost [s]: more than eighty of the hand's periods."""
+
 _SERVO_OFF = 0x100
+"""Code of the fault that the motors are off, the driver's own: the hand's status has eight bits."""
+
 _PAUSE = 0.0005
+"""Pause after switching the motors [s]; the vendor's driver waits 0.1 ms."""
 
 
 class AllegroDriver(Driver):

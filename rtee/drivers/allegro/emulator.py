@@ -29,7 +29,11 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Duration, Positive, read_properties
 
 _STEP = 0.0005
+"""Longest step of the integration [s]: a joint against an object swings with some 30 ms."""
+
 _MOST_STEPS = 400
+"""Most steps at once; a longer pause is integrated coarsely instead of holding up the bus."""
+
 _STRONG = 0.7
 """Torque at which the vendor's programs clamp the flexing joints, about [N·m]."""
 _SERIALS = {

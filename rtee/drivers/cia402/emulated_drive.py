@@ -32,6 +32,7 @@ METHODS: tuple[Method, ...] = (1, 2, 17, 18, 33, 34, 35, 37)
 """Homing methods that are known (object 6098h)."""
 
 
+# State and the low four bits of a controlword, to the state that they lead to.
 _TRANSITIONS = {
     (State.SWITCH_ON_DISABLED, 0x06): State.READY,
     (State.READY, 0x07): State.SWITCHED_ON,

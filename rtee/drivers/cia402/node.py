@@ -21,9 +21,9 @@ from rtee.drivers.cia402.cia301 import (
     Sdo,
 )
 
-_RECEIVE, _TRANSMIT = 0x1400, 0x1800
-_MAP = 0x200
-_COUNT = 4
+_RECEIVE, _TRANSMIT = 0x1400, 0x1800  # communication parameters of the first PDO
+_MAP = 0x200  # from those to the mapping of the same PDO
+_COUNT = 4  # PDOs in each direction
 
 
 @dataclass(slots=True)

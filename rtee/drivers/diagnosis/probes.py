@@ -22,7 +22,7 @@ _HAND_INFO = 7
 _NOBODYS_UNIT = 213
 """A Modbus number that is no device's of those known: who answers to it answers to all."""
 _OWNER = "scan"
-_ANSWER = 0.04
+_ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 
 
 @dataclass(frozen=True, slots=True)

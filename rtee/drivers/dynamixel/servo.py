@@ -11,11 +11,11 @@ from rtee.drivers.dynamixel.codec import Error, Hardware
 from rtee.drivers.dynamixel.memory import Memory
 from rtee.drivers.dynamixel.table import Mode, Register
 
-QUARTER_TURN = table.PULSES / 4.0
+QUARTER_TURN = table.PULSES / 4.0  # [pulse]
 _PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
 """Speed per count of a velocity [pulse/s]."""
-_FRICTION = 25.0
-_GAIN = 4.0
+_FRICTION = 25.0  # current that moves the free shaft [mA]; the datasheets give none
+_GAIN = 4.0  # current per position error at standstill [mA/pulse]
 _POSITION_MODES = (Mode.POSITION, Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POSITION)
 
 

@@ -20,7 +20,9 @@ MODES: Mapping[str, Mode] = {
 }
 TORQUE_LOST = 0x100
 WATCHDOG_TRIPPED = 0x101
-_EEPROM = 64
+"""Codes of the driver's own faults, above the eight bits of the hardware error status."""
+
+_EEPROM = 64  # bytes of the table that survive a power cycle; they tell what a servo is
 
 
 @dataclass(frozen=True, slots=True)

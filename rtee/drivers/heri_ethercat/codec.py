@@ -11,19 +11,21 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar, Self
 
-MOTORS = 2
-PHALANXES = 3
+MOTORS = 2  # of a board
+PHALANXES = 3  # of a finger, each with a pressure sensor
 
 TORQUE_CONSTANT = 0.0418
 """Motor torque per current [N·m/A]."""
-GEAR = 138.0
-EFFICIENCY = 0.9
+GEAR = 138.0  # motor turns per turn of the output shaft
+EFFICIENCY = 0.9  # of the gear, at best
 TORQUE_PER_AMPERE = TORQUE_CONSTANT * GEAR * EFFICIENCY
 """Torque at the output shaft per current [N·m/A], at the gear's best efficiency."""
 
+# Objects, by index and subindex.
 COMMAND_OBJECT = (0x8001, 3)
 ACKNOWLEDGE_OBJECT = (0x8001, 4)
 FIRMWARE_OBJECT = (0x8001, 1)
+# The high byte of an acknowledgement; the low one repeats the command.
 _DONE = 0x7800
 _REFUSED = 0xAA00
 

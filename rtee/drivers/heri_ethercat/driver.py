@@ -45,10 +45,16 @@ from rtee.errors import (
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _REFUSED = 0x10000
+"""Code of the fault that a board takes no command, above the sixteen bits of the fault word."""
+
 _POLL = 0.005
+"""Pause between two questions for an acknowledgement [s]; boards take some ten milliseconds."""
+
 _PATIENCE = 0.5
 """Longest time for an exchange that belongs to no cycle [s]."""
+
 _BEST_RATE = 1000.0
+"""Rate of the public program that ran on the hand [Hz]."""
 
 
 class HeriEthercatDriver(Driver):

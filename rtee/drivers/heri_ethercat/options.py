@@ -7,14 +7,13 @@ from typing import Annotated
 from pydantic import Field
 
 from rtee.drivers.heri_ethercat.codec import MOTORS, TORQUE_PER_AMPERE
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.wiring import numbers_of
 from rtee.types import DeviceSpec
 
 _WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
 """The motors of the public description, counted over its two boards."""
 
-Positive = Annotated[float, Field(gt=0.0)]
 Raw = Annotated[int, Field(ge=0, le=0xFFFF)]
 
 

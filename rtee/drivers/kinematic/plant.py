@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from rtee.types import ActuatorSpec, from_rest
 
 _NEAR = 1e-9
+"""Distance at which the target counts as reached [rad | m]."""
 
 
 @dataclass(slots=True)

@@ -19,7 +19,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import DeviceOptions, read_options
+from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command
 from rtee.drivers.qb_softhand.link import QbLink
@@ -29,12 +29,15 @@ from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected, 
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 INACTIVE = 1
+"""Code of the only fault that can be seen, that the motors are inactive; the hand has no codes."""
+
 _CURRENT_LIMIT = 1.5
+"""Current limit of a hand that does not report its own [A], as from the factory."""
+
 _ACTIVATION = 0.5
+"""Longest time from ACTIVATE until the motors are active [s]."""
+
 _BOTH = b"\x03"
-
-
-Positive = Annotated[float, Field(gt=0.0)]
 
 
 class QbSoftHandOptions(DeviceOptions):

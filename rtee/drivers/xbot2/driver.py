@@ -33,7 +33,11 @@ from rtee.errors import (
 from rtee.types import ActuatorSpec, ActuatorState, Capabilities, DeviceSpec, Reference
 
 _STALE = 0.3
+"""A state older than this counts as lost [s]: thirty periods of the server's usual rate."""
+
 _SAME = 2e-3
+"""A reference this near to the measured position asks for no motion, as part of the range."""
+
 _NO_EFFORT = (
     "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
     "beside them, for boards that take it so, and 'effort' closes and opens with it"

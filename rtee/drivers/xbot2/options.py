@@ -6,10 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.xbot2.codec import COMMAND_PORT, SERVICE_PORT, STATE_PORT
 
-Positive = Annotated[float, Field(gt=0.0)]
 Port = Annotated[int, Field(gt=0, lt=65536)]
 
 
