@@ -60,7 +60,7 @@ def order(command: Command, hand: int = 0) -> CanFrame:
 
 @dataclass(frozen=True, slots=True)
 class Periods:
-    """How often the hand tells what by itself [ms]; 0: never."""
+    """How often the hand sends what by itself [ms]; 0: never."""
 
     joints: int = 0
     imu: int = 0
@@ -128,9 +128,10 @@ class HandInfo:
 
 
 def side_of(info: HandInfo, serial: str) -> str:
-    """Return ``left`` or ``right``: version 4 tells by its information, 5 by its serial number.
+    """Return ``left`` or ``right``: from the information of version 4, the serial number
+    of version 5.
 
-    Empty where a version 5 tells neither.
+    Empty where the serial number of a version 5 says neither.
     """
     if info.version == 4:
         return "left" if info.handedness else "right"

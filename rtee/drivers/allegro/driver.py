@@ -54,10 +54,10 @@ _PAUSE = 0.0005
 class AllegroDriver(Driver):
     """An Allegro Hand, version 4 or 5.
 
-    The hand tells its positions by itself every 2 or 3 ms and drives its joints with the torques it
+    The hand sends its positions by itself every 2 or 3 ms and drives its joints with the torques it
     was sent last. So the joint control (PD about the reference) runs here, once per set of position
     frames, in the event loop and apart from the cycle of sense and move: `move` changes its
-    reference, `sense` tells what it measured last. The hand cannot hold anything by itself; without
+    reference, `sense` returns what it measured last. The hand cannot hold anything by itself; without
     the control it is switched off.
 
     Attributes:
@@ -103,7 +103,7 @@ class AllegroDriver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the bus, identify the hand and have it tell its positions; no torque is sent."""
+        """Open the bus, identify the hand and have it send its positions; no torque is sent."""
         await self.close()
         options = self.options
         link = await self.connection.open(

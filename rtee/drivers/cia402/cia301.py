@@ -27,7 +27,7 @@ class CanopenFrameError(ValueError):
 
 
 class NmtCommand(IntEnum):
-    """What a node is told to become."""
+    """Commands that change a node's state."""
 
     START = 0x01
     STOP = 0x02

@@ -59,7 +59,7 @@ class Node:
         number: Its node id.
         objects: Its dictionary by index and subindex.
         state: Its NMT state.
-        on_reset: Called when it starts anew.
+        on_reset: Called when it restarts.
         on_silence: Called when the host's heartbeat was lost.
         inhibited: It answers nothing.
     """

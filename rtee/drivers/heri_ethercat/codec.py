@@ -65,7 +65,7 @@ WARNINGS = Fault.CURRENT_LIMITED
 """Bits that are no faults: the board limits the current because it is hot."""
 
 LEAST_TORQUE = 1e-3
-"""Smallest torque that can be told a board [N·m]."""
+"""Smallest torque that can be sent to a board [N·m]."""
 
 
 def faults_of(word: int) -> Fault:
@@ -196,7 +196,7 @@ def acknowledged(raw: bytes, code: Order) -> bool | None:
     """Return what a board says to a command: done, refused, or ``None``: nothing yet.
 
     Raises:
-        HeriFrameError: if it is no acknowledgement.
+        HeriFrameError: if it is not an acknowledgement.
     """
     if len(raw) < 2:
         raise HeriFrameError("an acknowledgement has two bytes")

@@ -60,7 +60,7 @@ _BEST_RATE = 1000.0
 class HeriEthercatDriver(Driver):
     """The boards of a HERI II hand, with this program as their master.
 
-    The boards are brought to safe-operational to read where the motors stand, then to operational
+    The boards are brought to safe-operational to read where the motors are, then to operational
     with those positions for references, and powered only then: nothing jumps. A master that
     starts takes the network over, so there is no attaching to a hand that another one holds.
     """
@@ -93,7 +93,7 @@ class HeriEthercatDriver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Take the network over, identify the boards and read where the motors stand."""
+        """Take the network over, identify the boards and read where the motors are."""
         await self.close()
         options = self.options
         bus = await self.connection.open(
@@ -115,7 +115,7 @@ class HeriEthercatDriver(Driver):
         await self._operate()
 
     async def _operate(self) -> None:
-        """Bring the boards into operation, told to stand where they are.
+        """Bring the boards into operation, with references to stay where they are.
 
         A board leaves operation when the frames stop for longer than its watchdog, as they do on a
         computer that is busy for a moment. Before there is power that costs nothing but this.
@@ -172,7 +172,7 @@ class HeriEthercatDriver(Driver):
         self._references = [q for reply in self._replies for q in reply.positions]
 
     async def activate(self) -> None:
-        """Power the motors where they stand."""
+        """Power the motors where they are."""
         await self._in_operation()
         self._seed()
         for code in (Order.POWER_OFF, Order.DIRECT, Order.POWER_ON, Order.POSITION):

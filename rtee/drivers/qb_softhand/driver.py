@@ -181,7 +181,7 @@ class QbSoftHandDriver(Driver):
             self.mapping = TwoMotors(lower, upper)
 
     async def activate(self) -> None:
-        """Activate the motors where they stand; leaves a hand that is active alone."""
+        """Activate the motors where they are; leaves a hand that is active alone."""
         self.connection.link.patient = True
         if self.options.watchdog > 0.0:
             byte = codec.watchdog_byte(self.options.watchdog)
@@ -283,7 +283,7 @@ class QbSoftHandDriver(Driver):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Activate the motors again, where they stand."""
+        """Activate the motors again, where they are."""
         self.connection.link.patient = True
         await self.connection.link.send(Command.ACTIVATE, _BOTH)
         await self._confirm()

@@ -41,7 +41,7 @@ class QbOptions:
         speed: Of a motor [ticks/s].
         current_limit_ma: Of a motor [mA].
         friction_ma: Current of a motor that moves freely [mA].
-        gain_ma: Current per tick between reference and position [mA]; no document tells it.
+        gain_ma: Current per tick between reference and position [mA]; no document gives it.
         turnaround: Time between a request and its answer [s]; a USB adapter's latency, mostly.
         text: Its information text.
     """
@@ -118,7 +118,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return cls(read_properties(QbOptions, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
-        """Begin anew; the fingers stay where they are."""
+        """Restart; the fingers stay where they are."""
         self._parser = Parser()
         self._boot = now
         self._heard = now

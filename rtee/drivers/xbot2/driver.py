@@ -207,7 +207,7 @@ class XBot2Driver(Driver):
         if self.options.control == "limited":
             for i in chosen:
                 limit, most = float(reference.max_effort[i]), self.spec.actuators[i].effort
-                # Once it was told a smaller one, XBot2 must be told that all of it may be used.
+                # After a smaller limit, XBot2 must be sent that all of it may be used.
                 if limit < most or math.isfinite(self._limits[i]):
                     self._limits[i] = max(min(limit, most), 0.0)
         if self.options.control != "effort":

@@ -21,7 +21,7 @@ class JointOptions(BaseModel):
     Attributes:
         joint: Its name at the server; by default the actuator's.
         command: What is commanded at the actuator's lower and upper limit; by default the limits.
-        state: What is told there; by default as commanded.
+        state: What is reported there; by default as commanded.
         effort_sign: Sign of an effort that drives the actuator up.
     """
 
