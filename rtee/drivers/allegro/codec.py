@@ -128,10 +128,9 @@ class HandInfo:
 
 
 def side_of(info: HandInfo, serial: str) -> str:
-    """Return ``left`` or ``right``: from the information of version 4, the serial number
-    of version 5.
+    """Return ``left`` or ``right``, or nothing where the hand says neither.
 
-    Empty where the serial number of a version 5 says neither.
+    Version 4 says it in its information, version 5 in its serial number.
     """
     if info.version == 4:
         return "left" if info.handedness else "right"

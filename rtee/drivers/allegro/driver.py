@@ -57,8 +57,8 @@ class AllegroDriver(Driver):
     The hand sends its positions by itself every 2 or 3 ms and drives its joints with the torques it
     was sent last. So the joint control (PD about the reference) runs here, once per set of position
     frames, in the event loop and apart from the cycle of sense and move: `move` changes its
-    reference, `sense` returns what it measured last. The hand cannot hold anything by itself; without
-    the control it is switched off.
+    reference, `sense` returns what it measured last. The hand cannot hold anything by itself;
+    without the control it is switched off.
 
     Attributes:
         control: The joint control.
