@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtee.cli._common import ConnectOption, RunningOption
+from rtee.sample import COLUMNS, MEASURED
 
 if TYPE_CHECKING:
     from rtee.cli._table import Table
@@ -16,15 +17,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-_COLUMNS = {
-    "position": ("position", 4),
-    "velocity": ("velocity", 4),
-    "effort": ("effort", 3),
-    "current": ("current", 3),
-    "temperature": ("°C", 1),
-    "reference_position": ("reference", 4),
-}
-"""What is shown: headings and digits."""
+_COLUMNS = {name: COLUMNS[name] for name in (*MEASURED, "reference_position")}
+"""What is shown."""
 
 
 @app.command()
@@ -98,10 +92,10 @@ def _table(name: str, found: State) -> Table:
     # What no actuator measures would only take room.
     measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
     columns = [Column("actuator", whole=True)]
-    columns += [Column(_COLUMNS[c][0], right=True, whole=True) for c in measured]
+    columns += [Column(_COLUMNS[c].heading or c, right=True, whole=True) for c in measured]
     rows = []
     for i, actuator in enumerate(found.names):
-        values = [_number(float(getattr(found, c)[i]), _COLUMNS[c][1]) for c in measured]
+        values = [_number(float(getattr(found, c)[i]), _COLUMNS[c].digits) for c in measured]
         rows.append(Row((actuator.removeprefix(prefix), *values)))
     return Table(tuple(columns), tuple(rows), title)
 

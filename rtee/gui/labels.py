@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rtee.hand.names import common_prefix
+from rtee.sample import MEASURED
 
 
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -18,13 +19,4 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
 
 def units(quantity: str, *, slides: bool, turns: bool) -> str:
     """Return the unit of a quantity, of a hand whose actuators slide, turn or both."""
-    linear, angular = {
-        "position": ("m", "rad"),
-        "velocity": ("m/s", "rad/s"),
-        "effort": ("N", "N·m"),
-        "current": ("A", "A"),
-        "temperature": ("°C", "°C"),
-    }[quantity]
-    if linear == angular or not slides:
-        return angular
-    return f"{angular} | {linear}" if turns else linear
+    return MEASURED[quantity].unit_for(slides=slides, turns=turns)

@@ -18,7 +18,7 @@ from rtee.log.reader import read
 from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.recording import Recording
 from rtee.messages import topics
-from rtee.messages.convert import decode_loop_statistics
+from rtee.messages.convert import LOOP_STATISTICS
 from rtee.types import LoopStatistics
 
 _SECOND = 1e9
@@ -191,7 +191,7 @@ def _statistics(file: Survey) -> LoopStatistics | None:
                     array = np.frombuffer(data, dtype=np.uint8)
                     size = int(column_reader.lengths(array, np.array([start], dtype=np.int64))[0])
                     begin = start + MESSAGE.size
-                    return decode_loop_statistics(data[begin : begin + size])
+                    return LOOP_STATISTICS.decode(data[begin : begin + size])
             except (DamagedRecordError, MessageError):
                 continue
     return None

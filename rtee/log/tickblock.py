@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,21 +10,22 @@ import numpy as np
 
 from rtee.hand.transmission import Transmission
 from rtee.log.chunks import MESSAGE, message_head
-from rtee.loop.observer import TickRecord
 from rtee.messages.layout import (
-    ACTUATOR_STATE,
+    JOINT_ARRAYS,
     JOINT_STATE,
-    Parts,
-    actuator_state_fields,
+    STAMP,
+    Template,
     joint_state_fields,
     stamp_bytes,
 )
+from rtee.messages.state import actuator_state_pieces, actuator_state_template
+from rtee.sample import TickRecord
 from rtee.types import FloatArray
 
 _TIMES = struct.Struct("<IQQ")
-_TICK = struct.Struct("<Q")
-_TIME = struct.Struct("<d")
-_TIMES_OFFSET = MESSAGE.size - _TIMES.size
+"""End of a message record's head: sequence, log time and publish time [ns]."""
+
+_HEAD = MESSAGE.size - _TIMES.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,29 +64,23 @@ class TickEncoder:
         following = [row for row, name in enumerate(joints) if name not in actuators]
         self._transmission = transmission
         self._following = np.array(following, dtype=np.intp)
-        joints = [*actuators, *(joints[row] for row in following)]
+        self._no_effort = np.full(len(following), np.nan).tobytes()
         self._sequence = 0
+        fields = joint_state_fields([*actuators, *(joints[row] for row in following)])
+        changing = (STAMP, *JOINT_ARRAYS)
         messages = (
-            (channels.joint_states, JOINT_STATE, joint_state_fields(joints)),
-            (channels.actuator_states, ACTUATOR_STATE, actuator_state_fields(actuators)),
-            (channels.reference, JOINT_STATE, joint_state_fields(actuators)),
+            (channels.joint_states, Template(JOINT_STATE, fields, changing)),
+            (channels.actuator_states, actuator_state_template(actuators)),
+            (channels.reference, Template(JOINT_STATE, joint_state_fields(actuators), changing)),
         )
-        self._parts: list[bytes] = []
-        self._slots: list[dict[str, int]] = []
         self.layout: list[tuple[int, int]] = []
-        begin = 0
-        for channel, kind, fields in messages:
-            data = kind.encode(fields)
-            head = message_head(channel, 0, 0, len(data))
-            pieces = Parts(kind, data)
-            first = len(self._parts)
-            self._parts += [head[:_TIMES_OFFSET], head[_TIMES_OFFSET:], *pieces.parts]
-            slots = {name: first + 2 + index for name, index in pieces.slots.items()}
-            self._slots.append(slots | {"times": first + 1})
-            self.layout.append((channel, begin))
-            begin += MESSAGE.size + len(data)
-        self._size = begin
-        self._no_effort = np.full(len(following), math.nan).tobytes()
+        self._parts = [b""]  # constant and changing pieces by turns, as in a template
+        self._size = 0
+        for channel, message in messages:
+            self.layout.append((channel, self._size))
+            self._parts[-1] += message_head(channel, 0, 0, message.size)[:_HEAD]
+            self._parts += (b"", *message.parts)
+            self._size += MESSAGE.size + message.size
 
     def encode(self, record: TickRecord, wall_ns: int) -> bytes:
         """Return the message records of a tick.
@@ -96,36 +90,32 @@ class TickEncoder:
         Args:
             record: What was known at the tick.
             wall_ns: Its time [ns since 1970].
+
+        Raises:
+            ValueError: if the arrays do not fit the hand.
         """
-        sequence = self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        parts = self._parts
-        joints, actuators, reference = self._slots
-        times = _TIMES.pack(sequence, wall_ns, wall_ns)
-        stamp = stamp_bytes(wall_ns)
-        for slots in self._slots:
-            parts[slots["times"]] = times
-            parts[slots["stamp"]] = stamp
-        position = record.position.tobytes()
-        velocity = record.velocity.tobytes()
-        effort = record.effort.tobytes()
+        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        times, stamp = _TIMES.pack(self._sequence, wall_ns, wall_ns), stamp_bytes(wall_ns)
         followed = self._transmission.joints(record.position)[self._following]
         moved = self._transmission.velocities(record.position, record.velocity)[self._following]
-        parts[joints["position"]] = position + _rounded(followed)
-        parts[joints["velocity"]] = velocity + _rounded(moved)
-        parts[joints["effort"]] = effort + self._no_effort
-        parts[actuators["tick"]] = _TICK.pack(record.tick)
-        parts[actuators["time"]] = _TIME.pack(record.stamp)
-        parts[actuators["position"]] = position
-        parts[actuators["velocity"]] = velocity
-        parts[actuators["effort"]] = effort
-        parts[actuators["current"]] = record.current.tobytes()
-        parts[actuators["temperature"]] = record.temperature.tobytes()
-        parts[actuators["grasped"]] = record.grasped.tobytes()
-        parts[actuators["fresh"]] = record.fresh.tobytes()
-        parts[reference["position"]] = record.reference_position.tobytes()
-        parts[reference["velocity"]] = record.reference_velocity.tobytes()
-        parts[reference["effort"]] = record.reference_effort.tobytes()
-        block = b"".join(parts)
+        measured = actuator_state_pieces(record)
+        position, velocity, effort = measured[2:5]
+        self._parts[1::2] = [
+            times,
+            stamp,
+            position + _rounded(followed),
+            velocity + _rounded(moved),
+            effort + self._no_effort,
+            times,
+            stamp,
+            *measured,
+            times,
+            stamp,
+            record.reference_position.tobytes(),
+            record.reference_velocity.tobytes(),
+            record.reference_effort.tobytes(),
+        ]
+        block = b"".join(self._parts)
         if len(block) != self._size:
             raise ValueError("the arrays of a tick do not fit the hand")
         return block

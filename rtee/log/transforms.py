@@ -7,7 +7,7 @@ import numpy as np
 from rtee.hand.frames import JointFrames
 from rtee.hand.model import Hand
 from rtee.log.settings import RecorderSettings
-from rtee.messages.transforms import TransformsEncoder
+from rtee.messages.layout import TransformsEncoder
 from rtee.types import FloatArray
 
 _STEPS = float(2**36)

@@ -22,6 +22,7 @@ from rtee.errors import (
 )
 from rtee.loop.exchange_counters import Accounts
 from rtee.loop.settings import DeviceSettings
+from rtee.sample import measured_arrays
 from rtee.types import ActuatorState, Event, Lifecycle
 
 log = logging.getLogger(__name__)
@@ -130,8 +131,7 @@ class Connection:
 
     def _take(self, state: ActuatorState) -> None:
         n = len(self.indices)
-        sizes = {len(state.position), len(state.velocity), len(state.effort), len(state.current)}
-        if sizes != {n} or len(state.temperature) != n:
+        if {len(values) for values in measured_arrays(state)} != {n}:
             raise DriverError(
                 self.name, f"gave a state that is not one of {n} actuators", hint="mend its driver"
             )

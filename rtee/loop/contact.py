@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtee.loop.settings import GraspSettings, StallSettings
-from rtee.types import ActuatorSpec, FloatArray
+from rtee.sample import FloatArray, Measurements
+from rtee.types import ActuatorSpec
 
 _LOST_AFTER = 0.05
 """A grasp counts as lost when it looks so for this long [s]."""
@@ -57,6 +58,13 @@ class Measured:
     grasped: Sequence[int]
     current: Sequence[float] = ()
     touch: Sequence[float] = ()
+
+    def update(self, sample: Measurements) -> None:
+        """Take over from a sample what a controller needs of it."""
+        self.position = sample.position.tolist()
+        self.effort = sample.effort.tolist()
+        self.temperature = sample.temperature.tolist()
+        self.current = sample.current.tolist()
 
 
 def tip_forces(measured: Sequence[FloatArray]) -> list[float]:

@@ -21,12 +21,12 @@ from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.histogram import TickStatistics
-from rtee.loop.observer import TickRecord
 from rtee.loop.observers import Observers
 from rtee.loop.plan import Plan
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
 from rtee.loop.state_aggregator import Gather
 from rtee.loop.supervisor import Supervisor
+from rtee.sample import TickRecord, measured_arrays
 from rtee.types import (
     DeviceStatus,
     Event,
@@ -191,20 +191,16 @@ class HandTicks:
         if self.settings.safety.idle_disable is not None:
             self._rest_when_idle(stamp, self.settings.safety.idle_disable)
         record = self._record = TickRecord(
-            tick.number,
-            stamp,
-            tick.wall_ns,
-            gather.position,
-            gather.velocity,
-            gather.effort,
-            gather.current,
-            gather.temperature,
-            gather.fresh,
-            np.array(controller.reference_position),
-            np.array(controller.reference_velocity),
-            np.array(controller.reference_effort),
-            gather.grasped,
-            gather.extras,
+            *measured_arrays(gather.sample),
+            tick=tick.number,
+            stamp=stamp,
+            wall_ns=tick.wall_ns,
+            grasped=gather.grasped,
+            fresh=gather.fresh,
+            reference_position=np.array(controller.reference_position),
+            reference_velocity=np.array(controller.reference_velocity),
+            reference_effort=np.array(controller.reference_effort),
+            channels=gather.channels,
         )
         for device in self.devices.values():
             if device.due(tick.number):
