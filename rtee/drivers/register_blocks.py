@@ -5,15 +5,15 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import owner_of
-from rtee.errors import BusError, BusTimeout, NotConnected
+from rtee.drivers.connection import Connection
+from rtee.errors import BusError, BusTimeout
 from rtee.types import DeviceSpec
 
 ExchangeKind = Literal["auto", "combined", "separate"]
@@ -158,25 +158,25 @@ class BlocksDriver(Driver):
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self._bus: ModbusBus | None = None
-        self._blocks: Blocks | None = None
+        self.connection: Connection[Blocks] = Connection(spec)
         self._active = False
 
     def _pace(self, best: float) -> None:
         """Let an exchange take no longer than its share of ticks, for a best rate [Hz]."""
         every = self.spec.every or math.ceil(self.spec.rate / best)
-        self._open().deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
+        usual = max(1.5 * every / self.spec.rate, 5.0 / best)
+        self.connection.link.deadline = self.spec.deadline or usual
 
     def _last_read(self) -> tuple[tuple[int, ...], float] | None:
         """Return what the last exchange brought and when [s], unless it was long ago or is used."""
         period = (self.spec.every or 1) / self.spec.rate
-        return self._open().fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
+        return self.connection.link.fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
 
     async def _insist(self, registers: Sequence[int]) -> bool:
         """Write what must arrive; return whether it did."""
-        for _ in range(_TRIES if self._blocks is not None else 0):
+        for _ in range(_TRIES if self.connection.is_open else 0):
             with contextlib.suppress(BusError):
-                await self._open().write(registers)
+                await self.connection.link.write(registers)
                 return True
         return False
 
@@ -186,17 +186,6 @@ class BlocksDriver(Driver):
         self._active = False
 
     async def close(self) -> None:
-        """Give the link back."""
+        """Detach from the bus."""
         self._active = False
-        bus, self._bus, self._blocks = self._bus, None, None
-        if bus is not None:
-            await bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the link."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
-
-    def _open(self) -> Blocks:
-        if self._blocks is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._blocks
+        await super().close()

@@ -14,7 +14,6 @@ from typing import ClassVar, Generic, TypeVar
 
 from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import owner_of
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.robotiq_faults import NOT_ACTIVATED, Fault
 from rtee.drivers.robotiq_kinds import RobotiqSettings, RobotiqStatus
@@ -108,28 +107,29 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
 
     async def configure(self) -> None:
         """Open the line and see whether such a gripper answers; moves nothing."""
-        await self.close()
         settings = self._settings
-        self._bus = bus = await self.buses.modbus(
-            settings.port,
-            owner=owner_of(self.spec),
-            baudrate=settings.baudrate,
-            emulator=self._emulator(),
-        )
         output, source, function = self._places()
         # Where both blocks begin at the same place, function 23 cannot tell them apart.
         mixed = output == source and settings.exchange == "auto"
-        self._blocks = Blocks(
-            bus,
-            settings.unit,
-            output=output,
-            source=source,
-            count=self.COUNT,
-            deadline=PATIENT,
-            kind="separate" if mixed else settings.exchange,
-            function=function,
+        blocks = await self.connection.open(
+            self.buses.modbus(
+                settings.port,
+                owner=self.connection.owner,
+                baudrate=settings.baudrate,
+                emulator=self._emulator(),
+            ),
+            lambda bus: Blocks(
+                bus,
+                settings.unit,
+                output=output,
+                source=source,
+                count=self.COUNT,
+                deadline=PATIENT,
+                kind="separate" if mixed else settings.exchange,
+                function=function,
+            ),
         )
-        best = self._blocks.best_rate(self.COUNT)
+        best = blocks.best_rate(self.COUNT)
         self.capabilities = self._abilities(best)
         await self._identify()
         self._pace(best)
@@ -153,7 +153,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
 
     async def activate(self) -> None:
         """Attach to an active gripper; activate an inactive one where that was asked for."""
-        with self._open().unhurried():
+        with self.connection.link.unhurried():
             status = self._status = await self._read()
         self._refuse(status)
         allowed = self._settings.home == "on_connect" or self._home_asked
@@ -179,7 +179,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         """Do what moves the gripper by itself, in time; cancelling stops it."""
         self.doing = doing
         try:
-            with self._open().unhurried():
+            with self.connection.link.unhurried():
                 async with asyncio.timeout(self._settings.activation_timeout):
                     await steps()
         except BusTimeout:
@@ -239,7 +239,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
 
     async def move(self, reference: Reference) -> None:
         """Send positions, speeds and forces in one frame, and read what the gripper says to it."""
-        blocks = self._open()
+        blocks = self.connection.link
         registers = self._asked(reference)
         if registers is None:
             return
@@ -251,12 +251,12 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
 
     async def stop(self) -> None:
         """Clear rGTO: the fingers stop where they are, and what they hold stays held."""
-        if self._blocks is not None and await self._insist(self._stopping()):
+        if await self._insist(self._stopping()):
             self._forget()
 
     async def recover(self) -> None:
         """Clear a fault; where that costs the activation, the next `activate` may move."""
-        with self._open().unhurried():
+        with self.connection.link.unhurried():
             status = self._status = await self._read()
             fault = self.FAULTS.get(status.fault)
             if fault is not None and fault.major:
@@ -293,7 +293,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
     # --- the wire ----------------------------------------------------------------------------
 
     async def _read(self) -> S:
-        return self._told(await self._open().read())
+        return self._told(await self.connection.link.read())
 
     async def _write(self, registers: Sequence[int]) -> None:
-        await self._open().write(registers, PATIENT)
+        await self.connection.link.write(registers, PATIENT)

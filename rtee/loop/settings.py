@@ -179,7 +179,7 @@ class LoopSettings:
         goal_timeout: Longest time a goal may take that gives none [s].
         profile: The profile between set-points.
         stall: Stall detection.
-        grasp: Grasp detection and holding effort.
+        grasp: Grasp detection and grip effort.
         safety: What happens when something ends or breaks.
         thermal: Temperatures.
         feedback_rate: Feedback is given at most this often [Hz].

@@ -37,7 +37,7 @@ OFFLINE = [
     *(p for p in (ROOT / "rtee" / "extract").glob("*.py") if not p.name.startswith("report")),
     *(
         ROOT / "rtee" / "hand" / f"{n}.py"
-        for n in ("geometry", "halton", "kinematics", "linalg", "touching")
+        for n in ("geometry", "halton", "kinematics", "linalg", "allowed_collisions")
     ),
 ]
 """What decides which primitives are found, and what is written about them."""

@@ -370,7 +370,7 @@ async def test_ten_minutes_on_a_rigid_object_stay_cool_and_hold(hand: Hand) -> N
         assert "thermal" not in rig.watcher.kinds()
 
 
-async def test_heat_warns_then_derates_then_releases(hand: Hand) -> None:
+async def test_heat_warns_then_derates_then_disables(hand: Hand) -> None:
     settings = LoopSettings(
         rate=50.0,
         grasp=GraspSettings(grip_after=1e6),

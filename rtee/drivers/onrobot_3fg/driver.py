@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.onrobot_3fg.codec import (
     FIRMWARE,
     GEOMETRY,
@@ -32,7 +32,6 @@ from rtee.drivers.onrobot_3fg.codec import (
     offset_metres,
     serial_number,
 )
-from rtee.drivers.onrobot_3fg.emulator import OnRobot3FGEmulator
 from rtee.drivers.onrobot_3fg.options import OnRobot3FGOptions
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
@@ -106,30 +105,30 @@ class OnRobot3FGDriver(BlocksDriver):
 
     async def configure(self) -> None:
         """Open the connection and see whether a 3FG answers; moves nothing."""
-        await self.close()
         options = self.options
-        self._bus = bus = await self.buses.modbus(
-            options.address,
-            owner=owner_of(self.spec),
-            baudrate=options.baudrate,
-            parity="E",
-            emulator=emulator_of(self.spec, OnRobot3FGEmulator, port=options.address),
+        blocks = await self.connection.open(
+            self.buses.modbus(
+                options.address,
+                owner=self.connection.owner,
+                baudrate=options.baudrate,
+                parity="E",
+                emulator=emulator_of(self.spec, "onrobot_3fg", port=options.address),
+            ),
+            lambda bus: Blocks(
+                bus,
+                options.unit,
+                output=TARGETS,
+                source=STATUS,
+                count=STATUS_COUNT,
+                deadline=PATIENT,
+                kind=options.exchange,
+                refresh=0.0,
+            ),
         )
-        self._blocks = Blocks(
-            bus,
-            options.unit,
-            output=TARGETS,
-            source=STATUS,
-            count=STATUS_COUNT,
-            deadline=PATIENT,
-            kind=options.exchange,
-            refresh=0.0,
-        )
-        best = (
-            self._blocks.best_rate(len(Command(0, 0).to_registers())) if bus.rtu else options.rate
-        )
+        sent = len(Command(0, 0).to_registers())
+        best = blocks.best_rate(sent) if blocks.bus.rtu else options.rate
         try:
-            identity = await self._identify(bus)
+            identity = await self._identify(blocks.bus)
         except BusTimeout as error:
             raise self._absent("no answer") from error
         except ModbusRefusal as error:
@@ -188,7 +187,7 @@ class OnRobot3FGDriver(BlocksDriver):
 
     async def activate(self) -> None:
         """See that the calibration is valid; the gripper needs no activation and no homing."""
-        with self._open().unhurried():
+        with self.connection.link.unhurried():
             self._status = await self._read()
         self._refuse(self._status)
         self._sent = None
@@ -211,20 +210,20 @@ class OnRobot3FGDriver(BlocksDriver):
         if self._active:
             self._refuse(status)
         return ActuatorState.measured(
-            [self.scale.measured(status.raw_diameter)],
+            [self.scale.position.to_si(status.raw_diameter)],
             stamp,
-            effort=[self.scale.effort(status.force)],
+            effort=[self.scale.effort.to_si(status.force)],
             grasped=(status.grip_detected,),
         )
 
     async def move(self, reference: Reference) -> None:
         """Follow a reference that changes, grip at one that rests; in one frame."""
-        blocks = self._open()
+        blocks = self.connection.link
         if not reference.mask[0]:
             return
         command = self._next(
-            self.scale.register(float(reference.position[0])),
-            self.scale.force_register(float(reference.max_effort[0])),
+            self.scale.position.to_count(float(reference.position[0])),
+            self.scale.effort.to_count(float(reference.max_effort[0])),
             time.monotonic(),
         )
         if command is None:
@@ -282,8 +281,6 @@ class OnRobot3FGDriver(BlocksDriver):
 
     async def stop(self) -> None:
         """End the motion; what is gripped stays gripped."""
-        if self._blocks is None:
-            return
         status = self._status
         force = self._sent.force if self._sent else status.force
         command = self._command(force, status.raw_diameter, Control.STOP)
@@ -292,7 +289,7 @@ class OnRobot3FGDriver(BlocksDriver):
 
     async def recover(self) -> None:
         """Stop, and see that the calibration is valid again."""
-        with self._open().unhurried():
+        with self.connection.link.unhurried():
             self._status = await self._read()
         self._refuse(self._status)
         await self.stop()
@@ -310,4 +307,4 @@ class OnRobot3FGDriver(BlocksDriver):
     # --- the wire ----------------------------------------------------------------------------
 
     async def _read(self) -> Status:
-        return Status.from_registers(await self._open().read(), self.options.address)
+        return Status.from_registers(await self.connection.link.read(), self.options.address)

@@ -32,7 +32,6 @@ from rtee.drivers.robotiq_2f.codec import (
     Scale,
     Status,
 )
-from rtee.drivers.robotiq_2f.emulator import Robotiq2FEmulator
 from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
@@ -99,7 +98,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             return
         # Inactive grippers of two and three fingers differ only in what follows: there the other
         # gripper tells where its second and third finger are.
-        bus, options = self._open().bus, self.options
+        bus, options = self.connection.link.bus, self.options
         try:
             block = await bus.read(
                 options.unit, INPUT, _MORE, deadline=PATIENT, function=self._places()[2]
@@ -122,7 +121,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
     def _emulator(self) -> EmulatorFactory | None:
         # Found active, as after an earlier run, unless it is to be homed on connecting.
         found = {"activated": self.options.home == "on_demand", **self.options.emulator}
-        return emulator_of(self.spec, Robotiq2FEmulator, emulator=found)
+        return emulator_of(self.spec, "robotiq_2f", emulator=found)
 
     def _places(self) -> tuple[int, int, int]:
         base = self.options.register_base
@@ -142,7 +141,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             text = f"the optional controller reports fault {status.controller_fault}"
             warnings = (*warnings, text)
         return ActuatorState.measured(
-            [self.scale.position(status.position)],
+            [self.scale.position.to_si(status.position)],
             stamp,
             current=[status.current],
             grasped=(self._grasped(status),),
@@ -177,9 +176,9 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
         command = Command(
             activate=True,
             go=True,
-            position=self.scale.count(float(reference.position[0])),
-            speed=self.scale.speed_count(float(reference.max_velocity[0])),
-            force=self.scale.force_count(float(reference.max_effort[0])),
+            position=self.scale.position.to_count(float(reference.position[0])),
+            speed=self.scale.velocity.to_count(float(reference.max_velocity[0])),
+            force=self.scale.effort.to_count(float(reference.max_effort[0])),
         )
         if abs(command.position - status.position) <= SAME:
             if self._sent is None:
@@ -219,7 +218,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             ConfigError: if the file cannot be written.
         """
         await ready("Take everything out of the gripper's reach: it will close and open fully.")
-        self._open().deadline = PATIENT
+        self.connection.link.deadline = PATIENT
         self._home_asked = True
         await self.activate()
         closed = await self._end_stop(255)

@@ -16,6 +16,7 @@ from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 from rtee.drivers.robotiq_2f.codec import (
+    COUNTS,
     INPUT,
     MODELS,
     OUTPUT,
@@ -24,6 +25,7 @@ from rtee.drivers.robotiq_2f.codec import (
     Grasp,
     Status,
 )
+from rtee.drivers.scale import LinearScale
 
 _BLOCK = 8
 _FAULT_CODES = {
@@ -278,10 +280,9 @@ class Robotiq2FEmulator(ModbusEmulator, Grasps):
 
     def _set(self, speed: int, force: int) -> None:
         counts = self.axis.upper - self.axis.lower
-        low, high = self.model.speed
-        self.axis.max_velocity = (low + (high - low) * speed / 255) * counts / self.model.stroke
-        low, high = self.model.force
-        self.axis.max_effort = low + (high - low) * force / 255
+        speed_of_tips = LinearScale(COUNTS, self.model.speed).to_si(speed)
+        self.axis.max_velocity = speed_of_tips * counts / self.model.stroke
+        self.axis.max_effort = LinearScale(COUNTS, self.model.force).to_si(force)
 
     def _obey(self, command: Command) -> None:
         if self._fault in _STOPPING or self._releasing:

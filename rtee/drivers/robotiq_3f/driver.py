@@ -17,15 +17,14 @@ from rtee.drivers.robotiq_3f.codec import (
     FAULTS,
     INPUT,
     OUTPUT,
+    SCALES,
     AxisStatus,
     Command,
     Contact,
     Mode,
     Request,
-    Scale,
     Status,
 )
-from rtee.drivers.robotiq_3f.emulator import Robotiq3FEmulator
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.robotiq_faults import Fault
@@ -58,7 +57,6 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(Robotiq3FOptions, spec)
         self.roles = roles_of(spec, self.options)
-        self.scale = Scale()
         self._individual = any(role in ("a", "b", "c") for role in self.roles)
         self._scissor = "scissor" in self.roles
         self._sent: Command | None = None
@@ -84,7 +82,7 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
     def _emulator(self) -> EmulatorFactory | None:
         # Found active, as after an earlier run, unless it is to be homed on connecting.
         found = {"activated": self.options.home == "on_demand", **self.options.emulator}
-        return emulator_of(self.spec, Robotiq3FEmulator, emulator=found)
+        return emulator_of(self.spec, "robotiq_3f", emulator=found)
 
     def _places(self) -> tuple[int, int, int]:
         network, base = self.options.port.startswith("tcp://"), self.options.register_base
@@ -124,7 +122,7 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
 
     def _measured(self, status: Status, stamp: float) -> ActuatorState:
         return ActuatorState.measured(
-            [self.scale.angle(role, self._position(role)) for role in self.roles],
+            [SCALES[role].angle(self._position(role)) for role in self.roles],
             stamp,
             current=[self._current(role) for role in self.roles],
             grasped=tuple(self._grasped(role) for role in self.roles),
@@ -171,10 +169,11 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
         for index, role in enumerate(self.roles):
             if not reference.mask[index]:
                 continue
+            scale = SCALES[role]
             request = Request(
-                self.scale.count(role, float(reference.position[index])),
-                self.scale.speed_count(role, float(reference.max_velocity[index])),
-                self.scale.force_count(role, float(reference.max_effort[index])),
+                scale.position.to_count(float(reference.position[index])),
+                scale.velocity.to_count(float(reference.max_velocity[index])),
+                scale.effort.to_count(float(reference.max_effort[index])),
             )
             stays = abs(request.position - self._position(role)) <= SAME
             moving |= not stays

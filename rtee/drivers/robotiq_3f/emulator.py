@@ -17,9 +17,13 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 from rtee.drivers.robotiq_3f.codec import (
     COUNT,
+    COUNTS,
     FAULTS,
+    FORCE,
     INPUT,
     OUTPUT,
+    SPEED,
+    STROKE,
     AxisStatus,
     Command,
     Contact,
@@ -27,9 +31,9 @@ from rtee.drivers.robotiq_3f.codec import (
     Motion,
     Progress,
     Request,
-    Scale,
     Status,
 )
+from rtee.drivers.scale import LinearScale
 
 _FAULT_CODES = {
     "scissor_obstructed": 0x0A,
@@ -37,6 +41,10 @@ _FAULT_CODES = {
     "mode_change_failed": 0x0E,
 }
 _SCISSOR_OF = {Mode.BASIC: 0x89, Mode.PINCH: 0xDC, Mode.WIDE: 0x19, Mode.SCISSOR: 0x19}
+_VELOCITY = LinearScale(COUNTS, (SPEED[0] * 255 / STROKE, SPEED[1] * 255 / STROKE))
+"""rSPx to [counts/s] of gPOx."""
+_FORCE = LinearScale(COUNTS, FORCE)
+"""rFRx to [N]."""
 _OPEN = 6
 """Count of a finger that is fully open."""
 
@@ -81,7 +89,6 @@ class Robotiq3FEmulator(ModbusEmulator, Grasps):
     def __init__(self, properties: Robotiq3FProperties | None = None) -> None:
         made = self.properties = properties or Robotiq3FProperties()
         super().__init__(made.unit, made.framing, baudrate=made.baudrate, functions=made.functions)
-        self.scale = Scale()
         self.axes = [*(self._made(_OPEN, _OPEN) for _ in range(3)), self._made(0x89, 0)]
         self.output = [0] * COUNT
         self.moves = 0
@@ -129,7 +136,7 @@ class Robotiq3FEmulator(ModbusEmulator, Grasps):
 
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close; the scissor meets nothing."""
-        return [Closing(axis, _OPEN, axis.upper, self.scale.force[1]) for axis in self.axes[:3]]
+        return [Closing(axis, _OPEN, axis.upper, FORCE[1]) for axis in self.axes[:3]]
 
     def grip_object(self, count: int = 150, stiffness: float = 10.0, force: int = 128) -> None:
         """Close on an object met at ``count``, as if another program had gripped it before."""
@@ -280,11 +287,8 @@ class Robotiq3FEmulator(ModbusEmulator, Grasps):
         for axis, request in zip(
             self.axes, [*wanted, command.axes[3] if command.scissor else scissor], strict=True
         ):
-            per_count = self.scale.stroke / 255
-            low, high = self.scale.speed
-            axis.max_velocity = (low + (high - low) * request.speed / 255) / per_count
-            low, high = self.scale.force
-            axis.max_effort = low + (high - low) * request.force / 255
+            axis.max_velocity = _VELOCITY.to_si(request.speed)
+            axis.max_effort = _FORCE.to_si(request.force)
             # A position beyond the end is replaced by the end, and that counts as reached.
             target = min(max(float(request.position), axis.lower), axis.upper)
             changed |= axis.target != target
@@ -300,7 +304,7 @@ class Robotiq3FEmulator(ModbusEmulator, Grasps):
         self._releasing = True
         self._fault = 0x0B
         for axis in self.axes[:3]:
-            axis.max_velocity = self.scale.speed[0] * 255 / self.scale.stroke
+            axis.max_velocity = _VELOCITY.to_si(0)
             axis.target = _OPEN
 
     def _change_mode(self, mode: Mode) -> None:

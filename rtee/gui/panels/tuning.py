@@ -1,4 +1,4 @@
-"""Tuning while the hand runs: the holding effort, and gains of devices that have some."""
+"""Tuning while the hand runs: the grip effort, and gains of devices that have some."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _NONE = "–"
 
 
 class TuningPanel:
-    """The holding effort and the devices' gains."""
+    """The grip effort and the devices' gains."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
         """Put it where the GUI builds now."""

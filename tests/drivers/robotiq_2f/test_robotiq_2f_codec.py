@@ -135,31 +135,28 @@ def scales() -> list[Scale]:
     ]
 
 
-@pytest.mark.parametrize("scale", scales(), ids=lambda s: s.model.name)
+@pytest.mark.parametrize("scale", scales(), ids=list(MODELS))
 def test_every_count_comes_back(scale: Scale) -> None:
     for count in range(scale.open_count, scale.closed_count + 1):
-        assert scale.count(scale.position(count)) == count
+        assert scale.position.to_count(scale.position.to_si(count)) == count
     for count in range(256):
-        assert scale.speed_count(scale.velocity(count)) == count
-        assert scale.force_count(scale.effort(count)) == count
+        assert scale.velocity.to_count(scale.velocity.to_si(count)) == count
+        assert scale.effort.to_count(scale.effort.to_si(count)) == count
 
 
-@pytest.mark.parametrize("scale", scales(), ids=lambda s: s.model.name)
-def test_the_width_is_the_stroke_when_open_and_nothing_when_closed(scale: Scale) -> None:
-    assert scale.width(scale.opened) == pytest.approx(scale.model.stroke)
-    assert scale.width(scale.closed) == pytest.approx(0.0)
-    for width in (0.0, 0.01, 0.02):
-        assert scale.width(scale.at_width(width)) == pytest.approx(width)
-    closer = scale.width(scale.position(150)) - scale.width(scale.position(151))
-    assert closer == pytest.approx(scale.model.stroke / (scale.closed_count - scale.open_count))
+def test_the_actuator_is_at_its_ends_where_the_gripper_is() -> None:
+    scale = Scale(MODELS["2f_140"], 0.1, 0.7, open_count=13)
+    assert scale.position.to_si(13) == pytest.approx(0.1)
+    assert scale.position.to_si(230) == pytest.approx(0.7)
+    assert scale.position.to_count(math.inf) == 255
 
 
 def test_effort_and_velocity_are_those_of_the_fingertips_by_virtual_work() -> None:
     scale = Scale(MODELS["2f_85"], 0.0, 0.8)
-    assert scale.effort(255) == pytest.approx(235.0 * 0.085 / 0.8)
-    assert scale.velocity(255) == pytest.approx(0.150 * 0.8 / 0.085)
-    assert scale.force_count(math.inf) == scale.speed_count(math.inf) == 255
-    assert scale.force_count(0.0) == scale.speed_count(0.0) == 0
+    assert scale.effort.to_si(255) == pytest.approx(235.0 * 0.085 / 0.8)
+    assert scale.velocity.to_si(255) == pytest.approx(0.150 * 0.8 / 0.085)
+    assert scale.effort.to_count(math.inf) == scale.velocity.to_count(math.inf) == 255
+    assert scale.effort.to_count(0.0) == scale.velocity.to_count(0.0) == 0
 
 
 def test_every_fault_has_a_name_and_all_but_warnings_a_hint() -> None:
