@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
@@ -14,8 +16,7 @@ from rtee.log.chunks import MESSAGE
 from rtee.log.file_index import ChunkPlace, Survey, survey
 from rtee.log.layout import MESHES
 from rtee.log.plans import plan_of
-from rtee.log.prefetch import chunks_ahead
-from rtee.log.record_scanner import DamagedRecordError
+from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.recording import ActuatorSeries, Channel, Entry, JointSeries, Recording
 from rtee.log.rotation import parts_of, recordings
 from rtee.log.sink import reason
@@ -30,6 +31,12 @@ from rtee.types import FloatArray, Goal
 T = TypeVar("T")
 
 _SECOND = 1e9
+"""Nanoseconds in a second."""
+
+_AHEAD = 4
+"""Chunks that are decompressed in advance: two are enough to keep the thread busy, and those of a
+few seconds need little memory."""
+
 _TABLES = (topics.JOINT_STATES, topics.ACTUATOR_STATES, topics.REFERENCE)
 
 Fields = Mapping[str, Any]
@@ -155,7 +162,7 @@ class _Collector:
             if not place.indexes or channels.keys() & place.indexes.keys()
         ]
         with file.path.open("rb") as stream:
-            for place, data in chunks_ahead(file.path, wanted):
+            for place, data in _chunks_ahead(file.path, wanted):
                 if isinstance(data, DamagedRecordError):
                     self._notes.append(str(data))
                 else:
@@ -297,6 +304,39 @@ class _Collector:
             stamp = float(fields.get("time", 0.0))
             entries.append(Entry((time - start) / _SECOND, time, stamp, value, number))
         return sorted(entries, key=lambda entry: entry.wall)
+
+
+def _chunks_ahead(
+    path: Path, places: Sequence[ChunkPlace]
+) -> Iterator[tuple[ChunkPlace, bytes | DamagedRecordError]]:
+    """Yield chunks with their uncompressed records, or with what is wrong with them.
+
+    A thread reads and decompresses the next chunks while the ones before are taken apart.
+
+    Raises:
+        OSError: if the file cannot be read.
+    """
+
+    def load(place: ChunkPlace) -> bytes | DamagedRecordError:
+        try:
+            return messages_of(place.record.read(stream))[0]
+        except DamagedRecordError as error:
+            return error
+
+    with path.open("rb") as stream, ThreadPoolExecutor(1, "rtee-chunks") as pool:
+        waiting: deque[tuple[ChunkPlace, Future[bytes | DamagedRecordError]]] = deque()
+        try:
+            for place in places:
+                waiting.append((place, pool.submit(load, place)))
+                if len(waiting) > _AHEAD:
+                    first, future = waiting.popleft()
+                    yield first, future.result()
+            while waiting:
+                first, future = waiting.popleft()
+                yield first, future.result()
+        finally:
+            for _, future in waiting:
+                future.cancel()
 
 
 def _channels_of(messages: Sequence[Message], start: int) -> dict[str, Channel]:

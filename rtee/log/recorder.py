@@ -25,14 +25,7 @@ from rtee.log.writer import ITSELF, Item, LogWriter
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
 from rtee.sample import TickRecord
-from rtee.types import (
-    DeviceStatus,
-    Event,
-    Feedback,
-    Goal,
-    LoopStatistics,
-    Result,
-)
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 log = logging.getLogger(__name__)
 

@@ -17,35 +17,13 @@ from rtee.log.layout import CHANNELS, Contents
 from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
-from rtee.log.tickblock import TickChannels, TickEncoder
-from rtee.log.transforms import LinkTransforms
+from rtee.log.tick_messages import LinkTransforms, TickEncoder
 from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
 from rtee.messages.codec import Codec, channel_fields, header
 from rtee.messages.schema import message_type
-from rtee.messages.topics import (
-    ACTUATOR_STATES,
-    COMMANDS,
-    DEVICE_STATUS,
-    EVENTS,
-    FEEDBACK,
-    GOALS,
-    JOINT_STATES,
-    LOOP_STATISTICS,
-    PLANS,
-    REFERENCE,
-    RESULTS,
-    TF,
-)
 from rtee.sample import FloatArray, TickRecord
-from rtee.types import (
-    DeviceStatus,
-    Event,
-    Feedback,
-    Goal,
-    LoopStatistics,
-    Result,
-)
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 Item = Goal | Plan | CommandRecord | Feedback | Result | Event | DeviceStatus | LoopStatistics
 """What is recorded besides ticks."""
@@ -57,13 +35,13 @@ FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
 """Kinds of events that make the flight recorder write; so does every event of severity error."""
 
 _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
-    Goal: (GOALS, convert.GOAL),
-    CommandRecord: (COMMANDS, convert.COMMAND),
-    Feedback: (FEEDBACK, convert.FEEDBACK),
-    Result: (RESULTS, convert.RESULT),
-    Event: (EVENTS, convert.EVENT),
-    DeviceStatus: (DEVICE_STATUS, convert.DEVICE_STATUS),
-    LoopStatistics: (LOOP_STATISTICS, convert.LOOP_STATISTICS),
+    Goal: (topics.GOALS, convert.GOAL),
+    CommandRecord: (topics.COMMANDS, convert.COMMAND),
+    Feedback: (topics.FEEDBACK, convert.FEEDBACK),
+    Result: (topics.RESULTS, convert.RESULT),
+    Event: (topics.EVENTS, convert.EVENT),
+    DeviceStatus: (topics.DEVICE_STATUS, convert.DEVICE_STATUS),
+    LoopStatistics: (topics.LOOP_STATISTICS, convert.LOOP_STATISTICS),
 }
 """What is recorded besides ticks and plans: its topic, and what encodes it."""
 
@@ -115,7 +93,11 @@ class LogWriter:
             hand.joint_names,
             hand.actuator_names,
             hand.transmission,
-            TickChannels(CHANNELS[JOINT_STATES], CHANNELS[ACTUATOR_STATES], CHANNELS[REFERENCE]),
+            (
+                CHANNELS[topics.JOINT_STATES],
+                CHANNELS[topics.ACTUATOR_STATES],
+                CHANNELS[topics.REFERENCE],
+            ),
         )
         self._transforms = LinkTransforms(hand, contents.rate, settings)
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
@@ -172,7 +154,7 @@ class LogWriter:
         if record.channels:
             self._add_extras(record, wall)
         if self._transforms.due(record.tick):
-            self._add(TF, wall, self._transforms.encode(record.position, wall))
+            self._add(topics.TF, wall, self._transforms.encode(record.position, wall))
         self._begun()
 
     def _add_extras(self, record: TickRecord, wall: int) -> None:
@@ -196,7 +178,7 @@ class LogWriter:
             return
         wall = self.wall_of(stamp)
         if isinstance(item, Plan):
-            self._add(PLANS, wall, encode_plan(item, self._actuators, time=stamp, wall=wall))
+            self._add(topics.PLANS, wall, encode_plan(item, self._actuators, time=stamp, wall=wall))
         else:
             topic, codec = _CODECS[type(item)]
             self._add(topic, wall, codec.encode(item, time=stamp, wall=wall))
@@ -281,7 +263,7 @@ class LogWriter:
         now = self._stamp if self._simulated else self._monotonic()
         event = Event(kind, ITSELF, text, now, "warning")
         wall = self.wall_of(event.stamp)
-        self._add(EVENTS, wall, convert.EVENT.encode(event, wall=wall))
+        self._add(topics.EVENTS, wall, convert.EVENT.encode(event, wall=wall))
         if self._notify is not None:
             with contextlib.suppress(RuntimeError):  # the loop that would be told has ended
                 self._notify(event)

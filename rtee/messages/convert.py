@@ -20,16 +20,7 @@ from rtee.commands import (
 from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
-from rtee.types import (
-    DeviceStatus,
-    Event,
-    Feedback,
-    Goal,
-    Lifecycle,
-    LoopStatistics,
-    Result,
-    Stage,
-)
+from rtee.types import DeviceStatus, Event, Feedback, Goal, Lifecycle, LoopStatistics, Result, Stage
 
 _STRING = message_type("std_msgs/msg/String")
 

@@ -1,20 +1,23 @@
-"""The messages of one tick: joint states, actuator states and reference, packed only once."""
+"""What is known at a tick as messages: its states and reference, and the transforms of links."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from rtee.hand.frames import JointFrames
+from rtee.hand.model import Hand
 from rtee.hand.transmission import Transmission
 from rtee.log.chunks import MESSAGE, message_head
+from rtee.log.settings import RecorderSettings
 from rtee.messages.layout import (
     JOINT_ARRAYS,
     JOINT_STATE,
     STAMP,
     Template,
+    TransformsEncoder,
     joint_state_fields,
     stamp_bytes,
 )
@@ -26,15 +29,11 @@ _TIMES = struct.Struct("<IQQ")
 """End of a message record's head: sequence, log time and publish time [ns]."""
 
 _HEAD = MESSAGE.size - _TIMES.size
+"""What is constant of that head [bytes]."""
 
-
-@dataclass(frozen=True, slots=True)
-class TickChannels:
-    """Identifiers of the channels that get a message at every tick."""
-
-    joint_states: int
-    actuator_states: int
-    reference: int
+_STEPS = float(2**36)
+"""Transforms are rounded to steps of 1.5e-11 [m | 1], far below what can be seen or measured: their
+last digits would only fill the files."""
 
 
 class TickEncoder:
@@ -48,7 +47,7 @@ class TickEncoder:
         joints: Names of all moving joints.
         actuators: Names of the actuators.
         transmission: From actuators to joints.
-        channels: The channels.
+        channels: Identifiers of the channels of joint states, actuator states and reference.
 
     Attributes:
         layout: Channel and offset of each message record in the block.
@@ -59,7 +58,7 @@ class TickEncoder:
         joints: Sequence[str],
         actuators: Sequence[str],
         transmission: Transmission,
-        channels: TickChannels,
+        channels: tuple[int, int, int],
     ) -> None:
         following = [row for row, name in enumerate(joints) if name not in actuators]
         self._transmission = transmission
@@ -69,14 +68,14 @@ class TickEncoder:
         fields = joint_state_fields([*actuators, *(joints[row] for row in following)])
         changing = (STAMP, *JOINT_ARRAYS)
         messages = (
-            (channels.joint_states, Template(JOINT_STATE, fields, changing)),
-            (channels.actuator_states, actuator_state_template(actuators)),
-            (channels.reference, Template(JOINT_STATE, joint_state_fields(actuators), changing)),
+            Template(JOINT_STATE, fields, changing),
+            actuator_state_template(actuators),
+            Template(JOINT_STATE, joint_state_fields(actuators), changing),
         )
         self.layout: list[tuple[int, int]] = []
         self._parts = [b""]  # constant and changing pieces by turns, as in a template
         self._size = 0
-        for channel, message in messages:
+        for channel, message in zip(channels, messages, strict=True):
             self.layout.append((channel, self._size))
             self._parts[-1] += message_head(channel, 0, 0, message.size)[:_HEAD]
             self._parts += (b"", *message.parts)
@@ -123,3 +122,49 @@ class TickEncoder:
 
 def _rounded(values: FloatArray) -> bytes:
     return values.astype(np.float32).astype(np.float64).tobytes()
+
+
+class LinkTransforms:
+    """Encodes where the links of the moving joints stand.
+
+    Args:
+        hand: The hand.
+        rate: Rate of its loop [Hz].
+        settings: How often, among others.
+    """
+
+    def __init__(self, hand: Hand, rate: float, settings: RecorderSettings) -> None:
+        self._frames = JointFrames(hand)
+        self._transmission = hand.transmission
+        self._last = hand.transmission.joints(hand.rest)
+        parents, children = zip(*self._frames.moving, strict=True)
+        self._encoder = TransformsEncoder(parents, children)
+        every = rate / settings.tf_rate / settings.decimation if settings.tf_rate else 0.0
+        self._turn = -1
+        self._every = max(1, round(every)) * settings.decimation if settings.tf_rate else 0
+
+    def due(self, tick: int) -> bool:
+        """Whether they are to be recorded at a tick; a missed tick is made up for by the next."""
+        if not self._every or tick // self._every == self._turn:
+            return False
+        self._turn = tick // self._every
+        return True
+
+    def encode(self, position: FloatArray, wall_ns: int) -> bytes:
+        """Return the CDR bytes of a ``tf2_msgs/TFMessage``.
+
+        A joint that is not measured stays where it was last, at rest to begin with.
+
+        Args:
+            position: Actuator positions ``(n,)`` [rad | m]; ``NaN``: not measured.
+            wall_ns: The time since 1970 [ns].
+        """
+        q = self._transmission.joints(position)
+        self._last = q = np.where(np.isfinite(q), q, self._last)
+        translation, rotation = self._frames.at(q)
+        return self._encoder.encode(wall_ns, _stepped(translation), _stepped(rotation))
+
+
+def _stepped(values: FloatArray) -> FloatArray:
+    stepped: FloatArray = np.rint(values * _STEPS) / _STEPS
+    return stepped
