@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from types import MappingProxyType
@@ -33,7 +33,7 @@ class Quantity:
         unit: Its unit for an actuator that turns.
         sliding_unit: Its unit for an actuator that slides.
         digits: Decimals worth showing.
-        span: Least length of an axis that it is plotted on.
+        span: Least length of an axis that it is plotted on: noise should look like noise.
         heading: What a column of it is headed by; empty: its name.
         dtype: Type of its arrays.
         default: Its value where it is not known.
@@ -47,12 +47,12 @@ class Quantity:
     dtype: str = "float64"
     default: float = math.nan
 
-    def unit_for(self, *, slides: bool, turns: bool) -> str:
-        """Return its unit for a hand whose actuators slide, turn or both."""
-        units = ([self.unit] if turns else []) + (
-            [self.sliding_unit or self.unit] if slides else []
-        )
-        return " | ".join(dict.fromkeys(units))
+    def unit_for(self, kinds: Collection[str]) -> str:
+        """Return its unit for actuators or joints of some kinds; see `rtee.types.JointKind`."""
+        sliding_unit = self.sliding_unit or self.unit
+        if sliding_unit == self.unit or "prismatic" not in kinds:
+            return self.unit
+        return sliding_unit if set(kinds) == {"prismatic"} else f"{self.unit} | {sliding_unit}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,12 @@ class Parser(Protocol[F]):
 
     Its buffer is bounded by the longest frame of its protocol, and after garbage it finds the next
     good frame without losing it.
-
-    Attributes:
-        errors: Frames with a wrong checksum or a wrong shape seen so far.
     """
 
-    errors: int
+    @property
+    def errors(self) -> int:
+        """Frames with a wrong checksum or a wrong shape seen so far."""
+        ...
 
     def feed(self, data: bytes) -> list[F]:
         """Take bytes and return the frames that they complete, in order."""

@@ -1,7 +1,7 @@
 """A simulated EtherCAT ring: emulated slaves at the level of process data and objects.
 
-There is no wire here: an Ethernet port cannot be simulated without privileges, so what is played is
-what a master's library hands to its user.
+There is no wire here: an Ethernet port cannot be simulated without privileges. So what is played is
+the interface that a master's library offers.
 """
 
 from __future__ import annotations
@@ -45,21 +45,16 @@ class PlaysSlaves(Protocol):
 
 
 class SimulatedEthercat(Simulation):
-    """The ring's far end: plays one emulator of slaves."""
+    """The ring's far end: plays one emulator of slaves.
+
+    Attributes:
+        faults: What goes wrong: frames that are lost or damaged do not come back.
+    """
 
     def __init__(self, *, name: str = "ethercat", faults: Faults | None = None) -> None:
         super().__init__(name)
-        self._faults = faults or Faults()
+        self.faults = faults or Faults()
         self._there = False
-
-    @property
-    def faults(self) -> Faults:
-        """What goes wrong: frames that are lost or damaged do not come back."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self._faults = faults
 
     @property
     def address(self) -> str:

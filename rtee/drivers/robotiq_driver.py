@@ -12,11 +12,16 @@ from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import ClassVar, Generic, TypeVar
 
-from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
-from rtee.drivers.robotiq_faults import NOT_ACTIVATED, Fault
-from rtee.drivers.robotiq_kinds import RobotiqSettings, RobotiqStatus
+from rtee.drivers.robotiq_common import (
+    NOT_ACTIVATED,
+    Fault,
+    RobotiqCommand,
+    RobotiqOptions,
+    RobotiqStatus,
+)
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -28,9 +33,10 @@ from rtee.errors import (
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 S = TypeVar("S", bound=RobotiqStatus)
+C = TypeVar("C", bound=RobotiqCommand)
 
 
-class RobotiqDriver(BlocksDriver, Generic[S]):
+class RobotiqDriver(BlocksDriver, Generic[S, C]):
     """A Robotiq gripper on Modbus.
 
     It attaches to a gripper that is active without writing anything: the first write comes with the
@@ -38,6 +44,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
 
     Attributes:
         MODEL: What it is called when another device answers.
+        EMULATOR: The name of its emulator.
         FAULTS: Its fault codes.
         HINT: What to do about a gripper that is not activated.
         COUNT: Registers of either block.
@@ -46,16 +53,18 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
     """
 
     MODEL: ClassVar[str]
+    EMULATOR: ClassVar[str]
     FAULTS: ClassVar[Mapping[int, Fault]]
     HINT: ClassVar[str]
     COUNT: ClassVar[int]
     RESET: ClassVar[Sequence[int]]
     ACTIVATE: ClassVar[Sequence[int]]
 
-    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqSettings) -> None:
+    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqOptions) -> None:
         super().__init__(spec, buses)
         self._settings = settings
         self._status = self._told(())
+        self._sent: C | None = None
         self._home_asked = False
         self.capabilities = self._abilities(100.0)
 
@@ -64,10 +73,6 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
     @abstractmethod
     def _told(self, block: Sequence[int]) -> S:
         """Return what an input block says, an empty one nothing; raises `FrameError`."""
-
-    @abstractmethod
-    def _emulator(self) -> EmulatorFactory | None:
-        """Return what plays the gripper, if it is emulated."""
 
     @abstractmethod
     def _places(self) -> tuple[int, int, int]:
@@ -89,10 +94,6 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
     def _stopping(self) -> Sequence[int]:
         """Return what to write to stop, keeping all else."""
 
-    @abstractmethod
-    def _forget(self) -> None:
-        """Forget what was sent: what is there now is where to start from."""
-
     # --- life --------------------------------------------------------------------------------
 
     def _abilities(self, best_rate: float) -> Capabilities:
@@ -111,12 +112,14 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         output, source, function = self._places()
         # Where both blocks begin at the same place, function 23 cannot tell them apart.
         mixed = output == source and settings.exchange == "auto"
+        # Emulated, it is found active, as after an earlier run, unless it is to be homed.
+        found = {"activated": settings.home == "on_demand", **settings.emulator}
         blocks = await self.connection.open(
             self.buses.modbus(
                 settings.port,
                 owner=self.connection.owner,
                 baudrate=settings.baudrate,
-                emulator=self._emulator(),
+                emulator=emulator_of(self.spec, self.EMULATOR, emulator=found),
             ),
             lambda bus: Blocks(
                 bus,
@@ -163,7 +166,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
             await self._within("activating itself", self._activate)
         await self._prepare(allowed)
         self._home_asked = False
-        self._forget()
+        self._sent = None
         self._active = True
 
     async def _prepare(self, allowed: bool) -> None:
@@ -252,7 +255,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
     async def stop(self) -> None:
         """Clear rGTO: the fingers stop where they are, and what they hold stays held."""
         if await self._insist(self._stopping()):
-            self._forget()
+            self._sent = None
 
     async def recover(self) -> None:
         """Clear a fault; where that costs the activation, the next `activate` may move."""

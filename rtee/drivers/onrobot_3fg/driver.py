@@ -47,15 +47,22 @@ from rtee.errors import (
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _SAME = 10
-"""A diameter this near to the measured one asks for no motion [0.1 mm]."""
+"""A diameter this near to the measured one asks for no motion [0.1 mm].
+
+It is ten times the resolution: a held object yields by some of that.
+"""
 
 _REACHED = 3
-"""A diameter this near to the measured one counts as reached [0.1 mm]."""
+"""A diameter this near to the measured one counts as reached [0.1 mm]: resolution and rounding."""
 
 _STUCK_BUSY = 0.5
 """Busy without moving for this long, it is stopped before it is asked to grip [s]."""
 
 _GATEWAY = (0x0A, 0x0B)
+"""Exceptions by which the Compute Box reports that no tool answers."""
+
+_CONNECTING = 0.5
+"""Longest time for a question about the gripper while connecting [s]; the box may be slow."""
 
 
 class OnRobot3FGDriver(BlocksDriver):
@@ -150,8 +157,8 @@ class OnRobot3FGDriver(BlocksDriver):
     async def _identify(self, bus: ModbusBus) -> dict[str, str]:
         self._status = await self._read()
         unit = self.options.unit
-        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=0.5)
-        length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=0.5)
+        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=_CONNECTING)
+        length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=_CONNECTING)
         if hole not in (1, 2, 3) or not smallest < largest:
             raise HandshakeError(
                 self.spec.name,
@@ -173,13 +180,12 @@ class OnRobot3FGDriver(BlocksDriver):
             "finger position": str(hole),
             "diameters": f"{metres(smallest) * 1000:.1f} to {metres(largest) * 1000:.1f} mm",
         }
-        # What only one source documents is told, but nothing depends on it.
+        # Only one source documents these registers, so they are shown and nothing depends on them.
         with contextlib.suppress(BusError):
-            product, firmware, serial = (
-                await bus.read(unit, PRODUCT, 1, deadline=0.3),
-                await bus.read(unit, FIRMWARE, 1, deadline=0.3),
-                await bus.read(unit, SERIAL, SERIAL_COUNT, deadline=0.3),
-            )
+            product, firmware, serial = [
+                await bus.read(unit, register, count, deadline=_CONNECTING)
+                for register, count in ((PRODUCT, 1), (FIRMWARE, 1), (SERIAL, SERIAL_COUNT))
+            ]
             identity["product code"] = f"{product[0]:#04x}"
             identity["firmware"] = f"{firmware[0] >> 8}.{firmware[0] & 0xFF}"
             identity["serial"] = serial_number(serial)
@@ -235,28 +241,44 @@ class OnRobot3FGDriver(BlocksDriver):
 
     def _next(self, diameter: int, force: int, now: float) -> Command | None:
         """Return what to send for a target [0.1 mm, 0.1 %], or ``None`` for nothing."""
-        status = self._status
         if (diameter, force) != self._wanted:
             self._wanted, self._wanted_since = (diameter, force), now
-        near = abs(diameter - status.raw_diameter) <= _SAME
-        if near and (self._sent is None or status.grip_detected):
+        if self._stays(diameter):
             return None
-        gripping = self._sent is not None and self._sent.control is Control.GRIP
-        asked = self._sent is not None and self._sent.diameter == diameter
-        reached = abs(diameter - status.raw_diameter) <= _REACHED
-        rests = now - self._wanted_since >= self.options.settle
-        if rests and self._tightens(diameter) and not (reached and not gripping):
-            if gripping and asked and self._sent is not None and self._sent.force == force:
+        if self._may_grip(diameter, now):
+            if self._sent == self._command(force, diameter, Control.GRIP):
                 return None
-            if not status.busy:
+            if not self._status.busy:
                 return self._command(force, diameter, Control.GRIP)
             if now - self._moved_at > _STUCK_BUSY:
                 return self._command(force, diameter, Control.STOP)
-        if asked and (reached or status.busy or gripping):
+        return self._motion(diameter, force)
+
+    def _stays(self, diameter: int) -> bool:
+        """Return whether a target is where it is, with nothing sent yet or an object held."""
+        near = abs(diameter - self._status.raw_diameter) <= _SAME
+        return near and (self._sent is None or self._status.grip_detected)
+
+    def _may_grip(self, diameter: int, now: float) -> bool:
+        """Return whether the target rests and is one to grip at; one reached by a move is not."""
+        rests = now - self._wanted_since >= self.options.settle
+        return rests and self._tightens(diameter) and (self._gripping or not self._at(diameter))
+
+    def _motion(self, diameter: int, force: int) -> Command | None:
+        """Return the command that moves to a target; a grip under way has to be stopped before."""
+        busy, asked = self._status.busy, self._sent is not None and self._sent.diameter == diameter
+        if asked and (self._at(diameter) or busy or self._gripping):
             return None
-        if gripping and status.busy:
-            return self._command(force, diameter, Control.STOP)
-        return self._command(force, diameter, Control.MOVE)
+        stop = self._gripping and busy
+        return self._command(force, diameter, Control.STOP if stop else Control.MOVE)
+
+    @property
+    def _gripping(self) -> bool:
+        return self._sent is not None and self._sent.control is Control.GRIP
+
+    def _at(self, diameter: int) -> bool:
+        """Return whether a diameter counts as reached."""
+        return abs(diameter - self._status.raw_diameter) <= _REACHED
 
     def _tightens(self, diameter: int) -> bool:
         """Return whether a target lies in the direction of gripping, or is reached."""

@@ -1,8 +1,7 @@
 """Registers and units of Robotiq's two-finger grippers; no I/O.
 
 Sources: the grippers' instruction manuals (register map, bits, fault codes, example frames) and,
-    for
-speeds and end counts, published drivers. Every two bytes make a register, the first in its high
+for speeds and end counts, published drivers. Every two bytes make a register, the first in its high
 half.
 """
 
@@ -13,33 +12,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
-from rtee.drivers.robotiq_faults import Fault
+from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand
 from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
-
-OUTPUT = 0x03E8
-"""First register of the block that the host writes."""
-
-INPUT = 0x07D0
-"""First register of the block that the gripper answers with."""
 
 COUNT = 3
 """Registers of either block that carry something."""
 
-COUNTS = (0.0, 255.0)
-"""Least and greatest position, speed and force that can be sent; each is a byte."""
-
 _CURRENT = 0.01
 """Motor current per count of gCU [A]."""
-
-
-class Activation(IntEnum):
-    """gSTA: how far the activation is."""
-
-    RESET = 0
-    UNDER_WAY = 1
-    UNUSED = 2
-    DONE = 3
 
 
 class Grasp(IntEnum):
@@ -96,22 +77,16 @@ MODELS: dict[str, Model] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(RobotiqCommand):
     """What the host asks for: the output block.
 
     Attributes:
-        activate: rACT; clearing it resets the gripper and its faults.
-        go: rGTO; clearing it stops.
-        release: rATR, the automatic release.
         direction: rARD, the direction of the automatic release.
         position: rPR, 0 open to 255 closed.
         speed: rSP, 0 slowest (not stopped) to 255.
         force: rFR, 0 weakest (not none) to 255.
     """
 
-    activate: bool = False
-    go: bool = False
-    release: bool = False
     direction: bool = False
     position: int = 0
     speed: int = 0
@@ -155,7 +130,7 @@ class Status:
 
     activated: bool = False
     going: bool = False
-    activation: Activation = Activation.RESET
+    activation: Progress = Progress.RESET
     grasp: Grasp = Grasp.MOVING
     fault: int = 0
     controller_fault: int = 0
@@ -166,12 +141,12 @@ class Status:
     @property
     def ready(self) -> bool:
         """Whether it is activated and takes commands."""
-        return self.activated and self.activation is Activation.DONE
+        return self.activated and self.activation is Progress.DONE
 
     @property
     def reset(self) -> bool:
         """Whether it is not activated, nor about to be."""
-        return self.activation is Activation.RESET
+        return self.activation is Progress.RESET
 
     @property
     def current(self) -> float:
@@ -198,7 +173,7 @@ class Status:
         return cls(
             activated=bool(state & 0x01),
             going=bool(state & 0x08),
-            activation=Activation(state >> 4 & 3),
+            activation=Progress(state >> 4 & 3),
             grasp=Grasp(state >> 6 & 3),
             fault=registers[1] >> 8 & 0x0F,
             controller_fault=registers[1] >> 12,

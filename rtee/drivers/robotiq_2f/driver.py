@@ -10,9 +10,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.calibration import (
@@ -24,18 +22,15 @@ from rtee.drivers.robotiq_2f.calibration import (
 from rtee.drivers.robotiq_2f.codec import (
     COUNT,
     FAULTS,
-    INPUT,
     MODELS,
-    OUTPUT,
     Command,
     Grasp,
     Scale,
     Status,
 )
 from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.drivers.robotiq_faults import Fault
-from rtee.drivers.robotiq_kinds import SAME, Grip
 from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
 
@@ -43,7 +38,7 @@ _MORE = 6
 """Registers that published programs read from a two-finger gripper, too."""
 
 
-class Robotiq2FDriver(RobotiqDriver[Status]):
+class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     """A 2F-85, 2F-140 or Hand-E.
 
     A gripper that holds an object and is asked to stay where it is keeps its grip.
@@ -51,6 +46,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq2FOptions
     MODEL: ClassVar[str] = "Robotiq 2-finger gripper"
+    EMULATOR: ClassVar[str] = "robotiq_2f"
     FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
     HINT: ClassVar[str] = (
         "`rtee recover`, or `rtee run --home`, activates it: the fingers close and open once, so "
@@ -68,7 +64,6 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
                 f"not {len(spec.actuators)}",
                 key=f"devices.{spec.name}.actuators",
             )
-        self._sent: Command | None = None
         self._grip = Grip()
         self._requested = -1
         super().__init__(spec, buses, self.options)
@@ -117,11 +112,6 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
 
     def _told(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()
-
-    def _emulator(self) -> EmulatorFactory | None:
-        # Found active, as after an earlier run, unless it is to be homed on connecting.
-        found = {"activated": self.options.home == "on_demand", **self.options.emulator}
-        return emulator_of(self.spec, "robotiq_2f", emulator=found)
 
     def _places(self) -> tuple[int, int, int]:
         base = self.options.register_base
@@ -196,9 +186,6 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             speed=sent.speed if sent else 255,
             force=sent.force if sent else 255,
         ).to_registers()
-
-    def _forget(self) -> None:
-        self._sent = None
 
     # --- calibration -------------------------------------------------------------------------
 

@@ -1,9 +1,8 @@
 """Registers and units of Robotiq's three-finger gripper; no I/O.
 
 Sources: the gripper's instruction manuals (register map, bits, fault codes, example frames) and,
-    for
-the conversion to joints, published drivers. Every two bytes make a register, the first in its high
-half. The order of the status bits differs from that of the two-finger grippers.
+for the conversion to joints, published drivers. Every two bytes make a register, the first in its
+high half. The order of the status bits differs from that of the two-finger grippers.
 """
 
 from __future__ import annotations
@@ -13,15 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
-from rtee.drivers.robotiq_faults import Fault
+from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand
 from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
-
-OUTPUT = 0x03E8
-"""First register of the output block on a serial line."""
-
-INPUT = 0x07D0
-"""First register of the input block on a serial line."""
 
 COUNT = 8
 """Registers of either block."""
@@ -37,15 +30,6 @@ class Mode(IntEnum):
     PINCH = 1
     WIDE = 2
     SCISSOR = 3
-
-
-class Progress(IntEnum):
-    """gIMC: how far the activation or a change of mode is."""
-
-    RESET = 0
-    ACTIVATING = 1
-    CHANGING = 2
-    DONE = 3
 
 
 class Motion(IntEnum):
@@ -96,23 +80,17 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(RobotiqCommand):
     """What the host asks for: the output block.
 
     Attributes:
-        activate: rACT; clearing it resets the gripper and its faults.
         mode: rMOD.
-        go: rGTO; clearing it stops.
-        release: rATR, the automatic release.
         individual: rICF: the three fingers follow their own requests, else all that of ``a``.
         scissor: rICS: the scissor follows its own request, whatever the mode.
         axes: Requests of the four motors, in the order of `AXES`.
     """
 
-    activate: bool = False
     mode: Mode = Mode.BASIC
-    go: bool = False
-    release: bool = False
     individual: bool = False
     scissor: bool = False
     axes: tuple[Request, Request, Request, Request] = (Request(),) * 4
@@ -240,9 +218,6 @@ SPEED = (0.022, 0.110)
 
 FORCE = (15.0, 60.0)
 """Weakest and strongest fingertip [N]."""
-
-COUNTS = (0.0, 255.0)
-"""Least and greatest position, speed and force that can be sent; each is a byte."""
 
 
 class Scale:

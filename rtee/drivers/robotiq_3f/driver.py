@@ -7,16 +7,12 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
 from rtee.drivers.robotiq_3f.codec import (
     AXES,
     COUNT,
     FAULTS,
-    INPUT,
-    OUTPUT,
     SCALES,
     AxisStatus,
     Command,
@@ -26,9 +22,8 @@ from rtee.drivers.robotiq_3f.codec import (
     Status,
 )
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.drivers.robotiq_faults import Fault
-from rtee.drivers.robotiq_kinds import SAME, Grip
 from rtee.errors import DeviceFault, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, Reference
 
@@ -37,7 +32,7 @@ _SIMPLE = 3
 """Registers that are enough for all fingers together."""
 
 
-class Robotiq3FDriver(RobotiqDriver[Status]):
+class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     """The three-finger gripper: all fingers together or each for itself, and the scissor.
 
     A motor that presses on an object and is asked to stay where it is keeps pressing.
@@ -45,6 +40,7 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions
     MODEL: ClassVar[str] = "Robotiq 3-Finger"
+    EMULATOR: ClassVar[str] = "robotiq_3f"
     FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
     HINT: ClassVar[str] = (
         "`rtee recover`, or `rtee run --home`, activates it: all fingers and the scissor then "
@@ -59,7 +55,6 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
         self.roles = roles_of(spec, self.options)
         self._individual = any(role in ("a", "b", "c") for role in self.roles)
         self._scissor = "scissor" in self.roles
-        self._sent: Command | None = None
         self._grips = tuple(Grip() for _ in AXES)
         super().__init__(spec, buses, self.options)
 
@@ -78,11 +73,6 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
 
     def _told(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()
-
-    def _emulator(self) -> EmulatorFactory | None:
-        # Found active, as after an earlier run, unless it is to be homed on connecting.
-        found = {"activated": self.options.home == "on_demand", **self.options.emulator}
-        return emulator_of(self.spec, "robotiq_3f", emulator=found)
 
     def _places(self) -> tuple[int, int, int]:
         network, base = self.options.port.startswith("tcp://"), self.options.register_base
@@ -218,6 +208,3 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
     def _stopping(self) -> Sequence[int]:
         axes = [self._kept(at) for at in range(4)]
         return self._registers(self._command(axes, self._status.mode, False))
-
-    def _forget(self) -> None:
-        self._sent = None

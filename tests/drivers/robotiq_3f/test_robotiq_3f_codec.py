@@ -19,10 +19,10 @@ from rtee.drivers.robotiq_3f.codec import (
     Contact,
     Mode,
     Motion,
-    Progress,
     Request,
     Status,
 )
+from rtee.drivers.robotiq_common import Progress
 from rtee.errors import FrameError
 
 FULL = Request(255, 255, 255)
