@@ -10,20 +10,14 @@ import typer
 from rtee.cli._common import ConnectOption, RunningOption
 from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
+from rtee.sample import COLUMNS, MEASURED
 
 if TYPE_CHECKING:
     from rtee.messages.state import State
     from rtee.remote.client import RemoteHand
 
-_COLUMNS = {
-    "position": ("position", 4),
-    "velocity": ("velocity", 4),
-    "effort": ("effort", 3),
-    "current": ("current", 3),
-    "temperature": ("°C", 1),
-    "reference_position": ("reference", 4),
-}
-"""The columns: headings and digits after the point."""
+_COLUMNS = {name: COLUMNS[name] for name in (*MEASURED, "reference_position")}
+"""The quantities shown."""
 
 
 def state(
@@ -92,10 +86,10 @@ def _table(name: str, found: State) -> Table:
     # Quantities that no actuator measures are left out.
     measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
     columns = [Column("actuator", whole=True)]
-    columns += [Column(_COLUMNS[c][0], right=True, whole=True) for c in measured]
+    columns += [Column(_COLUMNS[c].heading or c, right=True, whole=True) for c in measured]
     rows = []
     for i, actuator in enumerate(found.names):
-        values = [_number(float(getattr(found, c)[i]), _COLUMNS[c][1]) for c in measured]
+        values = [_number(float(getattr(found, c)[i]), _COLUMNS[c].digits) for c in measured]
         rows.append(Row((actuator.removeprefix(prefix), *values)))
     return Table(tuple(columns), tuple(rows), title)
 

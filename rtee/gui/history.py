@@ -9,9 +9,10 @@ from typing import Final, Protocol
 import numpy as np
 
 from rtee.messages.state import State
+from rtee.sample import MEASURED
 from rtee.types import FloatArray
 
-QUANTITIES: Final = ("position", "velocity", "effort", "current", "temperature")
+QUANTITIES: Final = tuple(MEASURED)
 """Quantities measured per actuator; ``reference`` positions come in addition."""
 
 JOINT_QUANTITIES: Final = ("joint_position", "joint_velocity")

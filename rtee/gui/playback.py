@@ -12,7 +12,7 @@ from rtee.errors import LogError
 from rtee.gui.history import JOINT_QUANTITIES, POINTS
 from rtee.hand.model import Hand
 from rtee.log import Recording, Span, read
-from rtee.messages.state import State
+from rtee.messages.state import ACTUATOR_COLUMNS, State
 from rtee.types import FloatArray
 
 _OUTCOMES = {"reached": "#009e73", "grasped": "#009e73", "aborted": "#d55e00"}
@@ -91,13 +91,7 @@ class Playback:
             stamp=float(states.time[row]),
             wall_ns=int(states.wall[row]),
             names=self._hand.actuator_names,
-            position=position,
-            velocity=states.velocity[row, order],
-            effort=states.effort[row, order],
-            current=states.current[row, order],
-            temperature=states.temperature[row, order],
-            grasped=states.grasped[row, order],
-            fresh=states.fresh[row, order],
+            **{name: getattr(states, name)[row, order] for name in ACTUATOR_COLUMNS},
             reference_position=reference[0],
             reference_velocity=reference[1],
             reference_effort=reference[2],

@@ -10,6 +10,7 @@ import viser
 from rtee.actions.types import ActionReference
 from rtee.gui.colours import BAD, GOOD, WARN
 from rtee.hand.names import common_prefix
+from rtee.sample import MEASURED
 from rtee.types import Result
 
 NOTHING: Final = "–"
@@ -52,16 +53,7 @@ def short_names(names: Sequence[str]) -> tuple[str, ...]:
 
 def units(quantity: str, kinds: Collection[str]) -> str:
     """Return the unit of a quantity of actuators or joints of some kinds."""
-    linear, angular = {
-        "position": ("m", "rad"),
-        "velocity": ("m/s", "rad/s"),
-        "effort": ("N", "N·m"),
-        "current": ("A", "A"),
-        "temperature": ("°C", "°C"),
-    }[quantity]
-    if linear == angular or "prismatic" not in kinds:
-        return angular
-    return linear if set(kinds) == {"prismatic"} else f"{angular} | {linear}"
+    return MEASURED[quantity].unit_for(kinds)
 
 
 def offer(dropdown: viser.GuiDropdownHandle[str], names: Iterable[str]) -> None:

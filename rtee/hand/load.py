@@ -12,7 +12,6 @@ from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf
 from rtee.hand.discovery import make_fingers
 from rtee.hand.limits import (
-    Limits,
     Overrides,
     actuator_spec,
     images_outside,
@@ -108,8 +107,8 @@ def load_configured(
         title=config.title,
         package_dirs=tuple(folder / package for package in config.package_dirs),
         rest=config.rest,
-        limits={n: Limits(**dict(v)) for n, v in config.limits.actuators.items()},
-        default_limits=Limits(**dict(config.limits.defaults)),
+        limits=config.limits.actuators,
+        default_limits=config.limits.defaults,
         clearance=config.clearance,
         ignore=tuple(config.ignore),
         error=document.error,

@@ -18,9 +18,9 @@ from rtee.log.mcapfile import Preamble
 from rtee.log.rotation import METADATA
 from rtee.loop.settings import LoopSettings
 from rtee.messages.convert import encode_string
+from rtee.messages.layout import TransformsEncoder
 from rtee.messages.schema import message_type
 from rtee.messages.topics import LATCHED, ROBOT_DESCRIPTION, TF_STATIC, TYPES, URDF, log_topic
-from rtee.messages.transforms import TransformsEncoder
 from rtee.types import ActuatorSpec
 
 FORMAT = "1"

@@ -14,7 +14,8 @@ from rtee.hand.names import check_name
 from rtee.log.dataclass_json import from_json
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.recording import Recording
-from rtee.loop.observer import TickRecord
+from rtee.messages.state import ACTUATOR_COLUMNS
+from rtee.sample import TickRecord
 
 
 def states(recording: Recording) -> Iterator[TickRecord]:
@@ -31,17 +32,11 @@ def states(recording: Recording) -> Iterator[TickRecord]:
             tick=int(measured.tick[row]),
             stamp=float(measured.time[row]),
             wall_ns=int(measured.wall[row]),
-            position=measured.position[row],
-            velocity=measured.velocity[row],
-            effort=measured.effort[row],
-            current=measured.current[row],
-            temperature=measured.temperature[row],
-            fresh=measured.fresh[row],
+            **{name: getattr(measured, name)[row] for name in ACTUATOR_COLUMNS},
             reference_position=unknown if sent is None else reference.position[sent],
             reference_velocity=unknown if sent is None else reference.velocity[sent],
             reference_effort=unknown if sent is None else reference.effort[sent],
-            grasped=measured.grasped[row],
-            extras={},
+            channels={},
         )
 
 

@@ -22,17 +22,10 @@ from rtee.log.layout import REPLAY, Contents, Replayable
 from rtee.log.settings import RecorderSettings, RecorderStatus
 from rtee.log.sink import reason
 from rtee.log.writer import ITSELF, Item, LogWriter
-from rtee.loop.observer import TickRecord
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
-from rtee.types import (
-    DeviceStatus,
-    Event,
-    Feedback,
-    Goal,
-    LoopStatistics,
-    Result,
-)
+from rtee.sample import TickRecord
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 log = logging.getLogger(__name__)
 

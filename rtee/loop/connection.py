@@ -22,7 +22,8 @@ from rtee.errors import (
 )
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
-from rtee.types import ActuatorState, Lifecycle, Reference
+from rtee.sample import ActuatorState, measured_arrays
+from rtee.types import Lifecycle, Reference
 
 log = logging.getLogger(__name__)
 
@@ -169,11 +170,8 @@ class Connection:
         Raises:
             DriverError: if it has not one value for each actuator.
         """
-        n, position = self._size, state.position
-        if not (
-            n == len(position) == len(state.velocity) == len(state.effort)
-            and n == len(state.current) == len(state.temperature)
-        ):
+        n = self._size
+        if {len(values) for values in measured_arrays(state)} != {n}:
             text = f"gave a state that is not one of {n} actuators"
             raise DriverError(self._spec.name, text, hint="mend its driver")
         self.state = state

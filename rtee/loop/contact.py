@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtee.loop.settings import GraspSettings, StallSettings
-from rtee.types import ActuatorSpec, FloatArray
+from rtee.sample import FloatArray, Measurements
+from rtee.types import ActuatorSpec
 
 _LOST_AFTER = 0.05
 """A grasp counts as lost when it looks so for this long [s]."""
@@ -57,6 +58,22 @@ class Measured:
     grasped: Sequence[int]
     current: Sequence[float] = ()
     touch: Sequence[float] = ()
+
+    def update(self, sample: Measurements, before: Measurements | None = None) -> None:
+        """Take over from a sample what a controller needs of it.
+
+        Args:
+            sample: The sample.
+            before: The one before. Columns that a device does not measure are the same array in
+                both; these are not converted again.
+        """
+        self.position = sample.position.tolist()
+        if before is None or sample.effort is not before.effort:
+            self.effort = sample.effort.tolist()
+        if before is None or sample.temperature is not before.temperature:
+            self.temperature = sample.temperature.tolist()
+        if before is None or sample.current is not before.current:
+            self.current = sample.current.tolist()
 
 
 def tip_forces(measured: Sequence[FloatArray]) -> list[float]:

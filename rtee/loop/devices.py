@@ -13,10 +13,10 @@ from rtee.commands import Abort, Command, Freeze, SetAcceptsEffort, SetActive
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.model import Hand
-from rtee.loop.observer import TickRecord
 from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
+from rtee.sample import TickRecord
 from rtee.types import Event, FloatArray, Lifecycle, Reference, readonly
 
 log = logging.getLogger(__name__)

@@ -22,10 +22,11 @@ from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.devices import CONFIRM_WITHIN, Devices
 from rtee.loop.histogram import TickStatistics
-from rtee.loop.observer import LoopObserver, Observers, TickRecord
+from rtee.loop.observer import LoopObserver, Observers
 from rtee.loop.plan import OPEN, Plan, make_plan
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
 from rtee.loop.supervisor import Supervisor
+from rtee.sample import TickRecord, measured_arrays
 from rtee.types import (
     DeviceStatus,
     Event,
@@ -172,20 +173,16 @@ class HandLoop:
         if self.settings.safety.idle_disable is not None:
             self._disable_when_idle(stamp, self.settings.safety.idle_disable)
         record = self._record = TickRecord(
-            tick.number,
-            stamp,
-            tick.wall_ns,
-            state.position,
-            state.velocity,
-            state.effort,
-            state.current,
-            state.temperature,
-            state.fresh,
-            np.array(controller.reference_position),
-            np.array(controller.reference_velocity),
-            np.array(controller.reference_effort),
-            state.grasped,
-            state.extras,
+            *measured_arrays(state.sample),
+            tick=tick.number,
+            stamp=stamp,
+            wall_ns=tick.wall_ns,
+            grasped=state.grasped,
+            fresh=state.fresh,
+            reference_position=np.array(controller.reference_position),
+            reference_velocity=np.array(controller.reference_velocity),
+            reference_effort=np.array(controller.reference_effort),
+            channels=state.channels,
         )
         # Move: send the reference; a device that answers at once is also sensed again here.
         devices.move(record, controller.max_velocity)

@@ -4,66 +4,22 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from rtee.commands import CommandRecord
 from rtee.loop.plan import Plan
+from rtee.sample import TickRecord
 from rtee.types import (
-    BoolArray,
     DeviceStatus,
     Event,
     Feedback,
-    FloatArray,
     Goal,
     LoopStatistics,
     Result,
 )
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(slots=True)
-class TickRecord:
-    """What was known at one tick; made once and never changed afterwards.
-
-    All arrays have the hand's order of actuators, shape ``(n,)``; ``NaN`` means not measured.
-
-    Attributes:
-        tick: Number of the tick; a missed one leaves a gap.
-        stamp: When the tick was due, CLOCK_MONOTONIC [s].
-        wall_ns: Wall-clock time of the same moment [ns since 1970]; for log times only.
-        position: Measured position [rad | m].
-        velocity: Measured velocity [rad/s | m/s].
-        effort: Measured effort [N·m | N].
-        current: Measured motor current [A].
-        temperature: Measured temperature [°C].
-        fresh: Whether the measurement is newer than at the tick before, per actuator.
-        reference_position: Position handed to the devices, after the limiter [rad | m].
-        reference_velocity: Its velocity [rad/s | m/s].
-        reference_effort: Effort limit handed to the devices [N·m | N]; ``inf``: the device's own.
-        grasped: The devices' own word, ``int8``: 1 holding, 0 not, -1 none given.
-        extras: Further measured channels, ``device/channel`` to values.
-    """
-
-    tick: int
-    stamp: float
-    wall_ns: int
-    position: FloatArray
-    velocity: FloatArray
-    effort: FloatArray
-    current: FloatArray
-    temperature: FloatArray
-    fresh: BoolArray
-    reference_position: FloatArray
-    reference_velocity: FloatArray
-    reference_effort: FloatArray
-    grasped: NDArray[np.int8]
-    extras: Mapping[str, FloatArray]
 
 
 class LoopObserver(Protocol):

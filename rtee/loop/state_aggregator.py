@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.supervisor import Supervisor
-from rtee.types import ActuatorState, BoolArray, FloatArray, readonly
+from rtee.sample import (
+    MEASURED,
+    ActuatorState,
+    BoolArray,
+    FloatArray,
+    Measurements,
+    measured_arrays,
+)
+from rtee.types import readonly
 
 _WORDS = {None: -1, False: 0, True: 1}
 
@@ -25,14 +34,10 @@ class StateAggregator:
         devices: The devices, which together have every actuator once.
 
     Attributes:
-        position: Positions ``(n,)`` [rad | m].
-        velocity: Velocities ``(n,)`` [rad/s | m/s].
-        effort: Efforts ``(n,)`` [N·m | N].
-        current: Currents ``(n,)`` [A].
-        temperature: Temperatures ``(n,)`` [°C].
+        sample: What is measured of all actuators.
         grasped: The devices' own word ``(n,)``.
         fresh: Whether measured since the call before ``(n,)``.
-        extras: Further channels, ``device/channel``.
+        channels: Further channels, ``device/channel``.
         measured: The same as lists, for the controller.
     """
 
@@ -46,13 +51,9 @@ class StateAggregator:
         self._seen = [0] * len(devices)
         self._fresh: dict[int, tuple[BoolArray, list[bool]]] = {}
         self._extras: dict[str, Mapping[str, FloatArray]] = {}
-        self.position: FloatArray = unmeasured
-        self.velocity: FloatArray = unmeasured
-        self.effort: FloatArray = unmeasured
-        self.current: FloatArray = unmeasured
-        self.temperature: FloatArray = unmeasured
+        self.sample = Measurements(*(unmeasured,) * len(MEASURED))
         self.grasped: NDArray[np.int8] = np.full(n, -1, dtype=np.int8)
-        self.extras: Mapping[str, FloatArray] = {}
+        self.channels: Mapping[str, FloatArray] = {}
         self._new = 0
         self.fresh, listed = self._flags(0)
         nothing = [math.nan] * n
@@ -91,36 +92,18 @@ class StateAggregator:
         return found
 
     def _merge(self, k: int, state: ActuatorState) -> None:
-        measured = self.measured
-        position, positions = state.position, state.position.tolist()
-        total = sum(positions)
+        measured, sample = self.measured, Measurements(*measured_arrays(state))
+        total = sum(state.position.tolist())
         if total - total != 0.0:  # something in it is not finite
-            position = np.where(np.isfinite(position), position, self.position[self._indices[k]])
-            positions = position.tolist()
-        if self._whole:
-            # Columns that a device does not measure are the same array every time.
-            if state.effort is not self.effort:
-                self.effort = state.effort
-                measured.effort = state.effort.tolist()
-            if state.current is not self.current:
-                self.current = state.current
-                measured.current = state.current.tolist()
-            if state.temperature is not self.temperature:
-                self.temperature = state.temperature
-                measured.temperature = state.temperature.tolist()
-            self.position, measured.position = position, positions
-            self.velocity = state.velocity
-        else:
+            known = self.sample.position[self._indices[k]]
+            position = np.where(np.isfinite(state.position), state.position, known)
+            sample = replace(sample, position=position)
+        if not self._whole:
             where = self._indices[k]
-            self.position = _put(self.position, where, position)
-            self.velocity = _put(self.velocity, where, state.velocity)
-            self.effort = _put(self.effort, where, state.effort)
-            self.current = _put(self.current, where, state.current)
-            self.temperature = _put(self.temperature, where, state.temperature)
-            measured.position = self.position.tolist()
-            measured.effort = self.effort.tolist()
-            measured.current = self.current.tolist()
-            measured.temperature = self.temperature.tolist()
+            pairs = zip(measured_arrays(self.sample), measured_arrays(sample), strict=True)
+            sample = Measurements(*(_put(old, where, new) for old, new in pairs))
+        measured.update(sample, self.sample)
+        self.sample = sample
         if state.grasped is not None:
             grasped = self.grasped.copy()
             grasped[self._indices[k]] = [_WORDS[word] for word in state.grasped]
@@ -130,7 +113,7 @@ class StateAggregator:
         if state.extras or self._extras.get(name):
             measured.touch = self._touch(name, state.extras)
             self._extras[name] = state.extras
-            self.extras = {
+            self.channels = {
                 f"{device}/{channel}": values
                 for device, channels in self._extras.items()
                 for channel, values in channels.items()

@@ -15,7 +15,7 @@ import anyio
 
 from rtee.errors import MessageError, NoHand, NotReady
 from rtee.messages import decode_event, topics
-from rtee.messages.convert import device_status_of, loop_statistics_of
+from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
 from rtee.messages.state import State, decode_state
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
@@ -185,8 +185,8 @@ class Monitoring:
             recording=reply["recording_path"],
             recording_trouble=reply["recording_trouble"],
             grip_effort=reply["grip_effort"],
-            statistics=loop_statistics_of(reply["statistics"]),
-            devices=tuple(device_status_of(device) for device in reply["devices"]),
+            statistics=LOOP_STATISTICS.of(reply["statistics"]),
+            devices=tuple(DEVICE_STATUS.of(device) for device in reply["devices"]),
             profile=reply["profile"],
         )
 

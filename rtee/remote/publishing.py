@@ -18,7 +18,7 @@ import zenoh
 
 from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
-from rtee.loop.observer import Observer, TickRecord
+from rtee.loop.observer import Observer
 from rtee.messages import (
     JointStateEncoder,
     encode_device_status,
@@ -31,11 +31,12 @@ from rtee.messages import (
     topics,
 )
 from rtee.messages.requests import STATES
-from rtee.messages.state import State, StateEncoder
+from rtee.messages.state import StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.lease import Lease
 from rtee.remote.session import EXPRESS, direct
+from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 MOST_STREAMS = 16
@@ -60,37 +61,13 @@ class StateMessages:
 
     def __init__(self, hand: Hand) -> None:
         self._transmission = hand.transmission
-        self._names, self._joint_names = hand.actuator_names, hand.joint_names
-        self._state = StateEncoder(self._names, self._joint_names)
-        self._joint_state = JointStateEncoder(self._joint_names)
-        self._reference = JointStateEncoder(self._names)
-        self._no_effort = hand.rest[:0]
+        self._state = StateEncoder(hand.actuator_names, hand.joint_names)
+        self._joint_state = JointStateEncoder(hand.joint_names)
+        self._reference = JointStateEncoder(hand.actuator_names)
 
     def state(self, record: TickRecord) -> bytes:
         """Return a ``rtee_msgs/State``."""
-        return self._state.encode(self.as_state(record))
-
-    def as_state(self, record: TickRecord) -> State:
-        """Return the state that a record holds."""
-        return State(
-            tick=record.tick,
-            stamp=record.stamp,
-            wall_ns=record.wall_ns,
-            names=self._names,
-            position=record.position,
-            velocity=record.velocity,
-            effort=record.effort,
-            current=record.current,
-            temperature=record.temperature,
-            grasped=record.grasped,
-            fresh=record.fresh,
-            reference_position=record.reference_position,
-            reference_velocity=record.reference_velocity,
-            reference_effort=record.reference_effort,
-            joint_names=self._joint_names,
-            joint_position=self._transmission.joints(record.position),
-            channels=record.extras,
-        )
+        return self._state.encode(record, self._transmission.joints(record.position))
 
     def joint_state(self, record: TickRecord) -> bytes:
         """Return a ``sensor_msgs/JointState`` of all joints; efforts of joints are not known."""

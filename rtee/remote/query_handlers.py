@@ -17,7 +17,7 @@ from rtee.errors import RequestRejected, RteeError
 from rtee.hand.catalog import fingerprint
 from rtee.hand.own_copy import TRIALS, told
 from rtee.loop.handloop import HandLoop
-from rtee.messages.convert import device_status_fields, loop_statistics_fields
+from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
 from rtee.remote.actions import action_fields, group_fields, made_of
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
@@ -169,8 +169,8 @@ class QueryHandlers:
             "recording_path": path,
             "recording_trouble": self._recording.status().trouble if self._recording else "",
             "grip_effort": loop.controller.grip_effort,
-            "statistics": loop_statistics_fields(statistics),
-            "devices": [device_status_fields(status) for status in statuses],
+            "statistics": LOOP_STATISTICS.fields(statistics),
+            "devices": [DEVICE_STATUS.fields(status) for status in statuses],
             "profile": self._profile,
         }
 

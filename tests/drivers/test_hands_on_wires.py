@@ -24,12 +24,13 @@ from rtee.errors import GoalRejected
 from rtee.loop import connection
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.observer import Observer, TickRecord
+from rtee.loop.observer import Observer
 from rtee.loop.settings import Behaviour
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.supervisor import Supervisor
 from rtee.loop.tick_driver import drive
 from rtee.prepare import RunOptions, prepare
+from rtee.sample import TickRecord
 from rtee.testing.session import open_files
 from rtee.types import Event, Goal, Lifecycle, Result
 

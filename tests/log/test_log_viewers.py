@@ -31,11 +31,11 @@ from rtee.log.layout import Contents, Replayable
 from rtee.log.playback import write_hand
 from rtee.log.recover import recover
 from rtee.log.settings import RecorderSettings
-from rtee.log.transforms import LinkTransforms
+from rtee.log.tick_messages import LinkTransforms
 from rtee.log.writer import LogWriter
-from rtee.loop.observer import TickRecord
 from rtee.loop.settings import LoopSettings
 from rtee.prepare import RunOptions, prepare
+from rtee.sample import TickRecord
 from rtee.types import FloatArray
 
 ACCURACY = 1e-9
@@ -59,7 +59,7 @@ def known(hand: Hand, number: int, position: FloatArray) -> TickRecord:
         reference_velocity=zeros,
         reference_effort=zeros,
         grasped=np.full(n, -1, dtype=np.int8),
-        extras={},
+        channels={},
     )
 
 

@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from rtee.buses.pool import BusPool
@@ -21,7 +20,7 @@ from rtee.errors import (
     NotConnected,
     suggestion,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference, readonly
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _MEASURES = frozenset({"position", "velocity", "effort"})
 
@@ -80,7 +79,6 @@ class KinematicDriver(Driver):
         for name, fraction in self._options.objects.items():
             self.place_object(name, fraction)
         self._time_constant = self._options.time_constant
-        self._unmeasured = readonly([math.nan] * len(self.plants))
         self._last: float | None = None
         self._powered = False
         self._plugged = True
@@ -177,16 +175,13 @@ class KinematicDriver(Driver):
         self._check()
         stamp = self._advance()
         plants = self.plants
-        temperature = self._unmeasured
-        if self._options.temperatures:
-            temperature = np.array([plant.temperature for plant in plants])
-        return ActuatorState(
-            position=np.array([plant.position for plant in plants]),
-            velocity=np.array([plant.velocity for plant in plants]),
-            effort=np.array([plant.effort for plant in plants]),
-            current=self._unmeasured,
-            temperature=temperature,
-            stamp=stamp,
+        warm = self._options.temperatures
+        return ActuatorState.measured(
+            [plant.position for plant in plants],
+            stamp,
+            velocity=[plant.velocity for plant in plants],
+            effort=[plant.effort for plant in plants],
+            temperature=[plant.temperature for plant in plants] if warm else None,
         )
 
     async def move(self, reference: Reference) -> None:

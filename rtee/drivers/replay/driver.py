@@ -17,6 +17,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
+from rtee.sample import MEASURED
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _PATIENCE = 0.02
@@ -63,7 +64,7 @@ class ReplayDriver(Driver):
         self._begin: float | None = None
         self._patience = 0.0
         self.capabilities = Capabilities(
-            measures=frozenset({"position", "velocity", "effort", "current", "temperature"}),
+            measures=frozenset(MEASURED),
             identity={"model": "replay", "file": self._options.file.name},
         )
 
@@ -90,14 +91,9 @@ class ReplayDriver(Driver):
         await self._advance(passed * self._options.speed)
         block, row = self._block, self._row
         fresh, self._shown = row != self._shown, row
-        position, velocity, effort, current, temperature = block.values[row]
         words = block.grasped[row].tolist()
         return ActuatorState(
-            position=position,
-            velocity=velocity,
-            effort=effort,
-            current=current,
-            temperature=temperature,
+            *block.values[row],
             stamp=self.now(),
             fresh=fresh,
             grasped=None if max(words) < 0 else tuple(_WORDS[word] for word in words),

@@ -20,18 +20,8 @@ from rtee.gui.history import (
 )
 from rtee.gui.wording import short_names, units
 from rtee.hand.model import Hand
+from rtee.sample import MEASURED
 from rtee.types import FloatArray
-
-_LEAST = {
-    "position": 0.1,
-    "velocity": 0.1,
-    "effort": 0.1,
-    "current": 0.05,
-    "temperature": 5.0,
-    "joint_position": 0.1,
-    "joint_velocity": 0.1,
-}
-"""Shortest range of the vertical axis, in SI units: noise should look like noise."""
 
 _SHOWN = frozenset({"position", "velocity", "effort", *JOINT_QUANTITIES})
 """Quantities shown at first; those of joints appear once a joint is chosen."""
@@ -198,7 +188,7 @@ class PlotsPanel:
         data = self._source.window(name, columns, length)
         if name == "position":
             data += self._source.window("reference", columns, length)[1:]
-        ends = nice_range(data[1:], _LEAST[name])
+        ends = nice_range(data[1:], MEASURED[name.removeprefix("joint_")].span)
         return (*data, *(np.full(len(data[0]), end) for end in ends))
 
     def draw(self) -> None:
