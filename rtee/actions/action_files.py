@@ -35,7 +35,7 @@ from rtee.errors import ActionError
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.files import reason, write_all
 from rtee.hand.model import Hand
-from rtee.hand.own_copy import copied_since, own, told
+from rtee.hand.own_copy import copied_since, copy_notice, own
 from rtee.hand.yamlfile import read_emitted, read_text
 from rtee.hand.yamlwrite import emit
 
@@ -178,7 +178,7 @@ class ActionFiles:
             home = self.folder.parent
             copy = own(home)
             if copy != home:
-                log.info("%s", told(home, copy))
+                log.info("%s", copy_notice(home, copy))
                 self.folder = copy / ACTIONS
         return self.folder
 

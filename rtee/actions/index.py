@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from rtee.actions.build import remade
+from rtee.actions.build import rebuilt
 from rtee.actions.naming import label, normalise
 from rtee.actions.types import (
     Action,
@@ -212,7 +212,7 @@ class Index:
         )
 
     def rebuilt(self) -> Index:
-        """Return an index in which all composed and timed actions are made anew from their parts.
+        """Return an index in which all composed and timed actions are rebuilt from their parts.
 
         Raises:
             ActionError: if an action would contain itself.
@@ -230,7 +230,7 @@ class Index:
                 raise ActionError(f"the action '{inner}' would contain itself: {chain}")
             if key not in done:
                 under_way.append(key)
-                fresh[key] = remade(self.hand, find, fresh[key])
+                fresh[key] = rebuilt(self.hand, find, fresh[key])
                 under_way.pop()
                 done.add(key)
             return fresh[key]

@@ -82,8 +82,8 @@ class Constraint:
 class Constraints:
     """Learns from collisions at poses and on the paths to them, and keeps poses out of them.
 
-    The convex parts of two links stand in for the links: they overlap before the links collide, by
-    an allowance that is measured where the links first touch.
+    The convex parts of two links are measured in place of the links. They overlap before the links
+    collide, by an allowance that is measured where the links first touch.
     """
 
     def __init__(self, function: GoalFunction, motion: Motion, checker: CollisionChecker) -> None:

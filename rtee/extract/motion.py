@@ -140,7 +140,7 @@ class Motion:
         rotations = matmul(matmul(outward.T, motion[0]), one.placement.rotation)
         positions = _sum(motion[0] * one.placement.translation, axis=2) + motion[1]
         positions = matmul(positions - other.placement.translation, outward)
-        # The other shape's box, seen from the shape, in a box of its own.
+        # The bounding box of the other shape's box, in the frame of the shape.
         low, high = other.box
         centres = _sum(rotations * ((low + high) / 2.0 - positions)[:, :, None], axis=1)
         halves = _sum(np.abs(rotations) * ((high - low) / 2.0 + _NEAR)[:, None], axis=1)

@@ -96,8 +96,8 @@ def _tips(chains: Sequence[Chain], urdf: Urdf, srdf: Srdf | None) -> dict[str, s
 def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]:
     """Return the actuators that move a link, nearest the root first.
 
-    An actuator stands where its own joint stands on the way to the link, or else where the first
-    joint that follows it does.
+    An actuator comes where its own joint is on the path to the link, or else where the first joint
+    that follows it is.
     """
     place: dict[str, int] = {}
     for position, joint in enumerate(urdf.path_to(link)):

@@ -209,7 +209,7 @@ def _place_of(target: Path) -> Path:
     """Return where a file is written: where links lead to.
 
     Raises:
-        OSError: Something that is no file is there.
+        OSError: Something other than a file is there.
     """
     place = Path(os.path.realpath(target))
     if place.is_dir():

@@ -24,7 +24,7 @@ _MARGIN: Final = 1.08
 _FIRST_PART: Final = 0.3
 """Part of the way on which fingertips show where fingers close; later they curl back."""
 _SNAP: Final = math.radians(35.0)
-"""A hand that points along an axis of its base but for this angle stands upright [rad]."""
+"""A hand that points along an axis of its base within this angle is shown upright [rad]."""
 _ONE_WAY: Final = 0.45
 """Fingertips that together move less than this part of their ways close towards one another."""
 
@@ -34,7 +34,7 @@ class Camera:
     """A perspective camera.
 
     Attributes:
-        position: Where it stands, in the hand's base frame [m].
+        position: Its position in the hand's base frame [m].
         right: Unit vector to the right of the picture.
         up: Unit vector to the top of the picture.
         forward: Unit vector into the picture.
