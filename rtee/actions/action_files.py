@@ -74,7 +74,7 @@ class ActionFiles:
         Raises:
             ActionError: for every mistake in the files, with file and line.
         """
-        seen = stamps(self.folder)
+        seen = stamps(self.folder)  # before reading: a change meanwhile is noticed later
         actions = read_actions(self.hand, self.folder)
         index = Index(self.hand, (*actions, *keep))
         self._stored = {normalise(a.name) for a in actions if not isinstance(a, Primitive)}

@@ -146,6 +146,7 @@ def compose(
                 )
             setter[actuator] = label(use.action, use.elements)
             values.setdefault(actuator, []).append(posture.position[actuator])
+    # fsum, so that the order of the parts does not move the last digit.
     mean = {actuator: math.fsum(found) / len(found) for actuator, found in values.items()}
     return Composed(name, tuple(resolved), full_posture(hand, mean), independent, description)
 

@@ -48,6 +48,7 @@ class Index:
     def __init__(self, hand: Hand, actions: Sequence[Action]) -> None:
         self.hand = hand
         order = [*hand.finger_names, *hand.actuator_names]
+        # Elements may be spelled in any case, unless that would make two of them the same.
         ambiguous = any(
             len({normalise(name) for name in names}) < len(names)
             for names in (hand.finger_names, hand.actuator_names)

@@ -165,6 +165,7 @@ class Motion:
         levers = np.zeros(len(scene.hand.joints))
         for shapes, body in zip(pair.shapes, pair.bodies, strict=True):
             reach = max(self._radius[i] for i in shapes)
+            # From the link to the base, over all joints that carry the link.
             while body:
                 if pair.moved_by[body - 1] != 0.0:
                     joint = scene.hand.joints[body - 1]
@@ -215,6 +216,7 @@ class DistanceBounds:
         Args:
             joints: Joint positions ``(m,)`` [rad | m].
         """
+        # A joint moves the links against each other by its travel times its longest lever at most.
         moved = np.abs(joints - self._joints)
         least: FloatArray = self._gaps - _sum(self._levers * moved, axis=1)
         return least

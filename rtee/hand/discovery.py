@@ -146,6 +146,7 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
 
 def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
     """Return the last links with geometry of the branches that move, one per rigid body."""
+    # A finger ends where nothing solid follows; ends on one rigid body are one finger.
     solid = {name for name, link in urdf.links.items() if link.collisions}
     followed: set[str] = set()
     for link in solid:
@@ -199,6 +200,7 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
     Returns:
         Per finger its name, and where it comes from.
     """
+    # A name that only some fingers have says nothing about the others.
     called = [_called(end, ends, urdf) for end in ends]
     names = [name for name, _ in filter(None, called)]
     if len(names) == len(set(names)) == len(ends):

@@ -50,6 +50,7 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
+        # Renaming is atomic; what could fail for lack of space or rights has happened before.
         folders = {place.parent for place in staged}
         for target in list(staged):
             os.replace(staged[target], target)

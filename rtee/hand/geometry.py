@@ -256,6 +256,8 @@ class _Meshes:
         return self._known[key]
 
     def _read(self, path: Path, source: UrdfGeometry) -> coal.BVHModelBase:
+        # Other formats may hold several parts, which the loader mixes up (see `mesh_repair`). The
+        # fast loader finds out.
         if path.suffix.lower() == ".stl":  # a single part
             return self._checked(self._loader, path, source)
         draft = self._checked(self._draft, path, source)

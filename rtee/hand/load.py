@@ -172,6 +172,7 @@ def _check_devices(hand: Hand, config: HandConfig, document: YamlDocument) -> No
                     place, f"actuator '{actuator}' is already driven by '{owner[actuator]}'"
                 )
             owner[actuator] = name
+    # Without devices the hand runs kinematically, and no actuator needs one.
     missing = [a for a in hand.actuator_names if config.devices and a not in owner]
     if missing:
         raise document.error(("devices",), f"no device drives the actuator '{missing[0]}'")

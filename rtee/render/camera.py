@@ -114,7 +114,7 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
     moves = _tips(geometry, hand.rest + _FIRST_PART * (farthest(hand) - hand.rest)) - rest
     base = geometry.kinematics.link_pose(hand.rest, _palm(hand))[:3, 3]
     up = _snapped(_unit(rest.mean(axis=0) - base, np.array([0.0, 0.0, 1.0])))
-    moves -= np.outer(moves @ up, up)
+    moves -= np.outer(moves @ up, up)  # only how they close counts, not how they rise
     total = float(np.linalg.norm(moves, axis=1).sum())
     front = moves.sum(axis=0)
     if len(rest) < 3 or float(np.linalg.norm(front)) < _ONE_WAY * total or total == 0.0:
