@@ -35,7 +35,7 @@ from rtee.errors import ActionError
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.files import reason, write_all
 from rtee.hand.model import Hand
-from rtee.hand.own_copy import copied_since, own, told
+from rtee.hand.own_copy import copied_since, copy_notice, own
 from rtee.hand.yamlfile import read_emitted, read_text
 from rtee.hand.yamlwrite import emit
 
@@ -74,7 +74,7 @@ class ActionFiles:
         Raises:
             ActionError: for every mistake in the files, with file and line.
         """
-        seen = stamps(self.folder)
+        seen = stamps(self.folder)  # before reading: a change meanwhile is noticed later
         actions = read_actions(self.hand, self.folder)
         index = Index(self.hand, (*actions, *keep))
         self._stored = {normalise(a.name) for a in actions if not isinstance(a, Primitive)}
@@ -178,7 +178,7 @@ class ActionFiles:
             home = self.folder.parent
             copy = own(home)
             if copy != home:
-                log.info("%s", told(home, copy))
+                log.info("%s", copy_notice(home, copy))
                 self.folder = copy / ACTIONS
         return self.folder
 

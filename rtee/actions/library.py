@@ -193,6 +193,8 @@ class ActionLibrary:
             raise ActionError(f"there already is an action '{label(there, action.elements)}'")
         if not isinstance(action, Primitive):
             check_custom_name(action.name)
+        # The new index is checked, written to files and swapped in, in this order: whatever fails
+        # leaves the library as it was.
         index = Index(self.hand, (*others, action))
         for use in action.uses:
             if normalise(use.action) == normalise(action.name):

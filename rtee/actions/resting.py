@@ -1,4 +1,4 @@
-"""A rest posture that is a pinch, told from the stored primitives alone."""
+"""A rest posture that is a pinch, recognised from the stored primitives alone."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class PrimitiveKind(StrEnum):
 
     @property
     def of_actuators(self) -> bool:
-        """Whether the elements are actuators; the fingers that they move are then told apart."""
+        """Whether the elements are actuators; the fingers that they move are then given as well."""
         return self.noun == "actuator"
 
 
@@ -80,7 +80,7 @@ class Posture:
 
     Attributes:
         position: Position of every actuator of the hand [rad | m], by name, in the hand's order;
-            those not involved stand at rest.
+            those not involved are at rest.
         involved: The actuators that the action moves, in the hand's order.
     """
 

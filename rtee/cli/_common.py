@@ -227,8 +227,8 @@ def report_copy(before: Path | None, after: Path | None) -> None:
     """
     if before is None or after is None or before == after:
         return
-    from rtee.hand.own_copy import told
+    from rtee.hand.own_copy import copy_notice
 
     if before.name == after.name == "actions":
         before, after = before.parent, after.parent
-    print(told(before, after), file=sys.stderr)
+    print(copy_notice(before, after), file=sys.stderr)

@@ -76,7 +76,7 @@ class SearchBudget:
         pool: Good poses that serve as starts.
         attempts: Poses that are pushed out of their collisions.
         pushes: Descents to push one out.
-        recalibrations: Steps to improve one with its allowances measured anew.
+        recalibrations: Steps to improve one, each with newly measured allowances.
         trust_steps: Steps to improve one in its trust region.
         path_rounds: Rounds that learn from blocked paths.
         extra_attempts: Further poses that are pushed where none of them comes out.

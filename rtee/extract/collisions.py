@@ -281,6 +281,7 @@ class CollisionChecker:
                 for c in columns:
                     margin = self._margin_of[pairs[c].number]
                     here, there = gaps[c][start] - margin, gaps[c][end] - margin
+                    # Links that come near each other anywhere between must cover both gaps.
                     if here + there > speeds[c] * (end - start):
                         continue
                     overlap = here <= 0.0 and there <= 0.0

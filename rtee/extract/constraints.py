@@ -82,8 +82,8 @@ class Constraint:
 class Constraints:
     """Learns from collisions at poses and on the paths to them, and keeps poses out of them.
 
-    The convex parts of two links stand in for the links: they overlap before the links collide, by
-    an allowance that is measured where the links first touch.
+    The convex parts of two links are measured in place of the links. They overlap before the links
+    collide, by an allowance that is measured where the links first touch.
     """
 
     def __init__(self, function: GoalFunction, motion: Motion, checker: CollisionChecker) -> None:
@@ -150,6 +150,7 @@ class Constraints:
         deepest = times[int(np.argmax(overlaps))]
         known = self._of(blocked.pair, on_path=True)
         if known is None:
+            # The deepest place and some others: where one is kept apart, another becomes deepest.
             few = (*times[:: _SAMPLES // _STATIONS], deepest)
             self._known.append(Constraint(blocked.pair, few, overlaps[0]))
         elif all(abs(t - deepest) > _APART for t in known.times):
@@ -219,7 +220,7 @@ class Constraints:
 
             if not before:
                 return value, sloping
-            slope = sloping()  # now: the links are placed elsewhere next
+            slope = sloping()  # now, since the links are placed elsewhere next
             for c in before:
                 least, steepest = np.inf, slope
                 for t in c.times:

@@ -91,12 +91,13 @@ def descend(
     count, fresh, restarted = 1, True, False
     inverse = np.eye(len(y))
     while count < evaluations and value > enough:
+        # A coordinate at a bound that would leave the box takes no part in this step.
         held = ((y <= low) & (slope > 0.0)) | ((y >= high) & (slope < 0.0))
         free = np.where(held, 0.0, slope)
         if max(map(abs, free.tolist()), default=0.0) < _FLAT:
             break
         direction = np.where(held, 0.0, -matvec(inverse, free))
-        if dot(direction, free) >= 0.0:
+        if dot(direction, free) >= 0.0:  # no descent: the model is useless behind a kink
             direction, inverse, fresh = -free, np.eye(len(y)), True
         longest = max(map(abs, direction.tolist()))
         if fresh:
@@ -105,7 +106,7 @@ def descend(
             direction *= _LONGEST_STEP / longest
         found, used = _search_line(function, (y, value, free), direction, bounds, resolution)
         count += used
-        if found is None or value - found[1] <= resolution.value:
+        if found is None or value - found[1] <= resolution.value:  # stalled
             if found is not None:
                 y, value, slope = found
             if restarted or fresh:
@@ -116,8 +117,11 @@ def descend(
         y, value, slope = found
         along = dot(step, change)
         if along > _CURVED:
+            # Before the first update, the identity is scaled to the curvature that was met (Nocedal
+            # and Wright, Numerical Optimization, 2006, equation 6.20).
             if fresh:
                 inverse = np.eye(len(y)) * (along / dot(change, change))
+            # The BFGS update of the inverse, as a symmetric sum of two outer products.
             bent = matvec(inverse, change) / along
             half = (0.5 * (dot(change, bent) + 1.0) / along) * step - bent
             update = step[:, None] * half

@@ -41,7 +41,7 @@ class DistanceQueries:
     Coal can keep where its last search of a couple ended as a guess for the next one, which moves
     results in their last digits. Here every search begins from the same guess, so that results
     depend on the posture alone. Coal's own default does that for convex shapes; for meshes as given
-    it must be set anew each time.
+    it must be set again each time.
 
     Attributes:
         couples: Indices of the couples' shapes in the scene.

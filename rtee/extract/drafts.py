@@ -26,8 +26,8 @@ _DIRECTIONS: Final = np.array(
 """Directions whose outermost vertices begin a draft: to a cube's faces, edges and corners."""
 
 _SIDES: Final = 16
-"""Sides of the prism that stands for a cylinder: up to 32 corners, Coal looks at each of them and
-keeps nothing from one question to the next."""
+"""Sides of the prism in place of a cylinder: up to 32 corners, Coal compares them all and keeps
+nothing from one query to the next."""
 
 _THICK: Final = 6.0
 """A prism of so few sides may lie this many times the slack within its cylinder; thicker cylinders
@@ -46,7 +46,7 @@ _ROUNDS: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What stands in for the convex part of a shape while a search explores.
+    """What replaces the convex part of a shape while a search explores.
 
     Attributes:
         shape: A convex shape within the convex part.

@@ -202,6 +202,7 @@ class MultiPinchGoal:
         tree = set(spanning_tree(self._size, self._ends, gaps))
         value, terms = 0.0, []
         for i, (pair, gap) in enumerate(zip(self._pairs, gaps, strict=True)):
+            # Beyond the margin the pull ends, so that no pair is pressed for its own sake.
             pull = _PULL if i in tree and gap > -_MARGIN else 0.0
             weight = pull + (1.0 if gap < 0.0 else 0.0)
             if weight:

@@ -25,6 +25,7 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
         found.append(_flex(hand, PrimitiveKind.TIP_FLEX, name, own[-1:]))
     for name, own in several.items():
         sideways = abduction(hand, hand.finger(name))
+        # Where the innermost actuator swings the finger sideways, the next one bends it.
         first = next((a for a in own if a not in sideways), own[0])
         found.append(_flex(hand, PrimitiveKind.FING_FLEX, name, (first,)))
     found += [

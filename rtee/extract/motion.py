@@ -140,7 +140,7 @@ class Motion:
         rotations = matmul(matmul(outward.T, motion[0]), one.placement.rotation)
         positions = _sum(motion[0] * one.placement.translation, axis=2) + motion[1]
         positions = matmul(positions - other.placement.translation, outward)
-        # The other shape's box, seen from the shape, in a box of its own.
+        # The bounding box of the other shape's box, in the frame of the shape.
         low, high = other.box
         centres = _sum(rotations * ((low + high) / 2.0 - positions)[:, :, None], axis=1)
         halves = _sum(np.abs(rotations) * ((high - low) / 2.0 + _NEAR)[:, None], axis=1)
@@ -165,6 +165,7 @@ class Motion:
         levers = np.zeros(len(scene.hand.joints))
         for shapes, body in zip(pair.shapes, pair.bodies, strict=True):
             reach = max(self._radius[i] for i in shapes)
+            # From the link to the base, over all joints that carry the link.
             while body:
                 if pair.moved_by[body - 1] != 0.0:
                     joint = scene.hand.joints[body - 1]
@@ -215,6 +216,7 @@ class DistanceBounds:
         Args:
             joints: Joint positions ``(m,)`` [rad | m].
         """
+        # A joint moves the links against each other by its travel times its longest lever at most.
         moved = np.abs(joints - self._joints)
         least: FloatArray = self._gaps - _sum(self._levers * moved, axis=1)
         return least

@@ -83,6 +83,7 @@ class MultiSearch:
         """Return local minima; again where tips that take no part touch."""
         scene, warm, blocks = self.inspector.scene, self._warm(space, edges), self._blocks(space)
         effort = SEVERAL if space.size <= FEW else MANY
+        # Few tips are ever in the way; only those that were met are pushed away in the next round.
         while True:
             found = minima(GoalFunction(scene, goal, space), warm, effort, blocks)
             learned = False
@@ -118,6 +119,7 @@ class MultiSearch:
             for i in tree:
                 for actuator in edges[i].tips.actuators:
                     values[actuator].append(float(pinches[i][actuator]))
+            # An actuator that several pinches move goes to the mean of what they want.
             u = self._hand.rest.copy()
             for actuator, chosen in enumerate(values):
                 if chosen:

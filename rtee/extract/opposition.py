@@ -107,6 +107,7 @@ def _meet(
     ball = coal.Sphere(BALL)
     gap, towards = _gap(scene, shapes, ball, centre)
     if gap > 0.0:
+        # Conservative advancement: moving by the gap never passes the first contact.
         drawn_back = 0.0
         while gap > _TOUCH:
             drawn_back -= gap
@@ -114,6 +115,7 @@ def _meet(
                 return None
             gap, towards = _gap(scene, shapes, ball, centre + drawn_back * line)
         return _on_ball(centre, towards)
+    # The tip overlaps the ball: it is drawn back until it leaves the ball, then bisected.
     low, high = 0.0, BALL
     while _gap(scene, shapes, ball, centre + high * line)[0] <= 0.0:
         low, high = high, 2.0 * high

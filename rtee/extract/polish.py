@@ -95,6 +95,7 @@ def polish(
     reach = _FIRST_STEP / scale
     weights, held = np.ones(1), np.zeros(len(y))
     for count in range(2, evaluations + 1):
+        # The function is not convex: a piece above it here counts as one that touches it.
         errors, slopes = pieces.errors(y, value), pieces.slopes
         step, weights, held = _model_step(slopes, errors, (weights, held), y, reach, (low, high))
         predicted = -float((matvec(slopes, step) - errors).max())
@@ -103,6 +104,7 @@ def polish(
             return Minimum(y, value, count)
         new, rise = function(there)
         new, new_slope = resolution.rounded_value(new), resolution.rounded_slope(rise())
+        # The piece that the last step depended on least is forgotten.
         if len(weights) >= _KEPT:
             least = int(np.argmin(weights))
             pieces.drop(least)
@@ -110,8 +112,10 @@ def polish(
         pieces.add(there, new, new_slope)
         weights = np.append(weights, 0.0)
         if new <= value - _SERIOUS * predicted:
+            # As good as predicted: the model may be trusted farther.
             reach *= 2.0 if new <= value - 0.5 * predicted else 1.0
             y, value = there, new
+        # The new piece says nothing about the function at y: the step was too long.
         elif value - new - dot(new_slope, y - there) > 2.0 * predicted:
             reach *= 0.5
     return Minimum(y, value, evaluations)
@@ -147,6 +151,7 @@ def _model_step(
         elif not some:
             break
         else:
+            # What is held is freed where the model's minimum lies inside after all.
             pull = vecmat(weights, slopes) + fixed / reach
             freed = held & np.where(side < 0.0, pull < 0.0, pull > 0.0)
             if not freed.any():
@@ -181,6 +186,7 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
             for row, offset in zip(rows, offsets, strict=True)
         ]
         level, least = max(gradient[i] for i in face), min(gradient)
+        # Optimal where no weight outside the face has a smaller derivative than those on it.
         entering = gradient.index(least)
         if entering in face or least > level - _ROUNDING * (1.0 + abs(level)):
             break

@@ -65,12 +65,12 @@ CLOSE_SHARE: Final = 0.4
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture with what stands below it.
+    """A picture with its caption.
 
     Attributes:
         image: A WebP file.
         close_up: A WebP file of the contact, if there is one.
-        caption: What stands below it.
+        caption: The text below it.
         corner: Where in the picture the close-up covers least.
     """
 

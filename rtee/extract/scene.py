@@ -109,6 +109,7 @@ class Scene:
         moved_by = support(bodies[1]) - support(bodies[0])
         moves = [self.hand.transmission.moves(j) for j in np.flatnonzero(moved_by).tolist()]
         actuators = frozenset(i for i in moves if i is not None)
+        # Pairs are known by number: a clipped pair has the names of the whole one.
         self._couples += 1
         return LinkPair(links, bodies, shapes, self._couples, moved_by, actuators)
 
@@ -256,6 +257,8 @@ class Scene:
     def _derivative(
         self, normal: FloatArray, point: FloatArray, pair: LinkPair, space: Space
     ) -> FloatArray:
+        # n · (velocity of a point p) = n · v + (p x n) · w, so that one row times the joints'
+        # Jacobian is enough; either witness point will do, since they lie on one line along n.
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
@@ -357,6 +360,8 @@ class Scene:
         self.query_cost += _COLLIDE
         if surfaces and self._queries(pair, self._exact).collide(k, self._stamp, margin):
             return True
+        # One mesh may lie within the other, whose surface it does not meet. It would overlap by its
+        # whole width then, so that few pairs need the expensive test.
         overlap = -self._queries(pair, self._convex).results[k].min_distance
         if overlap < min(self._width(i), self._width(j)):
             return False

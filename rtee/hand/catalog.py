@@ -18,8 +18,8 @@ FILE_NAME: Final = "hand.yaml"
 def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     """Return the folders that hold hands, those that take precedence first.
 
-    They are ``extra``, the user's (see `own_dirs`), the ones that came with rtee, and at last the
-    folder one works in, where nothing takes the place of a hand known elsewhere.
+    They are ``extra``, the user's (see `own_dirs`), the ones that came with rtee, and last the
+    working directory, in which nothing replaces a hand known elsewhere.
     """
     package = Path(__file__).resolve().parents[1]
     candidates = [*(Path(folder) for folder in extra), *own_dirs(), package / "_config"]

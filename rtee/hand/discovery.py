@@ -96,8 +96,8 @@ def _tips(chains: Sequence[Chain], urdf: Urdf, srdf: Srdf | None) -> dict[str, s
 def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]:
     """Return the actuators that move a link, nearest the root first.
 
-    An actuator stands where its own joint stands on the way to the link, or else where the first
-    joint that follows it does.
+    An actuator comes where its own joint is on the path to the link, or else where the first joint
+    that follows it is.
     """
     place: dict[str, int] = {}
     for position, joint in enumerate(urdf.path_to(link)):
@@ -146,6 +146,7 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
 
 def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
     """Return the last links with geometry of the branches that move, one per rigid body."""
+    # A finger ends where nothing solid follows; ends on one rigid body are one finger.
     solid = {name for name, link in urdf.links.items() if link.collisions}
     followed: set[str] = set()
     for link in solid:
@@ -199,6 +200,7 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
     Returns:
         Per finger its name, and where it comes from.
     """
+    # A name that only some fingers have says nothing about the others.
     called = [_called(end, ends, urdf) for end in ends]
     names = [name for name, _ in filter(None, called)]
     if len(names) == len(set(names)) == len(ends):

@@ -106,6 +106,7 @@ def embed_meshes(hand: Hand, largest: int = LARGEST) -> EmbeddedMeshes:
             if mesh is None:
                 data = read_bytes(path, "mesh", ModelError)
                 mesh = EmbeddedMesh(_name(path, names), path, data)
+            # A description holds a mesh once for every address that names it.
             size = _AS_TEXT * times[address] * len(mesh.data)
             if size > room:
                 left_out[address] = f"the meshes take more than {largest / 1e6:g} MB"

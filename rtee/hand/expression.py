@@ -123,7 +123,7 @@ def _as_python(text: str) -> str:
     if len(text) > MAX_LENGTH:
         raise ExpressionError(f"the expression is longer than {MAX_LENGTH} characters")
     words: list[str] = []
-    opened: list[str] = []  # what stands before each open parenthesis
+    opened: list[str] = []  # what comes before each open parenthesis
     previous, value_follows = "", True
     for match in _TOKEN.finditer(text.rstrip()):
         number, name, symbol = match.groups(default="")

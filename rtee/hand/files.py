@@ -50,6 +50,7 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
+        # Renaming is atomic; what could fail for lack of space or rights has happened before.
         folders = {place.parent for place in staged}
         for target in list(staged):
             os.replace(staged[target], target)
@@ -209,7 +210,7 @@ def _place_of(target: Path) -> Path:
     """Return where a file is written: where links lead to.
 
     Raises:
-        OSError: Something that is no file is there.
+        OSError: Something other than a file is there.
     """
     place = Path(os.path.realpath(target))
     if place.is_dir():

@@ -34,8 +34,8 @@ _THICKNESS: Final = 1e-5
 def _settle_boxes() -> None:
     """Ask Coal about a box in a direction that has no zeros, before anything else does.
 
-    The first direction decides whether Coal stretches boxes by 1e-10, for as long as the process
-    lives; so results would depend on what came before.
+    The first direction decides whether Coal stretches boxes by 1e-10 for the rest of the process;
+    results would depend on what was asked before.
     """
     askew = coal.Transform3s(pin.rpy.rpyToMatrix(0.3, 0.5, 0.7), np.array([3.0, 1.0, 2.0]))
     here, request, result = coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult()
@@ -256,6 +256,8 @@ class _Meshes:
         return self._known[key]
 
     def _read(self, path: Path, source: UrdfGeometry) -> coal.BVHModelBase:
+        # Other formats may hold several parts, which the loader mixes up (see `mesh_repair`). The
+        # fast loader finds out.
         if path.suffix.lower() == ".stl":  # a single part
             return self._checked(self._loader, path, source)
         draft = self._checked(self._draft, path, source)
@@ -289,7 +291,7 @@ _COAL_PREFIXES: Final = ("From file", "in function", "at line", "message", "Hint
 
 
 def _identity(path: Path) -> object:
-    """Return what tells a mesh's content; an STL file stands alone, other formats may refer."""
+    """Return what identifies a mesh; files other than STL may refer to further ones."""
     if path.suffix.lower() == ".stl":
         return hashlib.blake2b(path.read_bytes(), digest_size=16).digest()
     return path

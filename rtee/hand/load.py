@@ -51,9 +51,9 @@ def load_model(
         name: The hand's name; the robot's in the URDF unless given.
         package_dirs: Folders to look mesh packages up in.
         rest: Rest positions by actuator [rad | m]; they override the SRDF's and 0.
-        ignore: Actuators that stand fixed at rest and take no part.
+        ignore: Actuators that stay at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
-        actuators: The actuators, where they are known; other joints that could be one stand fixed.
+        actuators: The actuators, where they are known; other joints that could be one stay fixed.
 
     Raises:
         ModelError: A file cannot be read or does not describe a hand.
@@ -171,6 +171,7 @@ def _check_devices(hand: Hand, config: HandConfig, document: YamlDocument) -> No
                     place, f"actuator '{actuator}' is already driven by '{owner[actuator]}'"
                 )
             owner[actuator] = name
+    # Without devices the hand runs kinematically, and no actuator needs one.
     missing = [a for a in hand.actuator_names if config.devices and a not in owner]
     if missing:
         raise document.error(("devices",), f"no device drives the actuator '{missing[0]}'")
@@ -241,7 +242,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
 
 
 def _check_ignored(roles: Mapping[str, JointRole], overrides: Overrides, urdf: Urdf) -> None:
-    """Refuse to ignore what is no actuator."""
+    """Refuse to ignore anything but an actuator."""
     actuators = [name for name, role in roles.items() if role is JointRole.ACTUATOR]
     for i, name in enumerate(overrides.ignore):
         if name in actuators:

@@ -2,8 +2,8 @@
 
 A file may hold several surfaces, one per material. The loader puts the corners of all of them one
 after the other, but numbers the triangles of each from its own first corner on, so that those of
-the later ones join corners of the first one and the later corners stay unused. The parts are told
-apart again here: each begins with a triangle of its corners 0, 1 and 2.
+the later ones join corners of the first one and the later corners stay unused. The parts are
+separated again here: each begins with a triangle of its corners 0, 1 and 2.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ def check_name(
     Args:
         name: The name to check.
         what: What it names, for the message, such as ``"action"``.
-        path: The file it stands in.
+        path: The file it is in.
         line: Its line there.
 
     Raises:

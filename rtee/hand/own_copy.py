@@ -102,7 +102,7 @@ def copied_since(folder: Path) -> Path | None:
     return next((copy for copy in copies if os.path.isfile(copy / FILE_NAME)), None)
 
 
-def told(folder: Path, copy: Path) -> str:
+def copy_notice(folder: Path, copy: Path) -> str:
     """Return the line that informs people of a copy.
 
     Args:

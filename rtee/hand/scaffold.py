@@ -67,7 +67,7 @@ def make_hand(
 
     Its meshes are copied beside the URDF and addressed relative to it. Without an SRDF one is
     written from what is found in the tree, with the reasons. Actuators that move all fingers as one
-    body are ignored, and a rest posture that is a pinch is opened; both stand in hand.yaml.
+    body are ignored, and a rest posture that is a pinch is opened; hand.yaml says both.
 
     Args:
         name: The hand's name.
@@ -104,7 +104,7 @@ def make_hand(
 
 @dataclass(frozen=True)
 class _Settled:
-    """A hand about which all is settled that its files leave open.
+    """A hand with the decisions that its files leave open.
 
     Attributes:
         hand: The hand.
@@ -122,7 +122,7 @@ class _Settled:
 
 
 def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _Settled:
-    """Settle which joints are actuators, which are ignored, and where the hand rests.
+    """Decide which joints are actuators, which are ignored, and where the hand rests.
 
     Args:
         load: Loads the hand, with what was settled so far.
@@ -208,7 +208,7 @@ def without_linkages(
         pairs: Its pairs of touching links.
 
     Returns:
-        The fingers that remain, named anew, and which were left out, one sentence each.
+        The fingers that remain, with new names, and which were left out, one sentence each.
     """
     always = {frozenset((p.link1, p.link2)) for p in pairs if p.reason == ALWAYS}
     kept, notes = [], []

@@ -20,7 +20,7 @@ def format_srdf(hand: Hand, pairs: Sequence[AllowedCollision], *, with_rest: boo
     Args:
         hand: The hand.
         pairs: Pairs of links that need not be checked for collision.
-        with_rest: Write the rest posture; it stands in hand.yaml otherwise.
+        with_rest: Write the rest posture; it is in hand.yaml otherwise.
     """
     lines = [f"<robot name={quoteattr(hand.urdf.name)}>"]
     for finger in hand.fingers:

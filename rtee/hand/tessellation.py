@@ -15,6 +15,7 @@ Triangles = tuple[FloatArray, NDArray[np.int64]]
 
 _AROUND: Final = 32
 _RINGS: Final = 16
+"""Corners around a surface of revolution, and rings of a sphere: smooth in a picture."""
 
 
 def box(size: tuple[float, float, float]) -> Triangles:

@@ -267,6 +267,7 @@ def _tree(
             path=root.path,
             line=line,
         )
+    # With one root, a joint that is not reached from it hangs on a loop.
     if not roots or len(_in_tree_order(roots[0], below)) != len(joints):
         loop = next(iter(joints.values())) if not roots else _unreached(roots[0], below, joints)
         raise ModelError(

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.catalog import fingerprint
-from rtee.hand.own_copy import TRIALS, told
+from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.loop.handloop import HandLoop
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
 from rtee.remote.actions import action_fields, group_fields, made_of
@@ -263,7 +263,7 @@ class QueryHandlers:
         before, self._folder = self._folder, self._library.folder
         if before is None or self._folder is None or before == self._folder:
             return ""
-        text = told(before.parent, self._folder.parent)
+        text = copy_notice(before.parent, self._folder.parent)
         log.warning("%s", text)
         return f"; {text}"
 
