@@ -85,7 +85,7 @@ def _part_fields(
 
 
 def _known(value: float | None) -> float:
-    return math.nan if value is None else value
+    return math.nan if value is None else value  # messages have no optional numbers
 
 
 def _flat(pairs: Sequence[tuple[str, ...]]) -> list[str]:
@@ -152,6 +152,7 @@ def _use_of(fields: Fields) -> ActionReference:
 
 
 def _primitive_of(fields: Fields, postures: list[Posture]) -> Primitive:
+    # The name of a multi-pinch ends with the number of tips: MultiPinchTight_3.
     base = fields["name"].rstrip("0123456789").rstrip("_")
     try:
         kind = PrimitiveKind(base)

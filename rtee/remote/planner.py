@@ -29,6 +29,7 @@ def posture_of(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
     u = np.array(hand.rest)
     for name, value in positions.items():
         spec = hand.actuator(name)
+        # A limit that was written with few digits may differ in the last one.
         if not spec.lower - 1e-6 <= value <= spec.upper + 1e-6:
             raise GoalRejected(
                 f"the position {value:g} of '{name}' is outside its limits "
