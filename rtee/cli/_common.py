@@ -66,7 +66,7 @@ def _hand_asked(ctx: typer.Context) -> str | None:
     asked = ctx.params.get("hand") or os.environ.get(HAND_VARIABLE)
     if asked:
         return str(asked)
-    there = complete_running("")
+    there = complete_running("")  # as the command itself: the only one that runs
     return there[0] if len(there) == 1 else None
 
 
@@ -135,6 +135,7 @@ class _Command(TyperCommand):
         from rtee.remote.monitoring import READY_WITHIN
 
         end = args.index("--") if "--" in args else len(args)
+        # From the end, so that an insertion does not shift what is still to be looked at.
         for number in [i for i, word in enumerate(args[:end]) if word == "--wait"][::-1]:
             if number + 1 >= end or not _is_number(args[number + 1]):
                 args = [*args[: number + 1], f"{READY_WITHIN:g}", *args[number + 1 :]]

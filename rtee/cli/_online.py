@@ -45,6 +45,7 @@ def with_hand(
             hand, endpoint=endpoint, client=name, wait=within, on_wait=_waiting if wait else None
         ) as remote:
             if wait is not None:
+                # Connecting has used up a part of the time.
                 await remote.ready(max(0.0, began + wait - time.monotonic()), _waiting)
             return await function(remote)
 

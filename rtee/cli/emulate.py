@@ -94,6 +94,7 @@ def _converse(player: Player) -> None:
     import signal
     import sys
 
+    # As a service it is ended by SIGTERM; the link to the port is removed then, too.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     for line in sys.stdin:
         if line.strip() in ("quit", "exit"):

@@ -80,6 +80,7 @@ def extract(
     if urdf is None and (srdf or package_dir):
         raise ConfigError("--srdf and --package-dir go with --urdf")
     folder = hand_folder(hand) if hand is not None else None
+    # Everything that can be refused is refused before the search, which may take minutes.
     if save and folder is None:
         raise ConfigError("--save needs a hand of the configuration; with --urdf give --out")
     from rtee.hand.own_copy import own, own_place

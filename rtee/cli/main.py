@@ -59,6 +59,7 @@ class LazyGroup(TyperGroup):
         entry = COMMANDS.get(cmd_name)
         if entry is None:
             return None
+        # A list shows all commands; importing them would take seconds.
         if cmd_name not in sys.argv and "_RTEE_COMPLETE" not in os.environ:
             return TyperCommand(cmd_name, callback=None, help=entry[1], short_help=entry[1])
         module, _, name = entry[0].partition(":")

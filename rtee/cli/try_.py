@@ -113,7 +113,7 @@ def try_(
 
 def _resolved(hand: str) -> str:
     """Return a hand's name, or the absolute path of its folder for other processes."""
-    return str(Path(hand).resolve()) if os.sep in hand else hand
+    return str(Path(hand).resolve()) if os.sep in hand else hand  # a bare name is looked up
 
 
 def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> TrialResult:

@@ -118,14 +118,14 @@ class App:
                     await self._show()
                 except NoHand as error:
                     self._say(f"Not connected: {error}", BAD)
-                except BaseExceptionGroup as errors:
+                except BaseExceptionGroup as errors:  # from the task group of the session
                     known, others = errors.split(RteeError)
                     if others is not None:
                         raise
                     self._say(f"Not connected: {_first(known)}", BAD)
                 except RteeError as error:
                     self._say(f"Cannot show the hand: {error}", BAD)
-            if not leave.cancelled_caught:
+            if not leave.cancelled_caught:  # another hand was chosen: show it now
                 await anyio.sleep(_POLL_PERIOD)
 
     @contextlib.contextmanager

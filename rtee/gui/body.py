@@ -74,7 +74,7 @@ class HandBody:
                     place, show_axes=False, wxyz=quaternion(joint.rpy), position=joint.xyz
                 )
                 if joint.moving:
-                    place = f"{place}/q"
+                    place = f"{place}/q"  # the frame that moves, below the fixed one of the joint
                     frame = self._scene.add_frame(place, show_axes=False)
                     frames[joint.name] = (frame, np.array(joint.axis), joint.kind == "prismatic")
                 pending.append((joint.child, place))

@@ -50,7 +50,7 @@ class Bridge:
 
     def _start(self, work: Work) -> None:
         task = asyncio.ensure_future(self._guarded(work))
-        self._working.add(task)
+        self._working.add(task)  # the event loop itself keeps only a weak reference
         task.add_done_callback(self._working.discard)
 
     async def _guarded(self, work: Work) -> None:

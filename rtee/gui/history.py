@@ -48,6 +48,7 @@ class History:
         sizes = dict.fromkeys((*QUANTITIES, "reference"), actuators)
         sizes |= dict.fromkeys(JOINT_QUANTITIES, joints)
         self._values = {
+            # Half the memory, and far finer than a pixel.
             name: np.full((self._capacity, size), np.nan, dtype=np.float32)
             for name, size in sizes.items()
         }

@@ -53,4 +53,5 @@ async def model_of(remote: RemoteHand) -> Hand:
         hand = load_hand(remote.name)
     except RteeError:
         return from_info(info)
+    # Another version of the hand may be configured here.
     return hand if hand.actuator_names == info.actuator_names else from_info(info)

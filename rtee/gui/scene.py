@@ -74,7 +74,7 @@ class HandScene:
                 points.append(self._triangles(name)[0] @ pose[:3, :3].T + pose[:3, 3])
         cloud = np.concatenate(points) if points else np.zeros((1, 3))
         low, high = cloud.min(axis=0), cloud.max(axis=0)
-        size = max(float(np.linalg.norm(high - low)), 0.05)
+        size = max(float(np.linalg.norm(high - low)), 0.05)  # a model may have no shapes
         middle = 0.5 * (low + high)
         camera = self._server.initial_camera
         camera.look_at = tuple(middle)
@@ -118,6 +118,7 @@ class HandScene:
         """Darken fingers by their effort, given by finger name as a share of its limit."""
         for finger in self.hand.fingers:
             strength = share.get(finger.name, 0.0)
+            # In ten steps, because each change of colour is sent to the browser.
             strength = 0.0 if not math.isfinite(strength) else round(min(abs(strength), 1.0), 1)
             if strength == self._strained.get(finger.name, 0.0):
                 continue

@@ -203,7 +203,7 @@ class Session:
                         self._draw(time.monotonic())
 
     def _receive(self, state: State) -> None:
-        if state.joint_names != self._hand.joint_names:
+        if state.joint_names != self._hand.joint_names:  # the model here has another order
             state = self._in_order(state)
         self._state = state
         speeds = self._hand.transmission.velocities(state.position, state.velocity)
@@ -231,7 +231,7 @@ class Session:
         self._scene.show_reference(state.reference_position if self._ghost.value else None)
         self._scene.show_effort(self._efforts(state) if self._strain.value else {})
         pressure = self._pressures(state) if self._press.value else {}
-        if pressure or self._pressed:
+        if pressure or self._pressed:  # once more after the last contact, to hide the spheres
             self._pressed = bool(pressure)
             self._scene.show_pressure(pressure)
             self._scene.place_pressures(state.position)
@@ -256,7 +256,7 @@ class Session:
         for name, values in state.channels.items():
             if name.endswith(("/pressure", "/contact_force")) and len(values) % len(fingers) == 0:
                 by_finger = np.nan_to_num(values).reshape(len(fingers), -1).max(axis=1)
-                most = max(float(by_finger.max()), 1.0)
+                most = max(float(by_finger.max()), 1.0)  # weak pressures stay pale
                 return {f: float(v) / most for f, v in zip(fingers, by_finger, strict=True)}
         return {}
 

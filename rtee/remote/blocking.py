@@ -192,6 +192,7 @@ def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]
 
 
 def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
+    # An item in a tuple is distinguished from the end even if it is ``None``.
     async def following() -> tuple[T] | None:
         try:
             return (await anext(source),)
@@ -228,7 +229,7 @@ def connect_blocking(
     """
     with contextlib.ExitStack() as stack:
         portal = _start_portal()
-        stack.callback(lambda: portal.call(portal.stop))
+        stack.callback(lambda: portal.call(portal.stop))  # also if connecting fails
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
         leave = stack.pop_all().close

@@ -238,13 +238,14 @@ async def connect(
         ConfigError: if several hands run and none is named.
     """
     session, name = await open_hand(hand, endpoint, wait, on_wait)
+    # The process and a random part distinguish clients that have the same name.
     identity = safe_name(f"{client[:60]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
     link = Link(session, name, identity)
     try:
         remote = RemoteHand(link)
         await link.connect()
         yield remote
-        await remote.leave()
+        await remote.leave()  # not after an error, which counts as losing the client
     finally:
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(link.close)

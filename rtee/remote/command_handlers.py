@@ -112,13 +112,14 @@ class CommandHandlers:
             return ""
         if len(self._greeting) >= _MOST_WAITING:
             raise RequestRejected("too many clients say hello without a liveliness token")
-        self._greeting[client] = request
+        self._greeting[client] = request  # answered when its liveliness token is seen
         return None
 
     def _do(self, goal: Goal) -> str:
         check_name(goal.goal_id, "goal")
         if self._lease.runs(goal.goal_id):
             raise GoalRejected(f"the goal '{goal.goal_id}' runs already")
+        # Before it is submitted: the loop may end the goal before `submit` returns.
         self._lease.started(goal.client, goal.goal_id)
         try:
             self._loop.submit(goal)
@@ -137,7 +138,7 @@ class CommandHandlers:
 
     def _jog(self, request: IncomingRequest) -> str:
         fields = request.fields
-        limit = None if math.isnan(fields["limit"]) else fields["limit"]
+        limit = None if math.isnan(fields["limit"]) else fields["limit"]  # NaN: no limit given
         self._loop.jog(_values(fields), limit)
         self._lease.jogged(fields["client"])
         return ""

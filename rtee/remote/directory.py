@@ -99,7 +99,7 @@ def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
     descriptor = _locked(path, hand)
     try:
         entry = json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)})
-        os.ftruncate(descriptor, 0)
+        os.ftruncate(descriptor, 0)  # a killed server may have left a longer entry
         os.pwrite(descriptor, entry.encode(), 0)
         yield path
     finally:
@@ -114,6 +114,7 @@ def _locked(path: Path, hand: str) -> int:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640)
         except OSError as error:
             raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
+        # The previous server may have removed the file between opening and locking it.
         if _lock(descriptor, fcntl.LOCK_EX) and _same_file(descriptor, path):
             return descriptor
         os.close(descriptor)
@@ -161,6 +162,7 @@ def running() -> dict[str, Running]:
     """Return the hands that run on this computer, this user's and services, by name."""
     found: dict[str, Running] = {}
     own = sorted(runtime_folder().glob("*.json"))
+    # A folder that is named explicitly, as in tests, is the only one.
     services = [] if os.environ.get(VARIABLE) else sorted(SERVICES.glob("*.json"))
     for path in (*services, *own):
         entry = _read(path)

@@ -105,6 +105,7 @@ class FastRequests:
         if sample.attachment is not None:
             number = sample.attachment.to_string()
             data = sample.payload.to_bytes()
+            # The first character says whether the request was accepted.
             self._call_soon(self._settle, number[1:], number[:1] == "+", data)
 
     def _settle(self, number: str, ok: bool, data: bytes) -> None:

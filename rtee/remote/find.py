@@ -86,7 +86,7 @@ async def _elsewhere(hand: str | None, endpoint: str) -> tuple[zenoh.Session, st
     try:
         names = await anyio.to_thread.run_sync(_alive, session)
         return session, _chosen(hand, names, f"at {endpoint}")
-    except BaseException:
+    except BaseException:  # cancellation included: a session keeps threads
         session.close()  # type: ignore[no-untyped-call]
         raise
 

@@ -75,7 +75,7 @@ class RunningGoal:
     async def _iterate(self) -> AsyncIterator[Feedback]:
         while (feedback := await self._feedback.get()) is not None:
             yield feedback
-        self._feedback.put_nowait(None)
+        self._feedback.put_nowait(None)  # for the next one who iterates
 
     async def result(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
         """Wait until the goal has ended.
@@ -89,6 +89,7 @@ class RunningGoal:
         if on_feedback is not None:
             async for feedback in self:
                 on_feedback(feedback)
+        # Cancelling one who waits must not cancel the result for the others.
         return await asyncio.shield(self._result)
 
     async def cancel(self) -> None:
@@ -226,7 +227,7 @@ class GoalClient:
                 f"an effort for all actuators is a share of their limits, above 0 and at most 1 "
                 f"(100 %), not {share:g}"
             )
-        if self._efforts is None:
+        if self._efforts is None:  # they do not change while the hand runs
             self._efforts = {a.name: a.effort for a in (await self._info()).actuators}
         known = self._efforts
         chosen = [name for name in (known if only is None else only) if name not in besides]

@@ -35,6 +35,7 @@ class Lease:
         """The client that holds the lease, or an empty string."""
         if self._acquired:
             return self._acquired
+        # A copy, since the loop's thread may end a goal meanwhile.
         if running := tuple(self._goals.values()):
             return running[0]
         return self._jogger if self._now() < self._jogged_until else ""

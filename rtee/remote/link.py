@@ -44,6 +44,7 @@ class Link:
         self._gone_callbacks: list[Callable[[], object]] = []
         self._subscribers: list[zenoh.Subscriber[None]] = []
         self._fast = FastRequests(session, hand, client, self._call_soon, self._settle)
+        # While this token is there the hand knows that its client is alive.
         self._token = session.liveliness().declare_token(network_key(hand, f"{CLIENTS}/{client}"))
         self._subscribers.append(
             session.liveliness().declare_subscriber(
@@ -102,7 +103,7 @@ class Link:
 
         def received(sample: zenoh.Sample) -> None:
             waiting.append(sample.payload.to_bytes())
-            if len(waiting) == 1:
+            if len(waiting) == 1:  # else the event loop has been woken already
                 self._call_soon(drain)
 
         with self._subscriber(key, received):
@@ -169,6 +170,7 @@ class Link:
                 self._call_soon(self._settle, future, False, reply.err.payload.to_bytes())
 
         def ended() -> None:
+            # Without effect if there was a reply: the future is complete then.
             self._call_soon(self._settle, future, False, b"")
 
         first = request.group == STOP
@@ -176,7 +178,7 @@ class Link:
             self._session.get(
                 request.key(self.hand),
                 direct(replied, ended),
-                consolidation=zenoh.ConsolidationMode.NONE,
+                consolidation=zenoh.ConsolidationMode.NONE,  # else replies wait for the last one
                 timeout=within,
                 priority=zenoh.Priority.REAL_TIME if first else zenoh.Priority.INTERACTIVE_HIGH,
                 express=True,

@@ -25,7 +25,7 @@ class LoopThread:
 
     def call_soon(self, function: Callable[..., object], *arguments: object) -> None:
         """Have a function called; does nothing once the event loop has ended."""
-        with contextlib.suppress(RuntimeError):
+        with contextlib.suppress(RuntimeError):  # raised once the event loop is closed
             self._event_loop.call_soon_threadsafe(function, *arguments)
 
     def call(self, function: Callable[[], T]) -> T:

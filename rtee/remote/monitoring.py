@@ -92,6 +92,7 @@ class Monitoring:
 
     def __init__(self, link: Link) -> None:
         self._link = link
+        # Weak, because an iterator that nobody has begun to use is never closed.
         self._event_queues: weakref.WeakSet[asyncio.Queue[Event | None]] = weakref.WeakSet()
         self._state_queues: set[asyncio.Queue[State | None]] = set()
         link.subscribe(topics.EVENTS, self._on_event)
@@ -165,6 +166,7 @@ class Monitoring:
         Raises:
             NoHand: if the hand goes.
         """
+        # Registered here rather than at the first step, so that no event is missed until then.
         queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_WAITING)
         self._event_queues.add(queue)
         return self._drained(queue)

@@ -19,7 +19,7 @@ from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
 
 
-def posture_of(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
+def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
     """Return actuator positions ``(n,)``: the given ones, and rest positions for the others.
 
     Raises:
@@ -29,6 +29,7 @@ def posture_of(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
     u = np.array(hand.rest)
     for name, value in positions.items():
         spec = hand.actuator(name)
+        # A limit that was written with few digits may differ in the last one.
         if not spec.lower - 1e-6 <= value <= spec.upper + 1e-6:
             raise GoalRejected(
                 f"the position {value:g} of '{name}' is outside its limits "
@@ -131,7 +132,7 @@ def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
     Raises:
         UserError: if the posture does not fit the hand.
     """
-    u = posture_of(hand, positions)
+    u = _full_posture(hand, positions)
     return {
         "name": hand.name,
         "base": hand.base,

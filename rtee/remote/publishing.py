@@ -160,6 +160,7 @@ class Streams:
         if every not in self._asked:
             self._make_room()
             key = f"{network_key(self._hand, STATES)}/{every}"
+            # Replaced rather than changed, because the loop's thread iterates over it.
             asked = dict(self._asked)
             asked[every] = Stream(self._session, key, every, self.messages.state)
             self._replace(asked)
@@ -198,7 +199,7 @@ class Streams:
 
     def close(self) -> None:
         """Stop publishing; waits for what is being published."""
-        streams, self._all = self._all, ()
+        streams, self._all = self._all, ()  # nothing more is queued from now on
         self._worker.close()
         for stream in streams:
             stream.close()

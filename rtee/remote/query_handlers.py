@@ -156,6 +156,7 @@ class QueryHandlers:
 
     def _status(self, _: Fields) -> Fields:
         loop = self._loop
+        # Read in the loop's thread, so that they belong to the same tick.
         statuses, statistics, plan = self._thread.call(
             lambda: (loop.statuses(), loop.statistics(), loop.controller.running)
         )

@@ -64,13 +64,16 @@ _TCP = re.compile(r"tcp/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
 
 _COMMON: dict[str, Any] = {
     "mode": "peer",
+    # A hand is found by its announcement or its endpoint; no packet goes to the network unasked.
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/link/tx/lease": LEASE,
     "transport/link/tx/keep_alive": 4,
     # A congested client must not hold up the loop: what cannot be sent at once is dropped.
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    # Results must not be lost: only a peer that counts as dead may be dropped [µs].
     "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE * 1000,
+    # Messages are a few kilobytes, too small to gain from shared memory.
     "transport/shared_memory/enabled": False,
     "adminspace/enabled": False,
 }
@@ -106,6 +109,7 @@ def disable_linger() -> None:
     for name in os.listdir(folder) if folder.is_dir() else ():
         if not (folder / name).is_socket():
             continue
+        # A duplicate shares the socket's options, and may be closed without closing the socket.
         with (
             contextlib.suppress(OSError),  # closed meanwhile
             socket.socket(fileno=os.dup(int(name))) as link,
@@ -144,6 +148,7 @@ def open_server(listen: Sequence[str], connect: Sequence[str]) -> tuple[zenoh.Se
             "listen/exit_on_failure": True,
             "connect/endpoints": list(connect),
             "connect/exit_on_failure": False,
+            # A router may come up later: Zenoh keeps trying.
             "connect/timeout_ms": 0 if not connect else -1,
         }
         try:

@@ -66,6 +66,7 @@ class ActionsPanel:
             self._cards.pop(key).remove()
             del self._known[key]
         for place, (key, group) in enumerate(groups.items()):
+            # Rebuilding a card resets its controls, so unchanged ones are kept.
             signature = tuple(_signature(action) for action in group)
             if self._known.get(key) == signature:
                 self._cards[key].place(place)

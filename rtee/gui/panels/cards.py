@@ -168,7 +168,7 @@ class Card:
         contact = None if evidence is None else evidence.contact_at
         if contact != self._contact:
             value = int(self._slider.value)
-            self._slider.remove()
+            self._slider.remove()  # the marks of a slider cannot be changed
             with self._folder:
                 self._slider = self._make_slider(self._bridge.server.gui, value)
         self._show_remark()

@@ -77,6 +77,7 @@ class ElementChoice:
         for box in self._boxes[index + 1 :]:
             offered = options_at(self.combinations, chosen)
             wanted = str(box.value) if box.value in offered else offered[0]
+            # Changing the options calls back, so they are changed only if necessary.
             if tuple(box.options) != offered:
                 box.options = offered
             if box.value != wanted:

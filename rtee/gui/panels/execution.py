@@ -88,7 +88,7 @@ class Execution:
         self._say("", "")
 
     def _progress(self, feedback: Feedback) -> None:
-        if feedback.goal_id != self._goal_id:
+        if feedback.goal_id != self._goal_id:  # of a goal that this card has replaced
             return
         self._bar.value = round(100.0 * feedback.progress, 1)
         for name, progress in feedback.inner_progress.items():

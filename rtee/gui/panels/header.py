@@ -79,6 +79,7 @@ class Header:
 
     async def _do_stop(self) -> None:
         confirmed = await self._hand.stop()
+        # A device that has not confirmed may still move: say so in red.
         silent = [name for name, word in confirmed.items() if not word]
         if silent:
             self._bridge.notify("Stop NOT confirmed", f"by {', '.join(silent)}", "red")
@@ -105,7 +106,7 @@ class Header:
     def _put(self, lines: list[str]) -> None:
         body = "<br>".join(lines)
         html = f'<div role="status" style="font-size:0.85em;padding:0 0.75em">{body}</div>'
-        if self._state.content != html:
+        if self._state.content != html:  # each change is sent to all windows
             self._state.content = html
 
     def remove(self) -> None:

@@ -38,6 +38,7 @@ class JogPanel:
         with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
             names = short_names(hand.actuator_names)
             for index, actuator in enumerate(hand.actuators):
+                # A continuous joint has no limits; a slider of one turn is enough for it.
                 lower = actuator.lower if actuator.lower > -7.0 else -3.1416
                 upper = actuator.upper if actuator.upper < 7.0 else 3.1416
                 unit = "m" if actuator.kind == "prismatic" else "rad"
@@ -76,10 +77,11 @@ class JogPanel:
         """Let the sliders follow the hand while nobody jogs."""
         if self._hold.value:
             return
-        self._quiet = True
+        self._quiet = True  # else each slider that is moved here would jog the hand
         try:
             for slider, position in zip(self._sliders, state.position, strict=True):
                 value = min(max(float(position), slider.min), slider.max)
+                # Not NaN, and moved by more than the noise of a measurement.
                 if value == value and abs(value - slider.value) > 2.0 * slider.step:
                     slider.value = value
         finally:

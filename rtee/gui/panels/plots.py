@@ -200,7 +200,7 @@ class PlotsPanel:
             return
         for name, plot in self._plots.items():
             data = self._data(name)
-            if len(data) != len(plot.data):
+            if len(data) != len(plot.data):  # the source changed, so that the lines do not fit
                 self._stale = True
                 return
             plot.data = data

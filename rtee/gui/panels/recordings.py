@@ -145,7 +145,7 @@ class RecordingsPanel:
             raise LogError(f"there is no recording of {self._hand.name} in this folder")
         playback = await anyio.to_thread.run_sync(open_playback, path, self._hand)
         self._playback = None
-        self._quiet = True
+        self._quiet = True  # the slider changes here, not by the user
         self._time.value = 0.0
         self._time.max = playback.duration
         self._time.step = max(playback.duration / 1e5, 0.001)
@@ -184,6 +184,7 @@ class RecordingsPanel:
         playback = self._playback
         if playback is None or not self._play.value:
             return
+        # After a pause of the event loop the recording goes on where it was.
         playback.time += min(passed, 0.5) * _SPEEDS[str(self._speed.value)]
         if playback.time >= playback.duration:
             playback.time = playback.duration

@@ -69,7 +69,7 @@ class TuningPanel:
         """Offer the gains that the devices have."""
         share = round(100.0 * status.grip_effort)
         if share != self._holding.value:
-            self._quiet = True
+            self._quiet = True  # else the change would be sent back to the hand
             self._holding.value = share
             self._quiet = False
         gains = {
