@@ -165,7 +165,7 @@ async def send_goals(
     """Send goals from standstill; return of each its name, and when it was called and sent [ns]."""
     source = random.Random(1)
     # The moment at which Zenoh takes over is seen nowhere else.
-    publishers: dict[str, Any] = hand._link.putting._publishers  # type: ignore[assignment]
+    publishers: dict[str, Any] = hand._link._fast._publishers  # type: ignore[assignment]
     put = publishers["do"].put
     handed = 0
 

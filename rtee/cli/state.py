@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtee.cli._common import ConnectOption, RunningOption
+from rtee.cli._online import to_json, with_hand
+from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
-    from rtee.cli._table import Table
     from rtee.messages.state import State
     from rtee.remote.client import RemoteHand
-
-app = typer.Typer()
 
 _COLUMNS = {
     "position": ("position", 4),
@@ -24,10 +23,9 @@ _COLUMNS = {
     "temperature": ("°C", 1),
     "reference_position": ("reference", 4),
 }
-"""What is shown: headings and digits."""
+"""The columns: headings and digits after the point."""
 
 
-@app.command()
 def state(
     hand: RunningOption = None,
     connect: ConnectOption = None,
@@ -40,8 +38,6 @@ def state(
     ] = False,
 ) -> None:
     """Show the hand's state: live until Ctrl-C, or once."""
-    from rtee.cli._online import with_hand
-    from rtee.cli._table import on_terminal
 
     async def execute(remote: RemoteHand) -> None:
         if once:
@@ -65,7 +61,6 @@ async def _live(remote: RemoteHand, rate: float) -> None:
 
 
 def _print(name: str, found: State, as_json: bool) -> None:
-    from rtee.cli._online import to_json
 
     if as_json:
         print(to_json(_plain(name, found)), flush=True)
@@ -89,13 +84,12 @@ def _plain(name: str, found: State) -> dict[str, Any]:
 
 
 def _table(name: str, found: State) -> Table:
-    from rtee.cli._table import Column, Row, Table, prefix_to_drop
 
     prefix = prefix_to_drop(found.names)
     title = f"{name}, tick {found.tick}"
     if prefix:
         title += f" (names of actuators begin with {prefix})"
-    # What no actuator measures would only take room.
+    # Quantities that no actuator measures are left out.
     measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
     columns = [Column("actuator", whole=True)]
     columns += [Column(_COLUMNS[c][0], right=True, whole=True) for c in measured]

@@ -6,13 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from rtee.buses.pool import BusPool
 from rtee.drivers.connection import Connection
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-    from rtee.buses.pool import BusPool
 
 
 class Driver(ABC):

@@ -1,4 +1,4 @@
-"""A recording as the GUI shows it: the state at any time, and the lines up to it."""
+"""A recording in the GUI: its state at any time, and the lines of the plots up to it."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _OTHER = "#e69f00"
 
 
 class Playback:
-    """A recording and where in it we are.
+    """A recording and the time shown.
 
     Attributes:
         recording: The recording.
-        time: Where in it [s].
+        time: The time shown, since the start of the recording [s].
     """
 
     def __init__(self, recording: Recording, hand: Hand) -> None:
         """Prepare a recording of a hand.
 
         Raises:
-            LogError: if it is of another hand, or nothing was measured in it.
+            LogError: if it is of another hand, or contains no measurements.
         """
         self.recording = recording
         self._hand = hand
@@ -60,7 +60,7 @@ class Playback:
 
     @property
     def marks(self) -> list[tuple[float, str]]:
-        """When what was marked by users [s]."""
+        """Times [s] and texts of the marks set by users."""
         return [(entry.t, entry.value.text) for entry in self.recording.marks]
 
     @staticmethod
@@ -68,7 +68,7 @@ class Playback:
         return max(0, int(np.searchsorted(t, time, side="right")) - 1)
 
     def state(self) -> State:
-        """Return the state at the present time."""
+        """Return the state at the time shown."""
         states, sent, joints = (
             self.recording.actuator_states,
             self.recording.reference,
@@ -110,7 +110,7 @@ class Playback:
         )
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
-        """Return times relative to the present [s] and the columns of a quantity, thinned."""
+        """Return times relative to the time shown [s] and the columns of a quantity, thinned."""
         states = self.recording.actuator_states
         end = self._row(states.t, self.time) + 1
         start = int(np.searchsorted(states.t, self.time - length))
@@ -139,7 +139,7 @@ class Playback:
 
 
 def open_playback(path: Path, hand: Hand) -> Playback:
-    """Read a recording; blocks for as long as that takes.
+    """Read a recording; blocks while reading.
 
     Raises:
         LogError: if it cannot be read, or is of another hand.
@@ -158,7 +158,7 @@ def _bar(span: Span, duration: float, top: int, height: int) -> str:
 
 
 def timeline(playback: Playback) -> str:
-    """Return a picture of the recording: spans of actions, inner actions, marks, where we are."""
+    """Return a picture (SVG) of the recording: actions, inner actions, marks, the time shown."""
     duration = playback.duration
     shapes = []
     for span in playback.recording.spans:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rtee.errors import ConfigError, ModelError, UnknownActuator, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf
-from rtee.hand.fingers import make_fingers
+from rtee.hand.discovery import make_fingers
 from rtee.hand.limits import (
     Limits,
     Overrides,

@@ -50,7 +50,7 @@ def sphere(radius: float) -> Triangles:
     return _revolve([(radius * float(np.cos(a)), radius * float(np.sin(a))) for a in angles])
 
 
-def halved(corners: FloatArray, longest: float) -> FloatArray:
+def subdivided(corners: FloatArray, longest: float) -> FloatArray:
     """Return triangles ``(t, 3, 3)`` with their edges halved until none is longer than allowed.
 
     Args:

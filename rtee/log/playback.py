@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rtee.errors import LogError
-from rtee.hand.embedded_meshes import FOLDER, with_addresses
+from rtee.hand.embedded_meshes import FOLDER, with_mesh_addresses
 from rtee.hand.files import write_all
 from rtee.hand.names import check_name
 from rtee.log.dataclass_json import from_json
@@ -82,7 +82,7 @@ def write_hand(recording: Recording, folder: Path) -> Path:
     addresses = {address: path.as_uri() for address, (path, _) in meshes.items()}
     files: dict[Path, str | bytes] = dict(meshes.values())
     files |= _actions(recording.attachments, home)
-    files[home / "hand.urdf"] = with_addresses(recording.urdf, addresses)
+    files[home / "hand.urdf"] = with_mesh_addresses(recording.urdf, addresses)
     lines = [f"name: {name}", "urdf: hand.urdf"]
     srdf = next(
         (data for file, data in recording.attachments.items() if file.endswith(".srdf")), None

@@ -15,7 +15,7 @@ from typing import Final, Self
 
 from rtee.commands import CommandRecord
 from rtee.errors import LogError
-from rtee.hand.embedded_meshes import CarriedMeshes, carried_meshes
+from rtee.hand.embedded_meshes import EmbeddedMeshes, embed_meshes
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import to_json
 from rtee.log.layout import REPLAY, Contents, Replayable
@@ -92,7 +92,7 @@ class Recorder:
         if loop is not None:
             files[REPLAY] = to_json(Replayable(loop, hand.actuators)).encode()
         more = {"decimation": str(settings.decimation), **(metadata or {})}
-        meshes = carried_meshes(hand) if settings.meshes else CarriedMeshes({}, {})
+        meshes = embed_meshes(hand) if settings.meshes else EmbeddedMeshes({}, {})
         for address, why in meshes.left_out.items():
             log.warning("the mesh '%s' is not in the recording: %s", address, why)
         contents = Contents(hand, rate, files, more, meshes)

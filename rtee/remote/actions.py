@@ -1,4 +1,4 @@
-"""Actions as fields of messages, both ways."""
+"""Conversion of actions to fields of messages and back."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def action_of(fields: Fields) -> Action:
     """Return the action in the fields of a ``rtee_msgs/Action``.
 
     Raises:
-        MessageError: if they describe none.
+        MessageError: if the fields do not describe an action.
     """
     postures = [_posture_of(posture) for posture in fields["postures"]]
     name, kind, description = fields["name"], fields["kind"], fields["description"]
@@ -204,12 +204,12 @@ def made_of(library: ActionLibrary, fields: Fields) -> Action:
     """Make the composed, timed or generic action that a client describes.
 
     Args:
-        library: The hand's actions, to look the parts up.
-        fields: Of a ``rtee_msgs/Action``; postures of parts are worked out anew.
+        library: The hand's actions, in which the parts are looked up.
+        fields: Of a ``rtee_msgs/Action``; the postures of parts are worked out here.
 
     Raises:
         ActionError: if it cannot be made.
-        MessageError: if the fields are no action.
+        MessageError: if the fields do not describe an action.
     """
     name, description = fields["name"], fields["description"]
     match fields["kind"]:

@@ -6,20 +6,23 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
 from rtee.buses.ethercat import EthercatBus, Ring, State
+from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (
     ACKNOWLEDGE_OBJECT,
     COMMAND_OBJECT,
+    FIRMWARE_OBJECT,
     LEAST_TORQUE,
     MOTORS,
     PHALANXES,
@@ -30,21 +33,16 @@ from rtee.drivers.heri_ethercat.codec import (
     Order,
     Reply,
 )
-from rtee.drivers.heri_ethercat.emulator import HeriEmulator
-from rtee.drivers.heri_ethercat.identity import firmware, identify
 from rtee.drivers.heri_ethercat.options import HeriEthercatOptions, motors_of
 from rtee.drivers.options import read_options
 from rtee.errors import (
     BusTimeout,
     DeviceFault,
     FrameError,
-    NotConnected,
+    HandshakeError,
     RteeError,
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
-
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
 
 _REFUSED = 0x10000
 _POLL = 0.005
@@ -68,7 +66,7 @@ class HeriEthercatDriver(Driver):
         self.options = read_options(HeriEthercatOptions, spec)
         self._motors = motors_of(spec, self.options)
         self._boards = max(self._motors) // MOTORS + 1
-        self._bus: EthercatBus | None = None
+        self.connection: Connection[EthercatBus] = Connection(spec)
         self._references = [0.0] * (self._boards * MOTORS)
         self._limits = [math.inf] * (self._boards * MOTORS)
         self._replies: list[Reply] = []
@@ -86,29 +84,26 @@ class HeriEthercatDriver(Driver):
             recoverable=True,
         )
 
-    @property
-    def _ring(self) -> EthercatBus:
-        if self._bus is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._bus
-
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
         """Take the network over, identify the boards and read where the motors stand."""
         await self.close()
         options = self.options
-        bus = self._bus = await self.buses.ethercat(
-            options.interface,
-            owner=owner_of(self.spec),
-            emulator=emulator_of(self.spec, HeriEmulator),
+        bus = await self.connection.open(
+            self.buses.ethercat(
+                options.interface,
+                owner=self.connection.owner,
+                emulator=emulator_of(self.spec, "heri_ethercat"),
+            ),
+            lambda bus: bus,
         )
-        identify(bus, self._boards, options, self.spec.name)
+        _identify(bus, self._boards, options, self.spec.name)
         self.capabilities = replace(
             self.capabilities,
             identity={
                 "model": f"HERI II, {self._boards} boards (unverified on hardware)",
-                "firmware": await firmware(bus, self._boards),
+                "firmware": await _firmware(bus, self._boards),
             },
         )
         await self._operate()
@@ -124,10 +119,10 @@ class HeriEthercatDriver(Driver):
         """
 
         async def begin() -> None:
-            await self._ring.run(self._to_safe, 5.0)
+            await self.connection.link.run(self._to_safe, 5.0)
             await self._exchange()
             self._seed()
-            await self._ring.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
+            await self.connection.link.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
             await self._exchange()
 
         await patiently(begin)
@@ -151,11 +146,11 @@ class HeriEthercatDriver(Driver):
         ]
         # Slaves behind the hand's boards get nothing from here.
         deadline = self.options.deadline if self._powered else _PATIENCE
-        inputs = await self._ring.exchange(outputs, deadline)
+        inputs = await self.connection.link.exchange(outputs, deadline)
         try:
             self._replies = [Reply.from_bytes(data) for data in inputs[: self._boards]]
         except HeriFrameError as error:
-            raise FrameError(self._ring.name, str(error), b"".join(inputs)) from error
+            raise FrameError(self.connection.link.name, str(error), b"".join(inputs)) from error
         self._stamp = time.monotonic()
         self._fresh = True
 
@@ -201,7 +196,7 @@ class HeriEthercatDriver(Driver):
             DeviceFault: if it refuses or says nothing.
             BusError: if the network fails.
         """
-        bus = self._ring
+        bus = self.connection.link
         await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)
         end = time.monotonic() + self.options.order_timeout
         done: bool | None = None
@@ -239,26 +234,20 @@ class HeriEthercatDriver(Driver):
     async def deactivate(self) -> None:
         """Take the motors' power away."""
         self._powered = False
-        if self._bus is not None:
+        if self.connection.is_open:
             for position in range(self._boards):
                 await self._order(position, Order.POWER_OFF)
 
     async def close(self) -> None:
         """Leave the network; without a master the boards do not hold."""
         self._powered = False
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            await bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the network."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
+        await super().close()
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return what the last exchange brought, or exchange."""
-        self._ring.check()
+        self.connection.link.check()
         if not self._fresh:
             await self._exchange()
         self._fresh = False
@@ -327,3 +316,42 @@ class HeriEthercatDriver(Driver):
         self._powered = False
         await self._in_operation()
         await self._clear_faults()
+
+
+def _identify(bus: EthercatBus, boards: int, options: HeriEthercatOptions, device: str) -> None:
+    """See that the first slaves are as many boards as needed, of the vendor and product given.
+
+    Raises:
+        HandshakeError: if they are not.
+    """
+    if len(bus.slaves) < boards:
+        raise HandshakeError(
+            device,
+            f"{boards} boards at {options.interface}",
+            f"{len(bus.slaves)} slaves",
+            hint="check cables and supply",
+        )
+    for position, slave in enumerate(bus.slaves[:boards]):
+        for what, wanted, found in (
+            ("vendor", options.vendor, slave.vendor),
+            ("product", options.product, slave.product),
+        ):
+            if wanted is not None and wanted != found:
+                raise HandshakeError(
+                    device,
+                    f"{what} {wanted:#x} as slave {position}",
+                    f"{what} {found:#x} ({slave.name})",
+                )
+
+
+async def _firmware(bus: EthercatBus, boards: int) -> str:
+    """Return the boards' firmware, each version once; raises `BusError`."""
+    found = [await bus.run(partial(_firmware_of, position), 1.0) for position in range(boards)]
+    return ", ".join(dict.fromkeys(found))
+
+
+def _firmware_of(position: int, ring: Ring) -> str:
+    try:
+        return ring.read(position, *FIRMWARE_OBJECT).decode("ascii", "replace").strip("\x00 ")
+    except OSError:
+        return "not told"

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from rtee.drivers.heri_ethercat.codec import MOTORS, TORQUE_PER_AMPERE
 from rtee.drivers.options import DeviceOptions
-from rtee.errors import ConfigError
+from rtee.drivers.wiring import numbers_of
 from rtee.types import DeviceSpec
 
 _WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
@@ -54,11 +54,4 @@ def motors_of(spec: DeviceSpec, options: HeriEthercatOptions) -> list[int]:
     if not options.motors:
         wired = all(name in _WIRING for name in names)
         return [_WIRING[name] for name in names] if wired else list(range(len(names)))
-    missing = [name for name in names if name not in options.motors]
-    found = [options.motors[name] for name in names if name not in missing]
-    if missing or len(set(found)) != len(found):
-        raise ConfigError(
-            f"device '{spec.name}': option 'motors' must give each actuator a motor of its own; "
-            f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
-        )
-    return found
+    return numbers_of(spec, "motors", options.motors, "motor")

@@ -6,20 +6,18 @@ import asyncio
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import anyio.to_thread
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
-
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
 
 _PATIENCE = 0.02
 """An exchange waits this long for what is being read [s]; it must not count as unanswered."""

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from rtee.drivers.options import DeviceOptions
 from rtee.drivers.schunk_svh.channels import CHANNELS, Channel
-from rtee.drivers.schunk_svh.packets import TURNAROUND
+from rtee.drivers.schunk_svh.codec import TURNAROUND
 
 Positive = Annotated[float, Field(gt=0.0)]
 

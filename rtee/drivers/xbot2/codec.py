@@ -182,36 +182,3 @@ def joint_names(raw: bytes) -> tuple[str, ...]:
     if not isinstance(data, list) or not all(isinstance(name, str) for name in data):
         raise XBot2FrameError("the answer has no list of joints")
     return tuple(data)
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """The units of one joint.
-
-    Attributes:
-        lower: What the server says where the actuator is at its lower limit.
-        upper: What the server says where the actuator is at its upper limit.
-        actuator_lower: The actuator's lower limit [rad | m | closure].
-        actuator_upper: The actuator's upper limit.
-    """
-
-    lower: float
-    upper: float
-    actuator_lower: float
-    actuator_upper: float
-
-    def to_position(self, told: float) -> float:
-        """Return the actuator's position of the server's."""
-        share = (told - self.lower) / (self.upper - self.lower)
-        return self.actuator_lower + share * (self.actuator_upper - self.actuator_lower)
-
-    def to_told(self, position: float) -> float:
-        """Return the server's position of the actuator's."""
-        span = self.actuator_upper - self.actuator_lower
-        share = (position - self.actuator_lower) / span
-        return self.lower + share * (self.upper - self.lower)
-
-    @property
-    def gain(self) -> float:
-        """Server's units per unit of the actuator."""
-        return (self.upper - self.lower) / (self.actuator_upper - self.actuator_lower)

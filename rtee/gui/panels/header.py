@@ -1,4 +1,4 @@
-"""What is always visible and always works: stop, open, the devices, who holds the hand."""
+"""The part that is always visible and works: stop, open, the devices, who holds the lease."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SIGNS = {
 
 
 def device_line(device: DeviceStatus) -> str:
-    """Return a device's state as HTML: sign, name, state, fault and hint."""
+    """Return a device's status as HTML: sign, name, state, fault and hint."""
     sign, colour = _SIGNS[device.lifecycle]
     words = [f"<b>{escape(device.name)}</b> {escape(str(device.lifecycle))}"]
     if device.fault_name:
@@ -35,10 +35,10 @@ def device_line(device: DeviceStatus) -> str:
 
 
 class Header:
-    """Stop, Open, Recover, the devices and the holder of a hand."""
+    """Stop, Open, Recover, the devices and the holder of the lease."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
-        """Put them where the GUI builds now.
+        """Add them to the current container.
 
         Args:
             bridge: Carries clicks.
@@ -86,7 +86,7 @@ class Header:
             self._bridge.notify("Stopped", f"confirmed by {', '.join(confirmed)}", "green")
 
     def show(self, status: HandStatus) -> None:
-        """Show how the hand is doing."""
+        """Show the status of the hand."""
         lines = [device_line(device) for device in status.devices]
         holder = "nobody" if not status.holder else escape(status.holder)
         if status.holder == self._hand.client:
@@ -109,6 +109,6 @@ class Header:
             self._state.content = html
 
     def remove(self) -> None:
-        """Take everything away."""
+        """Remove everything."""
         for handle in (self._stop, self._open, self._state, self._recover, *self._commands):
             handle.remove()

@@ -1,4 +1,4 @@
-"""What the commands share that define an action."""
+"""`rtee compose`, `rtee time` and `rtee generic`: define an action."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import HAND_VARIABLE, actions_of, report_copy
+from rtee.cli._common import HAND_VARIABLE, HandOption, actions_of, report_copy
 from rtee.errors import RteeError, UnknownAction
 
 if TYPE_CHECKING:
@@ -26,13 +26,13 @@ Replace = Annotated[
 
 
 def complete_part(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the uses of actions, such as ``trig:index``, that begin like this."""
+    """Return the uses of actions, such as ``trig:index``, that begin with the given text."""
     from rtee.actions.naming import snake_case
     from rtee.actions.types import Timed
 
     found = []
     for action in _library(ctx) or ():
-        if isinstance(action, Timed):  # none can be a part of another action
+        if isinstance(action, Timed):  # it cannot be a part of another action
             continue
         words = f":{','.join(action.elements)}" if action.elements else ""
         spellings = (action.name + words, snake_case(action.name) + words)
@@ -41,7 +41,7 @@ def complete_part(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def complete_set_point(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the actuators that begin like this, ready for a value."""
+    """Return the actuators that begin with the given text, each followed by ``=``."""
     library = _library(ctx)
     names = library.hand.actuator_names if library else ()
     return [f"{name}=" for name in names if name.startswith(incomplete)]
@@ -55,10 +55,90 @@ def _library(ctx: typer.Context) -> ActionLibrary | None:
         return None
 
 
-def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
-    """Store a new action, and say what was done and what is noteworthy about it.
+def compose(
+    name: Name,
+    parts: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="PART…",
+            help="ACTION, ACTION:ELEMENT or ACTION:ELEMENT,ELEMENT, each *SCALE.",
+            autocompletion=complete_part,
+        ),
+    ],
+    hand: HandOption = None,
+    independent: Annotated[
+        bool, typer.Option("--independent", help="Refuse parts that share an actuator.")
+    ] = False,
+    description: Description = "",
+    replace: Replace = False,
+) -> None:
+    """Define a composed action.
 
-    One that replaces another keeps its description unless it has one of its own.
+    Example: rtee compose grasp trig:index trig:middle trig:thumb*0.3
+    """
+    from rtee.actions.cli_syntax import read_use
+
+    library = actions_of(hand)
+    uses = [read_use(part) for part in parts]
+    action = library.compose(name, uses, independent=independent, description=description)
+    _store(library, action, replace)
+
+
+def time(
+    name: Name,
+    steps: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="STEP…",
+            help="ACTION[:ELEMENT,…][*SCALE][:before=SECONDS,after=SECONDS,alias=NAME]",
+            autocompletion=complete_part,
+        ),
+    ],
+    hand: HandOption = None,
+    description: Description = "",
+    replace: Replace = False,
+) -> None:
+    """Define a timed action.
+
+    Example: rtee time wide openWide:after=0.5 grasp:before=0.2,alias=close
+    """
+    from rtee.actions.cli_syntax import read_step
+
+    library = actions_of(hand)
+    plans = [read_step(step) for step in steps]
+    _store(library, library.sequence(name, plans, description=description), replace)
+
+
+def generic(
+    name: Name,
+    set_points: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="ACTUATOR=VALUE…",
+            help="Set-points [rad | m]; other actuators do not move.",
+            autocompletion=complete_set_point,
+        ),
+    ],
+    hand: HandOption = None,
+    description: Description = "",
+    replace: Replace = False,
+) -> None:
+    """Define a generic action.
+
+    Example: rtee generic point index_proximal=0 middle_proximal=0.8
+    """
+    from rtee.actions.build import generic as make
+    from rtee.actions.cli_syntax import read_set_points
+
+    library = actions_of(hand)
+    values = read_set_points(set_points)
+    _store(library, make(library.hand, name, values, description=description), replace)
+
+
+def _store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
+    """Store a new action, and print what was done and any warnings about it.
+
+    An action without a description takes over that of the action it replaces.
 
     Raises:
         UserError: if the name is taken or the file cannot be written.
@@ -73,7 +153,7 @@ def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
     for warning in warnings_of(action):
         print(f"rtee: warning: {warning}", file=sys.stderr)
     print(f"'{action.name}' is now an action of {library.hand.name}")
-    _tell(library.hand.name, action.name)
+    _reload_running(library.hand.name, action.name)
 
 
 def _description(library: ActionLibrary, name: str) -> str:
@@ -85,7 +165,7 @@ def _description(library: ActionLibrary, name: str) -> str:
     return ""
 
 
-def _tell(hand: str, action: str) -> None:
+def _reload_running(hand: str, action: str) -> None:
     """Have a running hand read its actions again, as it does when it is asked for them."""
     from rtee.remote.directory import running
 
