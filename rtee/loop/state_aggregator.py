@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.supervisor import Supervisor
-from rtee.types import BoolArray, FloatArray, readonly
+from rtee.types import ActuatorState, BoolArray, FloatArray, readonly
 
 _WORDS = {None: -1, False: 0, True: 1}
 
 
-class Gather:
+class StateAggregator:
     """Merges what the devices measured; arrays it gives out are never changed afterwards.
 
     A position that is not measured any more keeps its last value; before the first measurement it
@@ -53,20 +53,24 @@ class Gather:
         self.temperature: FloatArray = unmeasured
         self.grasped: NDArray[np.int8] = np.full(n, -1, dtype=np.int8)
         self.extras: Mapping[str, FloatArray] = {}
+        self._new = 0
         self.fresh, listed = self._flags(0)
         nothing = [math.nan] * n
         self.measured = Measured(nothing, nothing, nothing, listed, [-1] * n)
 
     def collect(self) -> None:
-        """Take the states that came since the last call."""
+        """Merge the states that came since the last call."""
         new = 0
         for k, device in enumerate(self._devices):
-            if device.states == self._seen[k] or device.state is None:
-                continue
-            self._seen[k] = device.states
-            new |= device.state.fresh << k
-            self._merge(k, device)
-        self.fresh, self.measured.fresh = self._flags(new)
+            link = device.connection
+            state = link.state
+            if state is not None and link.states != self._seen[k]:
+                self._seen[k] = link.states
+                new |= state.fresh << k
+                self._merge(k, state)
+        if new != self._new:
+            self._new = new
+            self.fresh, self.measured.fresh = self._flags(new)
 
     def known(self, device: Supervisor) -> bool:
         """Return whether every position of a device has been measured."""
@@ -86,24 +90,26 @@ class Gather:
             found = self._fresh[devices] = (flags, flags.tolist())
         return found
 
-    def _merge(self, k: int, device: Supervisor) -> None:
-        state = device.state
-        if state is None:
-            return
-        positions = state.position.tolist()
+    def _merge(self, k: int, state: ActuatorState) -> None:
+        measured = self.measured
+        position, positions = state.position, state.position.tolist()
         total = sum(positions)
         if total - total != 0.0:  # something in it is not finite
-            known = self.position[self._indices[k]]
-            position = np.where(np.isfinite(state.position), state.position, known)
-        else:
-            position = state.position
-        measured = self.measured
+            position = np.where(np.isfinite(position), position, self.position[self._indices[k]])
+            positions = position.tolist()
         if self._whole:
-            self.position = position
+            # Columns that a device does not measure are the same array every time.
+            if state.effort is not self.effort:
+                self.effort = state.effort
+                measured.effort = state.effort.tolist()
+            if state.current is not self.current:
+                self.current = state.current
+                measured.current = state.current.tolist()
+            if state.temperature is not self.temperature:
+                self.temperature = state.temperature
+                measured.temperature = state.temperature.tolist()
+            self.position, measured.position = position, positions
             self.velocity = state.velocity
-            self.effort = state.effort
-            self.current = state.current
-            self.temperature = state.temperature
         else:
             where = self._indices[k]
             self.position = _put(self.position, where, position)
@@ -111,21 +117,22 @@ class Gather:
             self.effort = _put(self.effort, where, state.effort)
             self.current = _put(self.current, where, state.current)
             self.temperature = _put(self.temperature, where, state.temperature)
-        measured.position = self.position.tolist()
-        measured.effort = self.effort.tolist()
-        measured.temperature = self.temperature.tolist()
-        measured.current = self.current.tolist()
+            measured.position = self.position.tolist()
+            measured.effort = self.effort.tolist()
+            measured.current = self.current.tolist()
+            measured.temperature = self.temperature.tolist()
         if state.grasped is not None:
             grasped = self.grasped.copy()
             grasped[self._indices[k]] = [_WORDS[word] for word in state.grasped]
             self.grasped = grasped
             measured.grasped = grasped.tolist()
-        if state.extras or self._extras.get(device.name):
-            measured.touch = self._touch(device.name, state.extras)
-            self._extras[device.name] = state.extras
+        name = self._devices[k].name
+        if state.extras or self._extras.get(name):
+            measured.touch = self._touch(name, state.extras)
+            self._extras[name] = state.extras
             self.extras = {
-                f"{name}/{channel}": values
-                for name, channels in self._extras.items()
+                f"{device}/{channel}": values
+                for device, channels in self._extras.items()
                 for channel, values in channels.items()
             }
 
