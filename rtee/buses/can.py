@@ -50,7 +50,7 @@ class CanBus(Bus):
         self._watching: list[Callable[[], None]] = []
 
     async def send(self, frame: CanFrame) -> None:
-        """Send a frame; returns when the controller's queue has taken it.
+        """Send a frame; returns when it is in the controller's queue.
 
         Raises:
             BusBroken: if the bus is broken or its queue stays full.

@@ -55,9 +55,9 @@ class ModbusBus(SerialBus):
     Transport, deadlines, retries and trace are those of `SerialBus`; pymodbus encodes and frames
     the requests and decodes the answers.
 
-    On an RTU line an answer does not tell which request it belongs to. So a request goes out only
-    when the line has been silent for the gap, whatever was received until then is thrown away, and
-    an answer counts only if unit, function and length (or, of a write, address and number of
+    An RTU answer does not name the request it belongs to. So a request goes out only when the line
+    has been silent for the gap, whatever was received until then is thrown away, and an answer
+    counts only if unit, function and length (or, of a write, address and number of
     registers) are those of the request. What remains: the answer to a request that was given up
     and asked again, or to an equal request before it, that comes while the next one waits. On TCP
     the transaction number, which is another one in each attempt, excludes these, too.

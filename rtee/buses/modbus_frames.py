@@ -101,7 +101,7 @@ class AnswerParser:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a slave hears.
+    """What a slave receives.
 
     Attributes:
         unit: The slave that is asked.
@@ -124,7 +124,7 @@ class RtuRequests:
     """Cuts the requests to one slave out of a line's bytes; frames for others are skipped.
 
     Attributes:
-        unit: The slave; broadcasts (0) are heard too.
+        unit: The slave; broadcasts (0) are answered by no one, but obeyed.
         errors: Bytes skipped because they belong to no frame of this slave.
     """
 
@@ -134,7 +134,7 @@ class RtuRequests:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Request]:
-        """Take bytes and return the requests that they complete."""
+        """Receive bytes and return the requests that they complete."""
         self._buffer += data
         found = []
         while (request := self._next()) is not None:
@@ -192,11 +192,11 @@ class TcpRequests:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Request]:
-        """Take bytes and return the requests that they complete."""
+        """Receive bytes and return the requests that they complete."""
         if self._buffer and _network_size(data) == len(data):
             self.errors += len(self._buffer)
             self._buffer = b""
-        if not self._buffer and len(data) >= 8 and _told(data) == len(data):
+        if not self._buffer and len(data) >= 8 and _length(data) == len(data):
             return [Request(data[6], data[7:], data[:4])]
         self._buffer += data
         found = []
@@ -226,13 +226,13 @@ def _network_size(data: bytes) -> int:
     """Return the length of the TCP request that begins so: 0 if none does, -1 if too few bytes."""
     if len(data) < 8:
         return -1
-    size, function = _told(data), data[7]
+    size, function = _length(data), data[7]
     if not size or not 0 < function < 0x80:
         return 0
     if function <= 6:
         return 12 if size == 12 else 0
     at = {0x0F: 12, WRITE_MANY: 12, READ_WRITE: 16}.get(function)
-    if at is None:  # a function of which only the header tells the length
+    if at is None:  # only the header gives the length of this function
         return size
     if len(data) <= at:
         return -1 if size > at + 1 else 0
@@ -241,7 +241,7 @@ def _network_size(data: bytes) -> int:
     return size if data[at] == bytes_of and size == at + 1 + bytes_of else 0
 
 
-def _told(data: bytes) -> int:
-    """Return the length of the TCP frame that its header tells, 0 if there is no header."""
-    told = int.from_bytes(data[4:6], "big")
-    return 6 + told if data[2:4] == b"\0\0" and 2 <= told <= 254 else 0
+def _length(data: bytes) -> int:
+    """Return the length of the TCP frame according to its header, 0 if there is no header."""
+    length = int.from_bytes(data[4:6], "big")
+    return 6 + length if data[2:4] == b"\0\0" and 2 <= length <= 254 else 0

@@ -14,6 +14,9 @@ from rtee.buses.faults import Faults
 from rtee.buses.line_model import CanWire
 from rtee.buses.simulated import Simulation
 
+_POLL = 0.02
+"""Longest wait for a frame [s]: only virtual buses can be woken for a call of another thread."""
+
 
 class SimulatedCan(Simulation):
     """Nodes on a CAN channel of python-can: ``virtual``, ``udp_multicast`` or a real interface."""
@@ -79,8 +82,7 @@ class SimulatedCan(Simulation):
         if self._bus is None:
             select.select([self._wake_out], [], [], timeout)
             return
-        # Buses of other interfaces cannot be woken, so what is asked for waits this long.
-        message = self._bus.recv(0.02 if timeout is None else min(timeout, 0.02))
+        message = self._bus.recv(_POLL if timeout is None else min(timeout, _POLL))
         now = time.monotonic()
         if message is not None and not message.is_error_frame:
             self.wire.receive(frame_of(message, now), now)

@@ -24,11 +24,11 @@ class PlaysSlaves(Protocol):
         ...
 
     def become(self, state: State, now: float) -> bool:
-        """Bring the slaves to a state; whether they follow."""
+        """Bring the slaves to a state; return whether they follow."""
         ...
 
     def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes] | None:
-        """Take outputs and return inputs by position; ``None``: not every slave takes part."""
+        """Return inputs by position for outputs; ``None`` if any slave does not take part."""
         ...
 
     def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
@@ -36,7 +36,7 @@ class PlaysSlaves(Protocol):
         ...
 
     def write_object(self, position: int, index: int, subindex: int, data: bytes) -> bool:
-        """Write an object; whether it is taken."""
+        """Write an object; return whether the slave accepts it."""
         ...
 
     def set_watchdog(self, position: int, seconds: float) -> None:

@@ -117,13 +117,13 @@ class SimulatedZmq(Simulation):
         poller.poll(None if timeout is None else int(timeout * 1000.0))
         now = time.monotonic()
         if self._sockets:
-            self._take(now)
+            self._receive(now)
             self._publish(now)
         for when, action in [late for late in self._late if late[0] <= now]:
             self._late.remove((when, action))
             action()
 
-    def _take(self, now: float) -> None:
+    def _receive(self, now: float) -> None:
         _, commands, service = self._sockets
         with contextlib.suppress(zmq.Again):
             while True:

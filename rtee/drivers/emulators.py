@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from rtee.buses.emulator import Emulator, EmulatorFactory
-from rtee.drivers.connection import owner_of as owner_of
 from rtee.drivers.objects import make_with_object
 from rtee.drivers.registry import find_emulator
 from rtee.types import DeviceSpec

@@ -1,6 +1,6 @@
-"""The life of a Robotiq gripper: identify, attach or activate, exchange, stop, recover.
+"""Drives a Robotiq gripper: identify, attach or activate, exchange, stop, recover.
 
-It is the same for the two-finger and the three-finger gripper; the registers are not.
+All of this is the same for the two-finger grippers and the 3-Finger; the registers are not.
 """
 
 from __future__ import annotations
@@ -32,6 +32,12 @@ from rtee.errors import (
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
+_POLL = 0.01
+"""Time between two looks at the status while the gripper moves by itself [s]."""
+
+_MISSED = 5
+"""Answers in a row that may be missing meanwhile: it may be busy, but not gone."""
+
 S = TypeVar("S", bound=RobotiqStatus)
 C = TypeVar("C", bound=RobotiqCommand)
 
@@ -39,8 +45,8 @@ C = TypeVar("C", bound=RobotiqCommand)
 class RobotiqDriver(BlocksDriver, Generic[S, C]):
     """A Robotiq gripper on Modbus.
 
-    It attaches to a gripper that is active without writing anything: the first write comes with the
-    first reference that differs from where the gripper is.
+    It attaches to an active gripper without writing anything: the first write comes with the first
+    reference that differs from where the gripper is.
 
     Attributes:
         MODEL: What it is called when another device answers.
@@ -63,7 +69,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
     def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqOptions) -> None:
         super().__init__(spec, buses)
         self._settings = settings
-        self._status = self._told(())
+        self._status = self._decoded(())
         self._sent: C | None = None
         self._home_asked = False
         self.capabilities = self._abilities(100.0)
@@ -71,8 +77,8 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
     # --- what differs ------------------------------------------------------------------------
 
     @abstractmethod
-    def _told(self, block: Sequence[int]) -> S:
-        """Return what an input block says, an empty one nothing; raises `FrameError`."""
+    def _decoded(self, block: Sequence[int]) -> S:
+        """Return the status of an input block, the default of an empty one; raises `FrameError`."""
 
     @abstractmethod
     def _places(self) -> tuple[int, int, int]:
@@ -87,8 +93,8 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         """Return a status in SI units."""
 
     @abstractmethod
-    def _asked(self, reference: Reference) -> Sequence[int] | None:
-        """Return what to write for a reference, ``None`` while it asks for what is there."""
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+        """Return what to write for a reference, ``None`` while the gripper is there already."""
 
     @abstractmethod
     def _stopping(self) -> Sequence[int]:
@@ -107,7 +113,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         )
 
     async def configure(self) -> None:
-        """Open the line and see whether such a gripper answers; moves nothing."""
+        """Open the line and check that such a gripper answers; moves nothing."""
         settings = self._settings
         output, source, function = self._places()
         # Where both blocks begin at the same place, function 23 cannot tell them apart.
@@ -208,14 +214,14 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
                 status = self._status = await self._read()
             except (BusTimeout, FrameError):
                 missed += 1
-                if missed > 5:
+                if missed > _MISSED:
                     raise
                 continue
             missed = 0
             if done(status):
                 return
             self._refuse(status)
-            await asyncio.sleep(0.01)
+            await asyncio.sleep(_POLL)
 
     async def examine(self) -> str:
         """Return whether it is not activated; raises the fault that it reports."""
@@ -235,25 +241,25 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         if self._active:
             self._refuse(status)
             if not status.ready:
-                # Where the last write found it so, it has begun to activate itself, which moves it.
+                # A write with rACT set has begun to activate it, which moves it.
                 await self._insist(self.RESET)
                 raise self._fault(NOT_ACTIVATED, "lost its activation; was its supply cut?")
         return self._measured(status, stamp)
 
     async def move(self, reference: Reference) -> None:
-        """Send positions, speeds and forces in one frame, and read what the gripper says to it."""
+        """Send positions, speeds and forces in one frame, and read the status with it."""
         blocks = self.connection.link
-        registers = self._asked(reference)
+        registers = self._registers_for(reference)
         if registers is None:
             return
         block = await blocks.exchange(registers)
-        self._status = self._told(block)
+        self._status = self._decoded(block)
         blocks.keep(block)
 
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
-        """Clear rGTO: the fingers stop where they are, and what they hold stays held."""
+        """Clear rGTO: the fingers stop where they are, and a grip is kept."""
         if await self._insist(self._stopping()):
             self._sent = None
 
@@ -274,7 +280,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         while self._status.fault or self._status.activated:
             if time.monotonic() > end:
                 raise self._fault(self._status.fault or NOT_ACTIVATED)
-            await asyncio.sleep(0.01)
+            await asyncio.sleep(_POLL)
             self._status = await self._read()
 
     def _refuse(self, status: S) -> None:
@@ -296,7 +302,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
     # --- the wire ----------------------------------------------------------------------------
 
     async def _read(self) -> S:
-        return self._told(await self.connection.link.read())
+        return self._decoded(await self.connection.link.read())
 
     async def _write(self, registers: Sequence[int]) -> None:
         await self.connection.link.write(registers, PATIENT)

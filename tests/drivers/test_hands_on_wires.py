@@ -15,7 +15,7 @@ import pytest
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import Simulation
-from rtee.drivers.emulators import owner_of
+from rtee.drivers.connection import owner_of
 from rtee.drivers.objects import ObjectInHand
 from rtee.drivers.qb_softhand.codec import Command as QbCommand
 from rtee.drivers.registry import find_driver

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import owner_of
+from rtee.drivers.connection import owner_of
 from rtee.drivers.homing import homing_allowed
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, DeviceFault

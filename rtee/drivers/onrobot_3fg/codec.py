@@ -19,7 +19,7 @@ TARGETS = 0x0000
 """First of the four registers that command: force, diameter, grip type, control."""
 
 STATUS = 0x0100
-"""First of the registers that tell the state."""
+"""First of the registers that report the state."""
 
 GEOMETRY = 0x010E
 """Finger length; two registers on, the fingers' position and the fingertips' offset."""

@@ -68,9 +68,9 @@ _CONNECTING = 0.5
 class OnRobot3FGDriver(BlocksDriver):
     """A 3FG15 or 3FG25.
 
-    The gripper takes no speed, and force only with the command *grip*, which it ignores while it is
-    busy. So a reference that changes is followed by *move*; one that rests is gripped at, with its
-    effort, as soon as the gripper is free. It attaches without writing anything.
+    The gripper accepts no speed, and force only with the command *grip*, which it ignores while it
+    is busy. So a reference that changes is followed by *move*; one that rests is gripped at, with
+    its effort, as soon as the gripper is free. It attaches without writing anything.
     """
 
     Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions

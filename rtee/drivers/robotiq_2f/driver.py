@@ -80,7 +80,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         )
 
     async def configure(self) -> None:
-        """Take the calibration, open the line, see whether such a gripper answers."""
+        """Read the calibration, open the line, check that such a gripper answers."""
         options = self.options
         if options.calibration is not None:
             stops = read_end_stops(options.calibration, self.spec.name, options.model, options.unit)
@@ -91,8 +91,8 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         await super()._identify()
         if self.options.register_base is not None or not self.options.check_fingers:
             return
-        # Inactive grippers of two and three fingers differ only in what follows: there the other
-        # gripper tells where its second and third finger are.
+        # Inactive grippers of two and three fingers differ only in the registers that follow, where
+        # the 3-Finger reports the positions of its second and third finger.
         bus, options = self.connection.link.bus, self.options
         try:
             block = await bus.read(
@@ -110,13 +110,13 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
                 "'check_fingers: false'",
             )
 
-    def _told(self, block: Sequence[int]) -> Status:
+    def _decoded(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()
 
     def _places(self) -> tuple[int, int, int]:
         base = self.options.register_base
         places = (OUTPUT, INPUT) if base is None else (base, base)
-        # At one place, function 3 tells what was written, function 4 what is measured.
+        # At one place, function 3 reads what was written, function 4 what is measured.
         return *places, self.options.function or (3 if base is None else 4)
 
     def _identity(self) -> Mapping[str, str]:
@@ -139,11 +139,10 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         )
 
     def _grasped(self, status: Status) -> bool:
-        """Return whether something is held: by the gripper's word and by where it stands.
+        """Return whether something is held: by gOBJ and by the position.
 
-        Contact is not reported for thin objects: then the fingers stand short of a request that
-        they could have reached. Where the request is newer than the status before, that word may
-        still be about the older one.
+        Contact is not reported for thin objects: then the fingers stop short of a request that they
+        could have reached. Right after a new request, gOBJ may still be about the one before.
         """
         before, self._requested = self._requested, status.requested
         contact = False
@@ -159,7 +158,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         short = reachable - status.position > 2 * SAME and before == status.requested
         return status.going and status.grasp is Grasp.AT_REQUEST and short
 
-    def _asked(self, reference: Reference) -> Sequence[int] | None:
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
         if not reference.mask[0]:
             return None
         status = self._status
@@ -217,7 +216,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         return stops
 
     async def _end_stop(self, request: int) -> int:
-        """Go to an end slowly and weakly; return the count where the gripper stands still."""
+        """Go to an end slowly and weakly; return the count where the gripper stops."""
         command = Command(activate=True, go=True, position=request, speed=64, force=0)
 
         def arrived(status: Status) -> bool:

@@ -116,7 +116,7 @@ class Robotiq2FEmulator(RobotiqEmulator):
     # --- registers ---------------------------------------------------------------------------
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
-        """Return registers; a host that was silent for long is told so once."""
+        """Return registers; after a long silence of the host, the status reports it once."""
         self._hear(now)
         return super().read(function, address, count, now)
 

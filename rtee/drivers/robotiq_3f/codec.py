@@ -24,7 +24,7 @@ AXES = ("a", "b", "c", "scissor")
 
 
 class Mode(IntEnum):
-    """rMOD and gMOD: how the fingers stand to each other."""
+    """rMOD and gMOD: how the fingers are placed."""
 
     BASIC = 0
     PINCH = 1

@@ -60,8 +60,8 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
 
     async def _identify(self) -> None:
         await super()._identify()
-        # The scissor rests in the middle and open fingers at some counts, so zeros tell of no such
-        # motors. No manual says what a gripper tells before it is activated: hence the option.
+        # The scissor rests in the middle and open fingers at some counts, so zeros mean that there
+        # are no such motors. No manual says what an inactive gripper reports: hence the option.
         if self.options.check_fingers and not any(axis.position for axis in self._status.axes[1:]):
             raise HandshakeError(
                 self.spec.name,
@@ -71,7 +71,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
                 "'check_fingers: false'",
             )
 
-    def _told(self, block: Sequence[int]) -> Status:
+    def _decoded(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()
 
     def _places(self) -> tuple[int, int, int]:
@@ -153,7 +153,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         moving = going and axis.contact is Contact.MOVING
         return self._grips[at].steady(contact, moving, axis.position, requested)
 
-    def _asked(self, reference: Reference) -> Sequence[int] | None:
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
         axes = [self._kept(at) for at in range(4)]
         moving = self._sent is not None
         for index, role in enumerate(self.roles):
