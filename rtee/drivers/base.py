@@ -26,8 +26,8 @@ class Driver(ABC):
         spec: The device as configured.
         buses: The buses of this process; a driver asks it for the bus it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
-        doing: What takes a while now, in words such as ``homing the thumb``; else empty. It is told
-            while the call is under way.
+        doing: What takes a while now, in words such as ``homing the thumb``; else empty; it is
+            published while the call is under way.
         connection: Its bus from `configure` to `close`, for drivers that have one bus.
     """
 

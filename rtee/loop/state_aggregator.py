@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.supervisor import Supervisor
-from rtee.sample import MEASURED, BoolArray, FloatArray, Measurements, measured_arrays
-from rtee.types import readonly
+from rtee.sample import MEASURED, Measurements, measured_arrays
+from rtee.types import ActuatorState, BoolArray, FloatArray, readonly
 
 _WORDS = {None: -1, False: 0, True: 1}
 
 
-class Gather:
+class StateAggregator:
     """Merges what the devices measured; arrays it gives out are never changed afterwards.
 
     A position that is not measured any more keeps its last value; before the first measurement it
@@ -47,20 +47,24 @@ class Gather:
         self.sample = Measurements(*(unmeasured,) * len(MEASURED))
         self.grasped: NDArray[np.int8] = np.full(n, -1, dtype=np.int8)
         self.channels: Mapping[str, FloatArray] = {}
+        self._new = 0
         self.fresh, listed = self._flags(0)
         nothing = [math.nan] * n
         self.measured = Measured(nothing, nothing, nothing, listed, [-1] * n)
 
     def collect(self) -> None:
-        """Take the states that came since the last call."""
+        """Merge the states that came since the last call."""
         new = 0
         for k, device in enumerate(self._devices):
-            if device.states == self._seen[k] or device.state is None:
-                continue
-            self._seen[k] = device.states
-            new |= device.state.fresh << k
-            self._merge(k, device)
-        self.fresh, self.measured.fresh = self._flags(new)
+            link = device.connection
+            state = link.state
+            if state is not None and link.states != self._seen[k]:
+                self._seen[k] = link.states
+                new |= state.fresh << k
+                self._merge(k, state)
+        if new != self._new:
+            self._new = new
+            self.fresh, self.measured.fresh = self._flags(new)
 
     def known(self, device: Supervisor) -> bool:
         """Return whether every position of a device has been measured."""
@@ -80,33 +84,32 @@ class Gather:
             found = self._fresh[devices] = (flags, flags.tolist())
         return found
 
-    def _merge(self, k: int, device: Supervisor) -> None:
-        state = device.state
-        if state is None:
-            return
+    def _merge(self, k: int, state: ActuatorState) -> None:
+        measured, before = self.measured, self.sample
         sample: Measurements = state
-        total = sum(state.position.tolist())
-        if total - total != 0.0:  # something in it is not finite
-            known = self.sample.position[self._indices[k]]
-            position = np.where(np.isfinite(state.position), state.position, known)
-            sample = replace(state, position=position)
         if not self._whole:
             where = self._indices[k]
-            pairs = zip(measured_arrays(self.sample), measured_arrays(sample), strict=True)
+            pairs = zip(measured_arrays(before), measured_arrays(state), strict=True)
             sample = Measurements(*(_put(old, where, new) for old, new in pairs))
+        measured.update(sample, before)
+        total = sum(measured.position)
+        if total - total != 0.0:  # something in it is not finite
+            position = np.where(np.isfinite(sample.position), sample.position, before.position)
+            sample = replace(sample, position=position)
+            measured.position = position.tolist()
         self.sample = sample
-        self.measured.update(sample)
         if state.grasped is not None:
             grasped = self.grasped.copy()
             grasped[self._indices[k]] = [_WORDS[word] for word in state.grasped]
             self.grasped = grasped
-            self.measured.grasped = grasped.tolist()
-        if state.extras or self._extras.get(device.name):
-            self.measured.touch = self._touch(device.name, state.extras)
-            self._extras[device.name] = state.extras
+            measured.grasped = grasped.tolist()
+        name = self._devices[k].name
+        if state.extras or self._extras.get(name):
+            measured.touch = self._touch(name, state.extras)
+            self._extras[name] = state.extras
             self.channels = {
-                f"{name}/{channel}": values
-                for name, channels in self._extras.items()
+                f"{device}/{channel}": values
+                for device, channels in self._extras.items()
                 for channel, values in channels.items()
             }
 

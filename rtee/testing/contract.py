@@ -87,7 +87,7 @@ class DriverContract:
     # --- connecting --------------------------------------------------------------------------
 
     async def test_connecting_identifies_and_moves_nothing(self) -> None:
-        """`configure` tells what the device is and sends no motion command."""
+        """`configure` identifies the device and sends no motion command."""
         async with self.session() as session:
             await session.connect()
             assert session.driver.capabilities.identity

@@ -42,18 +42,23 @@ from rtee.errors import (
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _STALE = 0.25
+"""Positions older than this count as lost [s]: more than eighty of the hand's periods."""
+
 _SERVO_OFF = 0x100
+"""Code of the fault that the motors are off, the driver's own: the hand's status has eight bits."""
+
 _PAUSE = 0.0005
+"""Pause after switching the motors [s]; the vendor's driver waits 0.1 ms."""
 
 
 class AllegroDriver(Driver):
     """An Allegro Hand, version 4 or 5.
 
-    The hand tells its positions by itself every 2 or 3 ms and drives its joints with the torques it
+    The hand sends its positions by itself every 2 or 3 ms and drives its joints with the torques it
     was sent last. So the joint control (PD about the reference) runs here, once per set of position
     frames, in the event loop and apart from the cycle of sense and move: `move` changes its
-    reference, `sense` tells what it measured last. The hand cannot hold anything by itself; without
-    the control it is switched off.
+    reference, `sense` returns what it measured last. The hand cannot hold anything by itself;
+    without the control it is switched off.
 
     Attributes:
         control: The joint control.
@@ -98,7 +103,7 @@ class AllegroDriver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the bus, identify the hand and have it tell its positions; no torque is sent."""
+        """Open the bus, identify the hand and have it send its positions; no torque is sent."""
         await self.close()
         options = self.options
         link = await self.connection.open(

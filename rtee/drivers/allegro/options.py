@@ -7,12 +7,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rtee.drivers.allegro.codec import JOINTS, NAMES
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.wiring import numbers_of
 from rtee.errors import ConfigError
 from rtee.types import DeviceSpec
 
-Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 
 from rtee.drivers.cia402.cia301 import CanopenFrameError
 
-DEVICE_TYPE = 402
+DEVICE_TYPE = 402  # the low word of object 1000h
 
 
 class Object(IntEnum):
@@ -109,6 +109,7 @@ class Control(IntEnum):
     FAULT_RESET = 0x80
 
 
+# Bits of the controlword beside those that change the state; 4 to 6 depend on the mode.
 NEW_SET_POINT = 0x10
 CHANGE_NOW = 0x20
 RELATIVE = 0x40

@@ -142,6 +142,8 @@ class DriveCycle:
 
     def check_enabled(self) -> None:
         """Raise `DeviceFault` unless every drive is enabled."""
+        if all(drive.state is State.ENABLED for drive in self.drives):
+            return
         self.check_faults()
         for drive in self.drives:
             if drive.state is not State.ENABLED:

@@ -32,6 +32,7 @@ METHODS: tuple[Method, ...] = (1, 2, 17, 18, 33, 34, 35, 37)
 """Homing methods that are known (object 6098h)."""
 
 
+# State and the low four bits of a controlword, to the state that they lead to.
 _TRANSITIONS = {
     (State.SWITCH_ON_DISABLED, 0x06): State.READY,
     (State.READY, 0x07): State.SWITCHED_ON,
@@ -62,7 +63,7 @@ class DriveProperties:
 
     Attributes:
         nodes: Their node ids.
-        device_type: Profile they tell; 402 is that of drives.
+        device_type: Profile they report; 402 is that of drives.
         vendor: Vendor id.
         product: Product code.
         name: Device name.
@@ -81,7 +82,7 @@ class DriveProperties:
         following_error: Error at which it faults in cyclic mode [counts]; 0: never.
         homed: Whether it knows its position at power-up.
         homing_methods: Those it knows (object 6098h); any other ends in a homing error.
-        sampled: Whether a SYNC's answer tells how the drive was ``before`` it took that SYNC's
+        sampled: Whether a SYNC's answer reports how the drive was ``before`` it took that SYNC's
             set-points, or ``after``.
     """
 
@@ -196,7 +197,7 @@ class Drive:
         node.add(Object.SUPPORTED_MODES, 0, "I", modes, writable=False)
 
     def reset(self) -> None:
-        """Begin anew: not enabled, heartbeats off, PDOs disabled."""
+        """Restart: not enabled, heartbeats off, PDOs disabled."""
         self.state = State.SWITCH_ON_DISABLED
         self.emergencies = []
         self._control = 0
@@ -317,7 +318,7 @@ class Drive:
             self._aim(self._legs[0].end if self._legs else axis.position)
         elif not self._halted and axis.target == leg.end and axis.velocity == 0.0:
             blocked = axis.position in (axis.lower, axis.upper)
-            if blocked:  # it stands at a stop, and what it looks for would be beyond
+            if blocked:  # it is at a stop, and what it looks for would be beyond
                 self._stay()
                 self._homing_error = True
         else:

@@ -9,7 +9,6 @@ import shutil
 import sys
 from pathlib import Path
 
-import rtee
 from rtee.drivers.diagnosis.checks import Check, ok, warning
 from rtee.errors import ConfigError
 from rtee.hand.files import make_folder, write_atomically
@@ -128,7 +127,7 @@ def write_files(folder: Path) -> list[Path]:
     Raises:
         ConfigError: if this installation has none, or they cannot be written.
     """
-    package = Path(rtee.__file__).parent
+    package = Path(__file__).resolve().parents[2]
     # In a wheel they stand beside the code, in a checkout beside the package.
     places = (package / "_deploy", package.parent / "deploy")
     source = next((place for place in places if place.is_dir()), None)

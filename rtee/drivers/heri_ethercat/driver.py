@@ -8,9 +8,10 @@ import math
 import time
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from rtee.buses.ethercat import EthercatBus, Ring, State
 from rtee.buses.pool import BusPool
@@ -26,6 +27,7 @@ from rtee.drivers.heri_ethercat.codec import (
     LEAST_TORQUE,
     MOTORS,
     PHALANXES,
+    TORQUE_PER_AMPERE,
     WARNINGS,
     Command,
     Fault,
@@ -33,8 +35,8 @@ from rtee.drivers.heri_ethercat.codec import (
     Order,
     Reply,
 )
-from rtee.drivers.heri_ethercat.options import HeriEthercatOptions, motors_of
-from rtee.drivers.options import read_options
+from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.wiring import numbers_of
 from rtee.errors import (
     BusTimeout,
     DeviceFault,
@@ -45,16 +47,58 @@ from rtee.errors import (
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _REFUSED = 0x10000
+"""Code of the fault that a board takes no command, above the sixteen bits of the fault word."""
+
 _POLL = 0.005
+"""Pause between two questions for an acknowledgement [s]; boards take some ten milliseconds."""
+
 _PATIENCE = 0.5
 """Longest time for an exchange that belongs to no cycle [s]."""
+
 _BEST_RATE = 1000.0
+"""Rate of the public program that ran on the hand [Hz]."""
+
+
+_WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
+"""The motors of the public description, counted over its two boards."""
+
+Raw = Annotated[int, Field(ge=0, le=0xFFFF)]
+
+
+class HeriEthercatOptions(DeviceOptions):
+    """Options of a HERI II hand on EtherCAT.
+
+    Attributes:
+        interface: Network interface the boards hang on; it is the master's alone.
+        motors: Motor of each actuator, counted over the boards from 0; by default those of the
+            public description (``motor_finger1`` and so on), else in the actuators' order.
+        vendor: EtherCAT vendor id expected; else any.
+        product: EtherCAT product code expected; else any.
+        gains: Five raw gains sent to every board; their meaning is not public.
+        torque_per_ampere: Torque at the shaft per current [N·m/A].
+        limit_torque: Send the effort limit as the board's torque reference, which has one for both
+            motors: the smaller of theirs. Else that reference stays 0.
+        watchdog: Boards leave operation after so long without frames [s].
+        order_timeout: Longest time for a board to acknowledge a command [s].
+        deadline: Longest time for one exchange [s].
+    """
+
+    interface: str = "eth0"
+    motors: dict[str, Annotated[int, Field(ge=0, lt=4 * MOTORS)]] = Field(default_factory=dict)
+    vendor: int | None = None
+    product: int | None = None
+    gains: tuple[Raw, Raw, Raw, Raw, Raw] = (0, 0, 0, 0, 0)
+    torque_per_ampere: Positive = TORQUE_PER_AMPERE
+    limit_torque: bool = True
+    watchdog: Annotated[float, Field(ge=0.0, le=6.5)] = 0.25
+    order_timeout: Positive = 1.0
+    deadline: Positive = 0.02
 
 
 class HeriEthercatDriver(Driver):
     """The boards of a HERI II hand, with this program as their master.
 
-    The boards are brought to safe-operational to read where the motors stand, then to operational
+    The boards are brought to safe-operational to read where the motors are, then to operational
     with those positions for references, and powered only then: nothing jumps. A master that
     starts takes the network over, so there is no attaching to a hand that another one holds.
     """
@@ -64,7 +108,7 @@ class HeriEthercatDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.options = read_options(HeriEthercatOptions, spec)
-        self._motors = motors_of(spec, self.options)
+        self._motors = _motors_of(spec, self.options)
         self._boards = max(self._motors) // MOTORS + 1
         self.connection: Connection[EthercatBus] = Connection(spec)
         self._references = [0.0] * (self._boards * MOTORS)
@@ -87,7 +131,7 @@ class HeriEthercatDriver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Take the network over, identify the boards and read where the motors stand."""
+        """Take the network over, identify the boards and read where the motors are."""
         await self.close()
         options = self.options
         bus = await self.connection.open(
@@ -109,7 +153,7 @@ class HeriEthercatDriver(Driver):
         await self._operate()
 
     async def _operate(self) -> None:
-        """Bring the boards into operation, told to stand where they are.
+        """Bring the boards into operation, with references to stay where they are.
 
         A board leaves operation when the frames stop for longer than its watchdog, as they do on a
         computer that is busy for a moment. Before there is power that costs nothing but this.
@@ -166,7 +210,7 @@ class HeriEthercatDriver(Driver):
         self._references = [q for reply in self._replies for q in reply.positions]
 
     async def activate(self) -> None:
-        """Power the motors where they stand."""
+        """Power the motors where they are."""
         await self._in_operation()
         self._seed()
         for code in (Order.POWER_OFF, Order.DIRECT, Order.POWER_ON, Order.POSITION):
@@ -355,3 +399,12 @@ def _firmware_of(position: int, ring: Ring) -> str:
         return ring.read(position, *FIRMWARE_OBJECT).decode("ascii", "replace").strip("\x00 ")
     except OSError:
         return "not told"
+
+
+def _motors_of(spec: DeviceSpec, options: HeriEthercatOptions) -> list[int]:
+    """Return the motor of each actuator; raises `ConfigError`."""
+    names = [a.name for a in spec.actuators]
+    if not options.motors:
+        wired = all(name in _WIRING for name in names)
+        return [_WIRING[name] for name in names] if wired else list(range(len(names)))
+    return numbers_of(spec, "motors", options.motors, "motor")

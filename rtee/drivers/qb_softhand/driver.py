@@ -19,7 +19,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import DeviceOptions, read_options
+from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command
 from rtee.drivers.qb_softhand.link import QbLink
@@ -29,12 +29,15 @@ from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected, 
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 INACTIVE = 1
+"""Code of the only fault that can be seen, that the motors are inactive; the hand has no codes."""
+
 _CURRENT_LIMIT = 1.5
+"""Current limit of a hand that does not report its own [A], as from the factory."""
+
 _ACTIVATION = 0.5
+"""Longest time from ACTIVATE until the motors are active [s]."""
+
 _BOTH = b"\x03"
-
-
-Positive = Annotated[float, Field(gt=0.0)]
 
 
 class QbSoftHandOptions(DeviceOptions):
@@ -178,7 +181,7 @@ class QbSoftHandDriver(Driver):
             self.mapping = TwoMotors(lower, upper)
 
     async def activate(self) -> None:
-        """Activate the motors where they stand; leaves a hand that is active alone."""
+        """Activate the motors where they are; leaves a hand that is active alone."""
         self.connection.link.patient = True
         if self.options.watchdog > 0.0:
             byte = codec.watchdog_byte(self.options.watchdog)
@@ -280,7 +283,7 @@ class QbSoftHandDriver(Driver):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Activate the motors again, where they stand."""
+        """Activate the motors again, where they are."""
         self.connection.link.patient = True
         await self.connection.link.send(Command.ACTIVATE, _BOTH)
         await self._confirm()

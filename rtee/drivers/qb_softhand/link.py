@@ -78,7 +78,7 @@ class QbLink:
         return reply.device
 
     async def parameters(self) -> dict[int, Parameter]:
-        """Return the hand's parameters by index, or nothing where it does not tell them."""
+        """Return the hand's parameters by index, or nothing where it does not answer."""
         request = Frame(self.device, Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
         try:
             return await self.bus.transact(

@@ -1,4 +1,4 @@
-"""The replay driver: what it measures is what a recording tells; references change nothing."""
+"""The replay driver: it measures what a recording holds; references change nothing."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ReplayDriver(Driver):
     Attributes:
         now: The clock that it follows [s].
         ended: Whether the recording has been played to its end.
-        behind: Whether what is to be shown now is still being read; the last state stands.
+        behind: Whether what is to be shown now is still being read; the last state is kept.
     """
 
     Options = ReplayOptions

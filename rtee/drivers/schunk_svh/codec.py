@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 
 from rtee.buses.parser import FramedParser
 
-BAUDRATE = 921_600
+BAUDRATE = 921_600  # [baud]; the hand has no other
 CHANNELS = 9
 SYNC = b"\x4c\xaa"
 PAYLOAD = 64

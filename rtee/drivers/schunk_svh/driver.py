@@ -149,7 +149,7 @@ class SchunkSvhDriver(Driver):
         return [self._table[index] for index in self._index]
 
     async def activate(self) -> None:
-        """Enable the channels where they stand; homes first if that is needed and allowed."""
+        """Enable the channels where they are; homes first if that is needed and allowed."""
         self.connection.link.patient = True
         wanted = sum(1 << channel for channel in self._index)
         homed = set(self._index) <= set(self.stops)
@@ -229,7 +229,7 @@ class SchunkSvhDriver(Driver):
         units = self._units
         before, self._last = self._last, (feedback, stamp)
         if before is not None and units.jumped(before[0], feedback, stamp - before[1]):
-            # No finger is that fast: the encoders have begun anew, as after a cut of the supply.
+            # No finger is that fast: the encoders have restarted, as after a cut of the supply.
             self._check(await self.connection.link.state())
             units = self._units
         position, effort, current = units.measured(feedback)
@@ -253,7 +253,7 @@ class SchunkSvhDriver(Driver):
         if not self._limits.settled(reference):
             waiting = await self._limits.update(self.connection.link, self._used(), reference)
         if self._attached:
-            # One packet tells all channels their targets, and nothing tells what those were.
+            # One packet sets the targets of all channels, and what those were cannot be read.
             if len(self._attached.left(reference, self._here)) == len(self._index):
                 return
             self._attached.begin()
@@ -279,7 +279,7 @@ class SchunkSvhDriver(Driver):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Clear latched faults; enable the channels where they stand, if that is known.
+        """Clear latched faults; enable the channels where they are, if that is known.
 
         Where it isn't, the next `activate` homes the hand, which moves it.
         """

@@ -123,7 +123,7 @@ async def _leave_stop(
 
 
 def read_stops(path: Path | None) -> dict[int, int]:
-    """Return the stops [ticks] by channel, or nothing where there is no file that makes sense."""
+    """Return the stops [ticks] by channel, or nothing without a file that makes sense."""
     if path is None:
         return {}
     try:
@@ -145,7 +145,7 @@ def write_stops(path: Path | None, stops: dict[int, int]) -> None:
 def plausible(
     stops: Mapping[int, int], table: Sequence[Channel], feedback: codec.FeedbackAll
 ) -> bool:
-    """Return whether every finger stands where its stop allows."""
+    """Return whether every finger is where its stop allows."""
     for index, stop in stops.items():
         low, high = table[index].soft_limits(stop)
         slack = (high - low) // 10

@@ -78,7 +78,7 @@ class Health:
         self._baseline = _latched(state)
 
     def begin(self, state: ControllerState, channels: Iterable[int]) -> None:
-        """Take bits set now for ones that tell nothing; these channels must stay on."""
+        """Ignore the bits that are set now; these channels must stay on."""
         self.enabled = sum(1 << channel for channel in channels)
         self._baseline = state
 
@@ -87,13 +87,13 @@ class Health:
         self.enabled = 0
 
     def cleared(self, state: ControllerState) -> None:
-        """Begin anew after latched faults have been cleared."""
+        """Start again after latched faults have been cleared."""
         self.enabled = 0
         self.warnings = ()
         self._baseline = _latched(state)
 
     def check(self, state: ControllerState, table: Sequence[Channel]) -> None:
-        """Raise `DeviceFault` if a state tells of one; notes the warnings."""
+        """Raise `DeviceFault` if a state reports one; notes the warnings."""
         faults = state.pwm_fault & ~self._baseline.pwm_fault
         lost = self.enabled & ~state.enabled
         hot = state.pwm_otw & ~self._baseline.pwm_otw
@@ -116,6 +116,6 @@ class Health:
 
 
 def _latched(state: ControllerState) -> ControllerState:
-    """Return the bits that tell nothing: those written to clear latches, if they come back."""
+    """Return the bits that mean nothing: those written to clear latches, if they come back."""
     echoed = state.pwm_fault == ControllerState.CLEAR
     return state if echoed else ControllerState()

@@ -20,8 +20,8 @@ from rtee.drivers.xbot2.messages import (
 )
 from rtee.hand.yamlfile import yaml_reader
 
-STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558
-_LONGEST = 1_000_000
+STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558  # where xbot2_zmq listens by default
+_LONGEST = 1_000_000  # bytes of an answer that is read; a robot's joint names take a few thousand
 
 
 class Control(IntFlag):

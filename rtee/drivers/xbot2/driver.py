@@ -33,7 +33,11 @@ from rtee.errors import (
 from rtee.types import ActuatorSpec, ActuatorState, Capabilities, DeviceSpec, Reference
 
 _STALE = 0.3
+"""A state older than this counts as lost [s]: thirty periods of the server's usual rate."""
+
 _SAME = 2e-3
+"""A reference this near to the measured position asks for no motion, as part of the range."""
+
 _NO_EFFORT = (
     "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
     "beside them, for boards that take it so, and 'effort' closes and opens with it"
@@ -203,7 +207,7 @@ class XBot2Driver(Driver):
         if self.options.control == "limited":
             for i in chosen:
                 limit, most = float(reference.max_effort[i]), self.spec.actuators[i].effort
-                # Once it was told a smaller one, XBot2 must be told that all of it may be used.
+                # After a smaller limit, XBot2 must be sent that all of it may be used.
                 if limit < most or math.isfinite(self._limits[i]):
                     self._limits[i] = max(min(limit, most), 0.0)
         if self.options.control != "effort":
