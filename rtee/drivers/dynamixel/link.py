@@ -189,7 +189,10 @@ class DynamixelLink:
         else:
             group = GroupRead(self.bus.port, self.bus.packets, address, size, ids)
         self.repeated(group.fastSyncRead if self.fast else group.txRxPacket)
-        return {n: bytes(data) for n, data in group.data_dict.items()}, group.errors
+        found = {n: bytes(data) for n, data in group.data_dict.items()}
+        if not all(found.values()):  # the line was pulled, or starved, between two answers
+            raise BusTimeout(self.bus.name, "not every servo answered")
+        return found, group.errors
 
     def choose_read(self, choice: str) -> None:
         """Decide whether groups are read by the fast sync read: ``auto``, ``always``, ``never``.
