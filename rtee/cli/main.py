@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compose": ("rtee.cli.compose", "Define a composed action."),
     "time": ("rtee.cli.time", "Define a timed action."),
     "generic": ("rtee.cli.generic", "Define a generic action."),
+    "grasp-plan": ("rtee.cli.grasp_plan", "Rank the actions of a hand for an object."),
     "import": ("rtee.cli.import_", "Import action files of ROS End-Effector."),
     # online
     "run": ("rtee.cli.run", "Run one hand or several."),

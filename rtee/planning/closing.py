@@ -8,6 +8,7 @@ blocked, as those of a real hand do.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -24,11 +25,11 @@ from rtee.types import BoolArray, FloatArray
 STEPS: Final = 16
 """Steps of the table of an action's way; a step of a finger is about 6 mm."""
 
-_STEP: Final = 1.0 / 32.0
-"""Step of intensity while links touch: about 3 mm of a fingertip's way."""
+_TICKS: Final = 120
+"""Intensities at which the hand is looked at; less than 1 mm of a fingertip's way apart."""
 
-_SLOWEST: Final = 0.3
-"""Gaps below this many steps count as contact."""
+_STEP: Final = 4
+"""Ticks of a step while links touch: about 3 mm of a fingertip's way."""
 
 _PUSHES: Final = 4
 """Pushes that one step may take until nothing is inside the object."""
@@ -122,6 +123,7 @@ class Closing:
         self.scene, self.way, self.friction = scene, way, friction
         self.grid: FloatArray = np.linspace(0.0, 1.0, STEPS + 1)
         self.table: list[HandPose] = [scene.posed(way.at(float(s))) for s in self.grid]
+        self._known: dict[int, HandPose] = {}
         steps = [scene.speeds(a, b) for a, b in zip(self.table, self.table[1:], strict=False)]
         self._speed = np.max(steps, axis=0) * STEPS
         """How fast each shape moves at most [m per unit of intensity]."""
@@ -147,57 +149,103 @@ class Closing:
             The closed hand, or ``None`` where it never holds the object from two sides.
         """
         start, pose = pose, pose.copy()
-        s = self._until_contact(begin, pose)
-        shares = np.full(len(self.scene.hand.rest), s)
-        blocked: BoolArray = ~self.way.moving
-        first = -1.0
+        tick = math.floor(begin * _TICKS)
+        near = self.scene.bounds(self._posed(tick), pose)
+        tick = self._until_contact(tick, near, pose)
         while True:
-            at = self.scene.posed(self.way.at(shares))
-            touches = self.scene.touching(at, pose)
-            if first < 0.0:
-                touches = self._push(touches, at, pose)
-                if float(np.linalg.norm(pose[:3, 3] - start[:3, 3])) > _FARTHEST:
-                    return None
-            if touches and self._opposed(touches):
-                first = s if first < 0.0 else first
-                for touch in touches:
-                    blocked = blocked | self._drives[touch.shape]
-            if blocked.all() or s >= 1.0:
+            at = self._posed(tick)
+            touches = self._push(near, at, pose)
+            if float(np.linalg.norm(pose[:3, 3] - start[:3, 3])) > _FARTHEST:
+                return None
+            if self._opposed(touches):
                 break
-            s = min(1.0, s + _STEP)
+            if tick >= _TICKS:
+                return None
+            step = min(_STEP, _TICKS - tick)
+            near -= self._speed * (step / _TICKS)
+            tick += step
+        return self._rest_closed(pose, tick / _TICKS, touches)
+
+    def _posed(self, tick: int) -> HandPose:
+        """Return where the hand is at an intensity; poses of the object share these."""
+        if tick not in self._known:
+            self._known[tick] = self.scene.posed(self.way.at(tick / _TICKS))
+        return self._known[tick]
+
+    def _rest_closed(self, pose: FloatArray, first: float, touches: list[Touch]) -> Closure:
+        """Let the actuators go on that are not blocked, with the object where it is."""
+        s, shares = first, np.full(len(self.scene.hand.rest), first)
+        blocked: BoolArray = ~self.way.moving
+        for touch in touches:
+            blocked = blocked | self._drives[touch.shape]
+        there = {touch.shape for touch in touches}
+        speed = np.maximum(self._speed, 1e-9)
+        at = self.scene.posed(self.way.at(shares))
+        while s < 1.0 and not blocked.all():
+            free = self._drives[:, ~blocked].any(axis=1)
+            bounds = self.scene.bounds(at, pose)
+            step = 1.0
+            for shape in np.flatnonzero(free & (bounds <= speed)).tolist():
+                if bounds[shape] > step * speed[shape]:
+                    continue
+                touch = self.scene.touch(shape, at, pose)
+                if touch.distance <= TOUCH and shape not in there:
+                    there.add(shape)
+                    touches.append(touch)
+                    blocked = blocked | self._drives[shape]
+                step = min(step, touch.distance / speed[shape])
+            s = min(1.0, s + max(_STEP / _TICKS, step))
             shares = np.where(blocked, shares, s)
-        if first < 0.0:
-            return None
-        contacts = tuple(self.scene.contacts(touches, at, pose))
+            at = self.scene.posed(self.way.at(shares))
+        found = [self.scene.touch(touch.shape, at, pose) for touch in touches]
+        contacts = tuple(self.scene.contacts(found, at, pose))
         u = self.way.at(shares)
         return Closure(pose, shares, u, first, contacts, blocked & self.way.moving)
 
-    def _until_contact(self, s: float, pose: FloatArray) -> float:
-        """Return the intensity just before a moving link touches (conservative advancement)."""
-        floor = _SLOWEST * _STEP
-        speed = np.maximum(self._speed, 1e-9)
-        while s < 1.0:
-            at = self.scene.posed(self.way.at(s))
-            room = self.scene.bounds(at, pose) / speed
-            least = 1.0
-            for shape in np.argsort(room, kind="stable").tolist():
-                if room[shape] >= least:
-                    break
-                least = min(least, self.scene.touch(shape, at, pose).distance / speed[shape])
-                if least < floor:
-                    return s
-            s = min(1.0, s + least)
-        return 1.0
+    def _until_contact(self, tick: int, near: FloatArray, pose: FloatArray) -> int:
+        """Return the intensity just before a moving link touches (conservative advancement).
 
-    def _push(self, touches: list[Touch], at: HandPose, pose: FloatArray) -> list[Touch]:
+        Args:
+            tick: Intensity from which the hand closes.
+            near: Lower bounds of the shapes' distances there ``(shapes,)`` [m]; kept up to date.
+            pose: Pose of the object.
+        """
+        speed = np.maximum(self._speed, 1e-9) / _TICKS
+        while tick < _TICKS:
+            at = self._posed(tick)
+            least = float(_TICKS - tick)
+            for shape in np.argsort(near / speed, kind="stable").tolist():
+                if near[shape] / speed[shape] >= least:
+                    break
+                near[shape] = self.scene.touch(shape, at, pose).distance
+                least = min(least, float(near[shape] / speed[shape]))
+                if least < 1.0:
+                    return tick
+            tick += math.floor(least)
+            near -= speed * math.floor(least)
+        return _TICKS
+
+    def _touching(self, near: FloatArray, at: HandPose, pose: FloatArray) -> list[Touch]:
+        """Return the shapes that touch; measures only what the lower bounds leave open."""
+        found = []
+        for shape in np.flatnonzero(near <= TOUCH).tolist():
+            touch = self.scene.touch(shape, at, pose)
+            near[shape] = touch.distance
+            if touch.distance <= TOUCH:
+                found.append(touch)
+        return found
+
+    def _push(self, near: FloatArray, at: HandPose, pose: FloatArray) -> list[Touch]:
         """Move the object out of the links that push it, unless they oppose each other."""
+        touches = self._touching(near, at, pose)
         for _ in range(_PUSHES):
             deep = [touch for touch in touches if touch.distance < 0.0]
             if not deep or self._opposed(touches):
                 break
-            for touch in deep:
-                pose[:3, 3] += (TOUCH / 2.0 - touch.distance) / len(deep) * touch.normal
-            touches = self.scene.touching(at, pose)
+            push = sum((_clear_of(touch) for touch in deep), np.zeros(3)) / len(deep)
+            pose[:3, 3] += push
+            near -= float(np.linalg.norm(push))
+            touches = self._touching(near, at, pose)
         return touches
 
     def _opposed(self, touches: Sequence[Touch]) -> bool:
@@ -215,3 +263,9 @@ class Closing:
             return False  # all push the same way
         edges = [cone(normal, self.friction) for normal in normals]
         return balanced(np.concatenate(edges))
+
+
+def _clear_of(touch: Touch) -> FloatArray:
+    """Return the way that brings an object out of a link, but still in touch ``(3,)`` [m]."""
+    way: FloatArray = (TOUCH / 2.0 - touch.distance) * touch.normal
+    return way

@@ -23,10 +23,10 @@ from rtee.planning.result import GraspPlan
 DRAFT: Final = "Planned"
 """Name of a composed action while it has none of its own."""
 
-_TRIES: Final = 20
+_TRIES: Final = 12
 """Combinations that are tried: all of three to five fingers, and some pinches with others."""
 
-_POSES: Final = 4
+_POSES: Final = 3
 """Poses of the object that are tried for each."""
 
 _LEAST: Final = 0.05

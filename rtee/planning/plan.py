@@ -31,17 +31,23 @@ GOOD: Final = 0.6
 SAFETY: Final = 3.0
 """A grasp that carries so many times the weight is not limited by its load: arms accelerate."""
 
-_POSES: Final = 160
+_POSES: Final = 120
 """Poses of the object that are tried for a hand, shared by its actions."""
 
-_FEWEST: Final = 4
+_FEWEST: Final = 3
 """Poses tried for each action at least."""
 
 _MOST: Final = 16
 """Poses tried for each action at most."""
 
 _FINALISTS: Final = 2
-"""Poses of an action whose quality and load are worked out."""
+"""Poses of an action whose quality and load are worked out; one where there are many actions."""
+
+_ENOUGH: Final = 3
+"""Poses at which an action holds the object, after which no others are tried."""
+
+_JUDGED: Final = 12
+"""Actions whose quality and load are worked out: the most promising."""
 
 _GOOD_QUALITY: Final = 0.05
 """Quality that counts half [N/N]: two soft fingers at friction 0.5 have 0.04, a wrap 0.1 to 0.3."""
@@ -119,6 +125,18 @@ def plan_grasps(
     return planner.ranking(plans, rejected)
 
 
+@dataclass(frozen=True)
+class _Grasp:
+    """A hand closed on the object by an action, and how it came there."""
+
+    action: Action
+    closing: Closing
+    poses: Poses
+    candidate: Candidate
+    closure: Closure
+    promise: float
+
+
 class Planner:
     """Plans the grasps of one object by one hand.
 
@@ -154,13 +172,23 @@ class Planner:
         """Return the grasps of actions, the best first, and why the others can't be used."""
         chosen = list(actions)
         each = min(_MOST, max(_FEWEST, _POSES // max(1, len(chosen))))
-        plans, rejected = [], []
+        grasps, plans, rejected = [], [], []
         for action in chosen:
-            found = self.best(action, each)
+            found = self._grasps(action, each)
             if isinstance(found, str):
                 rejected.append((label(action.name, action.elements), found))
             else:
-                plans.append(found)
+                grasps.append(found)
+        grasps.sort(key=lambda found: -found[0].promise)
+        for number, found in enumerate(grasps):
+            action = found[0].action
+            plan: GraspPlan | str = f"{_JUDGED} others hold the object with more links"
+            if number < _JUDGED:
+                plan = self._best_of(found if len(grasps) <= _JUDGED else found[:1])
+            if isinstance(plan, str):
+                rejected.append((label(action.name, action.elements), plan))
+            else:
+                plans.append(plan)
         plans.sort(key=rank)
         return plans, rejected
 
@@ -172,7 +200,9 @@ class Planner:
         unlimited = [a.name for a in self.hand.actuators if not math.isfinite(a.effort)]
         notes = [*self.thing.notes]
         if unlimited:
-            notes.append(f"no effort limit is known of {', '.join(unlimited)}; the load is not theirs")
+            notes.append(
+                f"no effort limit is known of {', '.join(unlimited)}; the load is not theirs"
+            )
         return Ranking(
             self.hand.name,
             self.thing.name,
@@ -191,6 +221,11 @@ class Planner:
             action: The action.
             most: Poses of the object that are tried.
         """
+        found = self._grasps(action, most)
+        return found if isinstance(found, str) else self._best_of(found)
+
+    def _grasps(self, action: Action, most: int) -> list[_Grasp] | str:
+        """Return the most promising grasps by an action, or why there is none."""
         closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
         if not closing.way.moving.any():
             return "it moves nothing"
@@ -198,30 +233,27 @@ class Planner:
         opening, narrowest = float(poses.gaps.max()), poses.narrowest(self._turns)
         self.widest = max(self.widest, opening)
         self.narrowest = min(self.narrowest, narrowest)
-        grasps: list[tuple[float, int, Candidate, Closure]] = []
-        tried = 0
+        grasps, tried = [], 0
         for candidate in poses.candidates(self._turns, most):
             tried += 1
             closure = closing.close(candidate.pose)
             if closure is not None:
-                grasps.append((-self._promise(closure), tried, candidate, closure))
-        if not tried:
-            if narrowest > opening - 2.0 * GAP:
-                return f"it opens to {opening * 1e3:.0f} mm, the width is {narrowest * 1e3:.0f} mm"
-            self.too_wide = False
-            return "the object can't come between its fingers"
+                promise = self._promise(closure)
+                grasps.append(_Grasp(action, closing, poses, candidate, closure, promise))
+                if len(grasps) >= max(_ENOUGH, most // 2):
+                    break
+        if not tried and narrowest > opening - 2.0 * GAP:
+            return f"it opens to {opening * 1e3:.0f} mm, the width is {narrowest * 1e3:.0f} mm"
         self.too_wide = False
-        if not grasps:
-            return "its fingers do not oppose each other on the object"
-        grasps.sort(key=lambda grasp: grasp[:2])
-        found = [
-            self._judged(action, closing, poses, candidate, closure)
-            for _, _, candidate, closure in grasps[:_FINALISTS]
-        ]
-        best = min(found, key=rank)
-        if best.load <= 0.0:
-            return "it can't carry the weight along this axis with any effort"
-        return best
+        if not tried:
+            return "the object can't come between its fingers"
+        grasps.sort(key=lambda grasp: -grasp.promise)
+        return grasps[:_FINALISTS] or "its fingers do not oppose each other on the object"
+
+    def _best_of(self, grasps: Sequence[_Grasp]) -> GraspPlan | str:
+        """Return the best of the grasps of an action, or why there is none."""
+        best = min((self._judged(grasp) for grasp in grasps), key=rank)
+        return best if best.load > 0.0 else "it can't carry the weight along this axis"
 
     def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
         """Return the hand as it has closed by an action where a plan says."""
@@ -231,14 +263,13 @@ class Planner:
     def _promise(self, closure: Closure) -> float:
         """Return a quick estimate of how good a grasp is; larger is better."""
         contacts = closure.contacts
-        found = self._wrenches(closure, contacts)
+        by_link = {contact.link: contact for contact in contacts}
+        found = self._wrenches(closure, list(by_link.values()))
         points = np.array([contact.point for contact in contacts])
         off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure)))
-        links = len({contact.link for contact in contacts})
+        links = len(by_link)
         return (
-            4.0 * balanced(found)
-            + min(links, 6) / 6.0
-            + (1.0 - min(1.0, off / self.thing.length))
+            4.0 * balanced(found) + min(links, 6) / 6.0 + (1.0 - min(1.0, off / self.thing.length))
         )
 
     def _centre(self, closure: Closure) -> FloatArray:
@@ -248,9 +279,7 @@ class Planner:
     def _wrenches(self, closure: Closure, contacts: Sequence[Contact]) -> FloatArray:
         return wrenches(contacts, self.task.friction, self._centre(closure), self.thing.length)
 
-    def _carried(
-        self, closure: Closure, contacts: Sequence[Contact], found: FloatArray
-    ) -> float:
+    def _carried(self, closure: Closure, contacts: Sequence[Contact], found: FloatArray) -> float:
         """Return how many times its weight the object can have, at full effort."""
         limits = np.array([actuator.effort for actuator in self.hand.actuators])
         limited: BoolArray = np.isfinite(limits)
@@ -260,20 +289,15 @@ class Planner:
         force = self.thing.mass * GRAVITY * self.task.weight_axis
         return load(found, torques, np.concatenate([force, np.zeros(3)]))
 
-    def _judged(
-        self,
-        action: Action,
-        closing: Closing,
-        poses: Poses,
-        candidate: Candidate,
-        closure: Closure,
-    ) -> GraspPlan:
+    def _judged(self, grasp: _Grasp) -> GraspPlan:
+        action, closing, candidate = grasp.action, grasp.closing, grasp.candidate
+        closure = grasp.closure
         contacts = closure.contacts[:_MOST_CONTACTS]
         found = self._wrenches(closure, contacts)
         ball, times = quality(found), self._carried(closure, contacts, found)
         points = np.array([contact.point for contact in contacts])
         off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure)))
-        preshape, opening, clearance = self._before(action, closing, poses, candidate, closure)
+        preshape, opening, clearance = self._before(grasp)
         score = _score(times, ball, off / self.thing.length)
         x, y, z = (float(v) for v in candidate.way)
         kind = kind_of(action)
@@ -308,25 +332,20 @@ class Planner:
             wanted.append(float(closure.shares[index]) + beyond)
         return min(1.0, math.ceil(100.0 * max(wanted)) / 100.0)
 
-    def _before(
-        self,
-        action: Action,
-        closing: Closing,
-        poses: Poses,
-        candidate: Candidate,
-        closure: Closure,
-    ) -> tuple[float, float, float]:
+    def _before(self, grasp: _Grasp) -> tuple[float, float, float]:
         """Return pre-shape, opening and clearance before the hand closes.
 
         The hand closes as far as it can without coming near the object where it is and on its way.
         """
-        gaps = poses.gaps
+        gaps, closing, candidate = grasp.poses.gaps, grasp.closing, grasp.candidate
         along = candidate.pose.copy()
-        ways = [candidate.pose[:3, 3] + share * np.array(candidate.way) for share in (0, 0.1, 0.3, 1)]
-        steps = range(len(gaps) - 1, -1, -1) if not isinstance(action, Timed) else (0,)
+        ways = [
+            candidate.pose[:3, 3] + share * np.array(candidate.way) for share in (0, 0.1, 0.3, 1)
+        ]
+        steps = range(len(gaps) - 1, -1, -1) if not isinstance(grasp.action, Timed) else (0,)
         for step in steps:
             wide = gaps[step] >= candidate.width + _MARGIN
-            if step and not (wide and closing.grid[step] < closure.first):
+            if step and not (wide and closing.grid[step] < grasp.closure.first):
                 continue
             least = math.inf
             for place in ways:

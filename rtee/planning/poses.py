@@ -148,8 +148,9 @@ class Poses:
         self._probe = coal.Sphere(_PROBE)
         self._shift = 0.0
         """How far out from the fingertips' middle there is most room between them [m]."""
-        rooms = {shift: self._room(shift) for shift in _SHIFTS}
-        self._shift = next(s for s in _SHIFTS if rooms[s] >= _ROOMY * max(rooms.values()))
+        if len(self._fingers) < _SEVERAL:
+            rooms = {shift: self._room(shift) for shift in _SHIFTS}
+            self._shift = next(s for s in _SHIFTS if rooms[s] >= _ROOMY * max(rooms.values()))
 
     @property
     def several(self) -> bool:
@@ -266,7 +267,7 @@ class Poses:
     @cached_property
     def gaps(self) -> FloatArray:
         """How far apart the fingertips are along the way ``(steps + 1,)`` [m]."""
-        steps = np.arange(0, len(self._closing.table), 2)
+        steps = np.arange(0, len(self._closing.table), 2 if len(self._fingers) < _SEVERAL else 4)
         found = [self._gap(int(step)) for step in steps]
         return np.interp(np.arange(len(self._closing.table)), steps, found)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import coal
@@ -26,6 +27,9 @@ _BALL_AXES: Final = np.vstack([np.zeros(3), np.eye(3)])
 """A shape moves no faster than these points of its ball, in units of the radius, nearly."""
 
 
+_NOWHERE: Final = np.zeros(3)
+
+
 @dataclass(frozen=True, slots=True)
 class Touch:
     """A shape of the hand that touches the object.
@@ -33,8 +37,8 @@ class Touch:
     Attributes:
         shape: Its index.
         distance: Signed distance; negative inside [m].
-        point: The middle of the closest points ``(3,)`` in the base frame [m].
-        normal: Unit normal into the object ``(3,)``.
+        point: The middle of the closest points ``(3,)`` in the base frame [m], if they touch.
+        normal: Unit normal into the object ``(3,)``, if they touch.
     """
 
     shape: int
@@ -43,7 +47,7 @@ class Touch:
     normal: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class HandPose:
     """Where the shapes of a hand are at a posture.
 
@@ -56,6 +60,13 @@ class HandPose:
     turns: FloatArray
     places: FloatArray
     middles: FloatArray
+    _transforms: dict[int, coal.Transform3s] = field(default_factory=dict, repr=False)
+
+    def where(self, shape: int) -> coal.Transform3s:
+        """Return a shape's pose for Coal."""
+        if shape not in self._transforms:
+            self._transforms[shape] = coal.Transform3s(self.turns[shape], self.places[shape])
+        return self._transforms[shape]
 
 
 class GraspScene:
@@ -69,7 +80,9 @@ class GraspScene:
         asked: How many distances were measured.
     """
 
-    def __init__(self, hand: Hand, thing: GraspObject, geometry: HandGeometry | None = None) -> None:
+    def __init__(
+        self, hand: Hand, thing: GraspObject, geometry: HandGeometry | None = None
+    ) -> None:
         """Read the hand's geometry.
 
         Args:
@@ -91,6 +104,7 @@ class GraspScene:
         self.radii = np.array([shape.ball[1] for shape in shapes])
         self.finger = tuple(_finger_of(hand, shape.link) for shape in shapes)
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
+        self._pose, self._transform = b"", coal.Transform3s()
         self._middle, self._half = thing.box
         self._axes = thing.frame
 
@@ -120,31 +134,37 @@ class GraspScene:
         return found
 
     def touch(self, shape: int, at: HandPose, pose: FloatArray) -> Touch:
-        """Return how near a shape is to the object, and where."""
-        there = coal.Transform3s(at.turns[shape], at.places[shape])
-        here = coal.Transform3s(pose[:3, :3], pose[:3, 3])
-        body = self.geometry.shapes[shape].convex
-        best: Touch | None = None
+        """Return how near a shape is to the object, and where if they touch."""
+        there, here = at.where(shape), self._where(pose)
+        body, result = self.geometry.shapes[shape].convex, self._result
+        least, point, normal = math.inf, _NOWHERE, _NOWHERE
         for piece in self.object.pieces:
-            self._result.clear()
-            self.asked += 1
-            distance = coal.distance(body, there, piece.shape, here, self._request, self._result)
-            if best is None or distance < best.distance:
-                near = self._result.getNearestPoint1(), self._result.getNearestPoint2()
-                point = 0.5 * (np.array(near[0]) + np.array(near[1]))
-                best = Touch(shape, float(distance), point, np.array(self._result.normal))
-        if best is None:
-            raise ValueError("an object has at least one piece")
-        return best
+            result.clear()
+            distance = coal.distance(body, there, piece.shape, here, self._request, result)
+            if distance < least:
+                least = distance
+                if distance <= TOUCH:
+                    point = 0.5 * (result.getNearestPoint1() + result.getNearestPoint2())
+                    normal = np.array(result.normal)
+        self.asked += len(self.object.pieces)
+        return Touch(shape, least, point, normal)
+
+    def _where(self, pose: FloatArray) -> coal.Transform3s:
+        """Return a pose of the object for Coal; the one asked for last is kept."""
+        key = pose.tobytes()
+        if key != self._pose:
+            self._pose, self._transform = key, coal.Transform3s(pose[:3, :3], pose[:3, 3])
+        return self._transform
 
     def apart(
         self, shape: int, at: HandPose, other: coal.ShapeBase, where: coal.Transform3s
     ) -> float:
         """Return the signed distance of a shape of the hand from another one [m]."""
         self._result.clear()
-        there = coal.Transform3s(at.turns[shape], at.places[shape])
         body = self.geometry.shapes[shape].convex
-        return float(coal.distance(body, there, other, where, self._request, self._result))
+        return float(
+            coal.distance(body, at.where(shape), other, where, self._request, self._result)
+        )
 
     def nearest(self, at: HandPose, pose: FloatArray, enough: float = np.inf) -> float:
         """Return the least distance of the hand from the object [m].
@@ -174,8 +194,7 @@ class GraspScene:
 
     def _patch(self, touch: Touch, at: HandPose, pose: FloatArray) -> Iterator[Contact]:
         body = self.geometry.shapes[touch.shape]
-        there = coal.Transform3s(at.turns[touch.shape], at.places[touch.shape])
-        here = coal.Transform3s(pose[:3, :3], pose[:3, 3])
+        there, here = at.where(touch.shape), self._where(pose)
         request, result = coal.CollisionRequest(), coal.CollisionResult()
         request.security_margin = 2.0 * TOUCH
         found = 0
@@ -199,14 +218,14 @@ class GraspScene:
     def _contact(self, shape: int, point: FloatArray, normal: FloatArray) -> Contact:
         x, y, z = (float(v) for v in point)
         a, b, c = (float(v) for v in normal / np.linalg.norm(normal))
-        return Contact(
-            self.geometry.shapes[shape].link, self.finger[shape], (x, y, z), (a, b, c)
-        )
+        return Contact(self.geometry.shapes[shape].link, self.finger[shape], (x, y, z), (a, b, c))
 
     def speeds(self, before: HandPose, after: HandPose) -> FloatArray:
         """Return how far points of the shapes go at most, from a posture to one near it [m]."""
         reach = self.radii[:, None, None] * _BALL_AXES
-        moved = [at.middles[:, None] + reach @ at.turns.transpose(0, 2, 1) for at in (before, after)]
+        moved = [
+            at.middles[:, None] + reach @ at.turns.transpose(0, 2, 1) for at in (before, after)
+        ]
         found: FloatArray = np.linalg.norm(moved[1] - moved[0], axis=2).max(axis=1)
         return found
 

@@ -56,7 +56,7 @@ _SHARPENING: Final = (8.0, 32.0, 128.0)
 _DESCENT: Final = 6
 """Steps at each sharpness."""
 
-_CLIMBS: Final = 8
+_CLIMBS: Final = 6
 """Facets that are compared: the nearest that the descent leads to."""
 
 _SAME: Final = 0.99
@@ -68,8 +68,11 @@ _PIVOTS: Final = 40
 _CLOSED: Final = 1e-6
 """Residual below which a system of unit vectors counts as solved."""
 
-_HALVINGS: Final = 9
-"""Halvings of the interval in which the load is sought: the last is 0.1 N of 50 N."""
+_LEAST_LOAD: Final = 0.05
+"""A grasp that carries less than this part of the weight carries nothing."""
+
+_HALVINGS: Final = 7
+"""Halvings of the interval in which the load is sought, in logarithms: to 6 %."""
 
 
 def cone(normal: FloatArray, friction: float) -> FloatArray:
@@ -277,11 +280,11 @@ def load(
         target = np.concatenate([-times * weight / heavy, np.ones(2 * actuators)])
         return least_squares(system, target)[1] < _CLOSED * 1e2 * max(1.0, times)
 
-    if not carried(1e-3):
+    if not carried(_LEAST_LOAD):
         return 0.0
     if carried(MOST_LOAD):
         return MOST_LOAD
-    low, high = 1e-3, MOST_LOAD
+    low, high = _LEAST_LOAD, MOST_LOAD
     for _ in range(_HALVINGS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if carried(middle) else (low, middle)

@@ -144,9 +144,7 @@ def _add_pieces(spec: mujoco.MjSpec, thing: GraspObject, pose: FloatArray, folde
         file = _shape(piece, folder, number).path
         mesh = spec.add_mesh(name=f"{model.name}/{number}", file=str(file))
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        geom = first.add_geom(
-            name=mesh.name, type=mujoco.mjtGeom.mjGEOM_MESH, mass=masses[number]
-        )
+        geom = first.add_geom(name=mesh.name, type=mujoco.mjtGeom.mjGEOM_MESH, mass=masses[number])
         geom.meshname = mesh.name
         for name in ("friction", "solref", "solimp", "condim", "priority", "margin", "rgba"):
             setattr(geom, name, getattr(model, name))
@@ -168,7 +166,11 @@ def _stl(piece: Piece) -> bytes:
         ball = _BALL * piece.radius
         points = (points[:, None] + ball).reshape(-1, 3)
     count = len(points)
-    corners = points[np.stack([np.arange(count), np.roll(np.arange(count), -1), np.roll(np.arange(count), -2)], axis=1)]
+    corners = points[
+        np.stack(
+            [np.arange(count), np.roll(np.arange(count), -1), np.roll(np.arange(count), -2)], axis=1
+        )
+    ]
     record = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
     triangles = np.zeros(count, dtype=record)
     triangles["corners"] = corners
