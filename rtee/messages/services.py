@@ -163,6 +163,17 @@ float64 rate                 # wanted [Hz]
 string[] name                # actuators
 float64[] position           # [rad | m]
 """,
+    "rtee_msgs/msg/GraspRequest": """\
+# A client asks which action suits an object.
+string object                # box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m]; a mesh's name
+uint8[] mesh                 # content of its mesh file, 60 kB at most, or empty
+string format                # suffix of that file, such as .stl
+float64 mass                 # of the object [kg]
+float64 friction             # coefficient of friction
+float64 scale                # brings the mesh to metres
+float64[] weight_axis        # where its weight pulls, in the hand's base frame; or empty
+uint32 top                   # how many grasps are wanted
+""",
     "rtee_msgs/msg/ActuatorInfo": """\
 # An actuator as a grasp planner needs it.
 string name

@@ -1,4 +1,4 @@
-"""The object to be grasped: a box, a cylinder, a sphere, a capsule, or the convex pieces of a mesh."""
+"""The object to be grasped: a box, cylinder, sphere or capsule, or the convex pieces of a mesh."""
 
 from __future__ import annotations
 
@@ -131,11 +131,17 @@ class GraspObject:
 
     @cached_property
     def length(self) -> float:
-        """Greatest distance of its surface from the centre of mass [m]; torques are divided by it."""
+        """Greatest distance of its surface from the centre of mass [m]; a scale of torques."""
         return max(
             float(np.linalg.norm(piece.points - self.centre, axis=1).max()) + piece.radius
             for piece in self.pieces
         )
+
+
+def is_shape(text: str) -> bool:
+    """Return whether a text means a shape with its sizes, and not a file."""
+    kind, colon, _ = text.partition(":")
+    return bool(colon) and kind in _NUMBERS
 
 
 def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject:
@@ -155,8 +161,8 @@ def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject
         raise ConfigError(f"the mass of an object is above 0 and at most 100 kg, not {mass:g}")
     if not (math.isfinite(scale) and scale > 0.0):
         raise ConfigError(f"the scale of a mesh is above 0, not {scale:g}")
-    kind, colon, numbers = text.partition(":")
-    if colon and kind in _NUMBERS:
+    kind, _, numbers = text.partition(":")
+    if is_shape(text):
         piece = _primitive(kind, _sizes(text, kind, numbers))
         return GraspObject(text, (piece,), mass)
     path = Path(text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -13,9 +14,10 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label
 from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError
+from rtee.hand.load import hand_folder, load_hand
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay, Closing, Closure
-from rtee.planning.objects import GraspObject
+from rtee.planning.objects import GraspObject, read_object
 from rtee.planning.poses import GAP, Candidate, Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
 from rtee.planning.scene import GraspScene
@@ -76,6 +78,32 @@ class Task:
 
     friction: float
     weight_axis: FloatArray
+
+
+def grasp_plan(
+    hand: str | Path,
+    thing: str | GraspObject,
+    *,
+    mass: float = 0.1,
+    friction: float = FRICTION,
+    weight_axis: Sequence[float] | None = None,
+) -> Ranking:
+    """Rank the stored actions of a hand for an object; see `plan_grasps`.
+
+    Args:
+        hand: Its name, or the path of its folder.
+        thing: The object: as on the command line, or one that was read.
+        mass: Mass of an object that is given as text [kg].
+        friction: Coefficient of friction between hand and object.
+        weight_axis: Where the object's weight pulls, a vector of the hand's base frame.
+
+    Raises:
+        UserError: if the hand, its actions, the object or an argument can't be used.
+    """
+    folder = hand_folder(hand)[0]
+    library = ActionLibrary.load(load_hand(folder), folder / "actions")
+    found = read_object(thing, mass) if isinstance(thing, str) else thing
+    return plan_grasps(library.hand, library, found, friction=friction, weight_axis=weight_axis)
 
 
 def plan_grasps(

@@ -99,7 +99,7 @@ class GraspPlan:
 
     @property
     def label(self) -> str:
-        """How it is called in a sentence, such as ``Trig:index*0.6 + Trig:thumb`` without a name."""
+        """How it is called in a sentence; without a name, ``Trig:index*0.6 + Trig:thumb``."""
         if self.action:
             return label(self.action, self.elements)
         return " + ".join(written(part) for part in self.parts)

@@ -29,6 +29,8 @@ from anyio.from_thread import BlockingPortal
 from rtee.actions.build import StepPlan
 from rtee.actions.types import Action, ActionReference, CustomAction, PrimitiveGroup
 from rtee.messages.state import State
+from rtee.planning.result import Ranking
+from rtee.remote.action_client import GraspOptions
 from rtee.remote.client import GoalOptions, RemoteHand, connect
 from rtee.remote.goal import RunningGoal
 from rtee.remote.monitoring import READY_WITHIN, HandStatus
@@ -236,6 +238,10 @@ class BlockingHand:
     def trials(self) -> str:
         """Return the text of the file with what trials of the actions found; empty for none."""
         return self._call(self._hand.trials)
+
+    def grasp_plan(self, thing: str, **options: Unpack[GraspOptions]) -> Ranking:
+        """Return which actions suit an object, the best first; see `Library.grasp_plan`."""
+        return self._call(self._hand.grasp_plan, thing, **options)
 
     def add_generic(self, name: str, set_points: Mapping[str, float], **options: Any) -> None:
         """Add a generic action; options as for `Library.add_generic`."""

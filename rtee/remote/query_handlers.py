@@ -18,6 +18,7 @@ from rtee.hand.own_copy import TRIALS, told
 from rtee.loop.handloop import HandLoop
 from rtee.messages.convert import device_status_fields, loop_statistics_fields
 from rtee.remote.actions import action_fields, group_fields, made_of
+from rtee.remote.grasp_planning import GraspPlanning
 from rtee.remote.incoming_request import Asked, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
@@ -96,6 +97,7 @@ class Asking:
         self._streams, self._recording, self._profile = streams, recording, profile
         self._hand, self._library = loop.hand, loop.library
         self._folder = self._library.folder
+        self._plans = GraspPlanning(self._hand.name)
         self._answered: dict[tuple[str, bytes], bytes] = {}
         self._version = -1
         self._answers: dict[str, Callable[[Fields], Fields]] = {
@@ -123,10 +125,16 @@ class Asking:
         name, fields = asked.request.name, asked.fields
         if name == "state":
             asked.send(self._streams.messages.state(self._loop.snapshot()), True)
+        elif name == "grasp_plan":
+            self._plans.handle(asked, self._library.folder)
         elif name in _CONSTANT:
             asked.send(self._kept(asked), True)
         else:
             asked.answer(self._answers[name](fields))
+
+    def close(self) -> None:
+        """End what is being planned; blocks for a moment."""
+        self._plans.close()
 
     def _kept(self, asked: Asked) -> bytes:
         """Return an answer that changes only with the actions; worked out once for each question.

@@ -146,6 +146,7 @@ class Server:
 
     def close(self) -> None:
         """Send the answers that are waiting; blocks for a moment."""
+        self._asking.close()
         for worker in (self.questions, self.stops, self.outbox):
             worker.close()
 

@@ -1,4 +1,4 @@
-"""Planned grasps tried in dynamics: the object where the plan puts it, the weight where it pulls."""
+"""Planned grasps tried in dynamics: the object as the plan puts it, the weight as it pulls."""
 
 from __future__ import annotations
 
