@@ -70,7 +70,7 @@ def prism(
     """Return a prism along z over a convex outline in x and y, scaled by its size [m]."""
     count = len(outline)
     low = np.array([(x, y, -0.5) for x, y in outline]) * size + middle
-    high = low + (0.0, 0.0, size[2])
+    high = low + np.array([0.0, 0.0, size[2]])
     found = []
     for i in range(count):
         j = (i + 1) % count

@@ -383,6 +383,10 @@ class Planner:
                 return float(closing.grid[step]), float(gaps[step] if step else gaps.max()), least
         return 0.0, float(gaps.max()), 0.0
 
+    def _part(self, link: str) -> str:
+        """Return how a link is called that is of no finger alone: the palm, or by its name."""
+        return link if self.scene.geometry.kinematics.body(link) else "palm"
+
     def _reasons(
         self,
         candidate: Candidate,
@@ -394,7 +398,8 @@ class Planner:
     ) -> tuple[str, ...]:
         where: dict[str, int] = {}
         for contact in contacts:
-            where[contact.finger or "palm"] = where.get(contact.finger or "palm", 0) + 1
+            name = contact.finger or self._part(contact.link)
+            where[name] = where.get(name, 0) + 1
         touched = ", ".join(f"{name} {count}" for name, count in where.items())
         carried = (
             f"carries {times:.1f} times the weight at full effort"

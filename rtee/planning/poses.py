@@ -92,9 +92,10 @@ class Candidate:
 
 def outward(scene: GraspScene) -> FloatArray:
     """Return the axis ``(3,)`` of the base frame along which the hand reaches out."""
-    tips = [f.tip for f in scene.hand.fingers if f.tip is not None]
-    where = [scene.geometry.kinematics.link_pose(scene.hand.rest, tip)[:3, 3] for tip in tips]
-    centre = np.mean(where, axis=0) if where else np.array([0.0, 0.0, 1.0])
+    tips = {finger.tip for finger in scene.hand.fingers}
+    shapes = [i for i, shape in enumerate(scene.geometry.shapes) if shape.link in tips]
+    middles = scene.posed(np.array(scene.hand.rest)).middles[shapes]
+    centre = middles.mean(axis=0) if shapes else np.array([0.0, 0.0, 1.0])
     axis = np.zeros(3)
     widest = int(np.argmax(np.abs(centre)))
     axis[widest] = np.sign(centre[widest]) or 1.0

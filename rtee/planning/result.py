@@ -19,7 +19,7 @@ class Contact:
 
     Attributes:
         link: The link that touches.
-        finger: Its finger; empty for the palm.
+        finger: Its finger; empty for the palm and for links of linkages.
         point: Where ``(3,)`` [m].
         normal: Unit normal ``(3,)`` into the object.
     """

@@ -76,7 +76,7 @@ class GraspScene:
         hand: The hand.
         object: The object.
         geometry: The hand's geometry.
-        finger: Per shape, the finger that alone has its link; empty for the palm.
+        finger: Per shape, the finger that alone has its link; empty for the palm and linkages.
         asked: How many distances were measured.
     """
 

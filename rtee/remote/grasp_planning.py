@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from rtee.errors import RequestRejected
 from rtee.planning.apart import Question, ask
 from rtee.remote.incoming_request import Asked
@@ -74,7 +76,7 @@ class GraspPlanning:
 def _question(fields: Mapping[str, Any]) -> Question:
     return Question(
         object=fields["object"],
-        mesh=bytes(bytearray(fields["mesh"])),
+        mesh=np.asarray(fields["mesh"], np.uint8).tobytes(),
         format=fields["format"],
         mass=float(fields["mass"]),
         friction=float(fields["friction"]),
