@@ -36,10 +36,10 @@ from common import HELP, Table, command_line
 import rtee
 from rtee.extract.descent import Minimum, descend
 from rtee.extract.evidence import Inspector
-from rtee.extract.goals import Goal, Link, MultiPinch, Pinch, Placed
-from rtee.extract.grain import FINE
+from rtee.extract.goals import Goal, GoalFunction, MultiPinchGoal, PinchGoal, TipEdge
 from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
+from rtee.extract.resolution import FINE
 from rtee.extract.scene import Scene
 from rtee.extract.search import distinct
 from rtee.extract.space import Space, make_space, real_limits, widened_limits
@@ -149,43 +149,46 @@ def goals(scene: Scene, found: Iterable[Fingers]) -> Iterator[tuple[Fingers, Goa
     """Yield what to press together, and where to search: all pairs, and the groups found."""
     limits, pairs = real_limits(scene.hand), tip_pairs(scene)
     for names, tips in pairs.items():
-        yield names, Pinch(scene, tips), make_space(scene.hand, sorted(tips.actuators), limits)
+        yield names, PinchGoal(scene, tips), make_space(scene.hand, sorted(tips.actuators), limits)
     pinching = [names for names in pairs if names in found]
     for group in sorted((names for names in found if len(names) > 2), key=sorted):
         order = [f.name for f in scene.hand.fingers if f.name in group]
         links = [
-            Link((order.index(a), order.index(b)), pairs[frozenset((a, b))])
+            TipEdge((order.index(a), order.index(b)), pairs[frozenset((a, b))])
             for a, b in combinations(order, 2)
             if frozenset((a, b)) in pinching
         ]
         moving = sorted(frozenset().union(*(link.tips.actuators for link in links)))
-        strangers = [
+        bystanders = [
             tips
             for names, tips in pairs.items()
             if not names <= group and tips.actuators & set(moving)
         ]
-        goal = MultiPinch(scene, len(order), links, strangers)
+        goal = MultiPinchGoal(scene, len(order), links, bystanders)
         yield group, goal, make_space(scene.hand, moving, limits)
 
 
-def meets_strangers(scene: Scene, goal: MultiPinch, space: Space, found: Sequence[Minimum]) -> bool:
+def meets_bystanders(
+    scene: Scene, goal: MultiPinchGoal, space: Space, found: Sequence[Minimum]
+) -> bool:
     """Return whether minima overlap tips that take no part, which the goal then pushes away."""
     met = False
     for minimum in found:
         scene.place(space.posture(minimum.y))
-        met |= goal.meet()
+        met |= goal.learn_bystanders()
     return met
 
 
 def deepest(scene: Scene, goal: Goal, space: Space, starts: int) -> float:
     """Return the depth [m] at which tips touch that descents from many starts find."""
-    function = Placed(scene, goal, space)
+    function = GoalFunction(scene, goal, space)
     while True:
         found = [
-            descend(function, y, evaluations=60, grain=FINE) for y in halton(space.size, starts)
+            descend(function, y, evaluations=60, resolution=FINE)
+            for y in halton(space.size, starts)
         ]
         best = distinct(found)[:POLISHED]
-        if not (isinstance(goal, MultiPinch) and meets_strangers(scene, goal, space, best)):
+        if not (isinstance(goal, MultiPinchGoal) and meets_bystanders(scene, goal, space, best)):
             break
     ends = [*best, *(polish(function, m.y, evaluations=60) for m in best)]
     for end in sorted(ends, key=lambda m: m.value):

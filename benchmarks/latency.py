@@ -80,8 +80,8 @@ class Notes:
         loop.submit = self._noted_submit
         self._changing = ""
         self._last = b""
-        self._take = loop.controller.take
-        loop.controller.take = self._noted_take
+        self._accept = loop.controller.accept
+        loop.controller.accept = self._noted_accept
         for device in loop.devices.values():
             self._watch(device.driver)
 
@@ -90,11 +90,11 @@ class Notes:
         self._submit(goal, **options)
         times.append(now())
 
-    def _noted_take(self, plan: Any, stamp: float) -> None:
+    def _noted_accept(self, plan: Any, stamp: float) -> None:
         self.found[plan.goal.goal_id].append(now())
         self.stamps[plan.goal.goal_id] = round(stamp * 1e9)
         self._changing = plan.goal.goal_id
-        self._take(plan, stamp)
+        self._accept(plan, stamp)
 
     def _watch(self, driver: Any) -> None:
         move = driver.move
@@ -165,7 +165,7 @@ async def send_goals(
     """Send goals from standstill; return of each its name, and when it was called and sent [ns]."""
     source = random.Random(1)
     # The moment at which Zenoh takes over is seen nowhere else.
-    publishers: dict[str, Any] = hand._link.putting._publishers  # type: ignore[assignment]
+    publishers: dict[str, Any] = hand._link._fast._publishers  # type: ignore[assignment]
     put = publishers["do"].put
     handed = 0
 

@@ -35,8 +35,9 @@ from rtee.log.recover import recover
 from rtee.log.writer import LogWriter
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.observer import Observer, TickRecord
+from rtee.loop.observer import Observer
 from rtee.loop.settings import DeviceSettings, LoopSettings
+from rtee.sample import TickRecord
 from rtee.types import DeviceSpec, Goal, Result
 
 
@@ -105,8 +106,9 @@ def restless(hand: Hand, rate: float, seconds: float) -> Iterator[TickRecord]:
         noise = 1e-4 * source.normal(size=(4, n))
         position, velocity = sent + noise[0], half * np.cos(t + phases) + noise[1]
         yield TickRecord(
-            number, 1000 + t, round((1000 + t) * 1e9), position, velocity, noise[2], noise[3],
-            warm, fresh, sent, half * np.cos(t + phases), limits, none, {},
+            position, velocity, noise[2], noise[3], warm, tick=number, stamp=1000 + t,
+            wall_ns=round((1000 + t) * 1e9), grasped=none, fresh=fresh, reference_position=sent,
+            reference_velocity=half * np.cos(t + phases), reference_effort=limits, channels={},
         )  # fmt: skip
 
 

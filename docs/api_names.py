@@ -1,6 +1,8 @@
 """The list of public names in ``docs/reference/api/index.md``, made from the pages beside it.
 
-``python docs/api_names.py`` writes it anew; a test keeps it current.
+``python docs/api_names.py`` writes it, and the signatures of these names into
+``tests/docs/public_api.txt``, where a change of the public API shows as a difference. Tests check
+that both are current.
 """
 
 from __future__ import annotations
@@ -11,11 +13,13 @@ import inspect
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 
 PAGES = Path(__file__).parent / "reference" / "api"
 INDEX = PAGES / "index.md"
+SIGNATURES = Path(__file__).parents[1] / "tests" / "docs" / "public_api.txt"
 MARK = "<!-- Made by `python docs/api_names.py`; a test keeps it current. -->"
 
 _DIRECTIVE = re.compile(r"^::: (\S+)", re.MULTILINE)
@@ -127,5 +131,58 @@ def page() -> str:
     return f"{head}{MARK}\n\n{listed()}"
 
 
+def _signature(function: object) -> str:
+    try:
+        text = str(inspect.signature(function))  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return "(...)"
+    text = re.sub(r"(: |-> )'([^']*)'", r"\1\2", text)  # annotations are strings
+    return re.sub(r" at 0x[0-9a-f]+", "", text)
+
+
+def _member(value: object) -> str | None:
+    """Return what a member of a class looks like to callers; ``None`` if annotations say it."""
+    prefix = ""
+    if isinstance(value, classmethod | staticmethod):
+        prefix, value = f"{type(value).__name__} ", value.__func__
+    if isinstance(value, property):
+        return f": property{_signature(value.fget).partition(')')[2]}"
+    if inspect.iscoroutinefunction(value):
+        prefix += "async "
+    return f"{_signature(value)} {prefix}".rstrip() if inspect.isfunction(value) else None
+
+
+def _class_lines(path: str, kind: type) -> Iterator[str]:
+    """Yield a line for a class, and for each of its public members that rtee defines."""
+    yield f"class {path}({', '.join(base.__name__ for base in kind.__bases__)})"
+    members: dict[str, str] = {}
+    for owner in reversed(kind.__mro__):
+        if not owner.__module__.startswith("rtee"):
+            continue
+        for name, annotation in inspect.get_annotations(owner).items():
+            members[name] = f": {annotation}"
+        for name, value in vars(owner).items():
+            if issubclass(kind, Enum) and isinstance(value, kind):
+                members[name] = f" = {value.value!r}"
+            elif (text := _member(value)) is not None:
+                members[name] = text
+    for name in sorted(members):
+        if name == "__init__" or not name.startswith("_"):
+            yield f"    {path.rpartition('.')[2]}.{name}{members[name]}"
+
+
+def signatures() -> str:
+    """Return the public names with their signatures, a line each."""
+    lines: list[str] = []
+    for path in sorted(name.path for name in public_names()):
+        found = resolved(path)
+        if inspect.isclass(found):
+            lines += _class_lines(path, found)
+        else:
+            lines.append(f"{path}{_signature(found) if inspect.isroutine(found) else ''}")
+    return "\n".join(lines) + "\n"
+
+
 if __name__ == "__main__":
     INDEX.write_text(page())
+    SIGNATURES.write_text(signatures())

@@ -10,7 +10,7 @@ import anyio
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import owner_of
+from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import RteeError
 from rtee.hand.files import make_folder

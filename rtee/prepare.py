@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 from rtee.actions.library import ActionLibrary
@@ -101,18 +101,12 @@ class PreparedHand:
     def recorder_settings(self, options: RunOptions) -> RecorderSettings:
         """Return how it is to be recorded."""
         given = self.config.log
-        return RecorderSettings(
-            directory=options.log or Path(given.directory),
-            enabled=options.record and (given.enabled or options.log is not None),
-            max_file_size=given.max_file_size,
-            max_file_time=given.max_file_time,
-            max_total_size=given.max_total_size,
-            # What is shown again has been recorded.
-            flight_recorder=0.0 if options.driver == "replay" else given.flight_recorder,
-            decimation=given.decimation,
-            tf_rate=given.tf_rate,
-            meshes=given.meshes,
-        )
+        settings = {each.name: getattr(given, each.name) for each in fields(given)}
+        settings["directory"] = options.log or given.directory
+        settings["enabled"] = options.record and (given.enabled or options.log is not None)
+        if options.driver == "replay":  # what is shown again has been recorded
+            settings["flight_recorder"] = 0.0
+        return RecorderSettings(**settings)
 
 
 def prepare(name: str, options: RunOptions) -> PreparedHand:

@@ -90,7 +90,7 @@ async def run_hands(
     for hand in prepared:
         for warning in hand.warnings():
             log.warning("%s: %s", hand.hand.name, warning)
-    _tell_profiles(prepared)
+    _warn_of_profiles(prepared)
     realtime = _realtime(prepared, options)
     collector = Collector()
     async with AsyncExitStack() as stack:
@@ -122,7 +122,7 @@ async def run_hands(
     return 0
 
 
-def _tell_profiles(prepared: Sequence[PreparedHand]) -> None:
+def _warn_of_profiles(prepared: Sequence[PreparedHand]) -> None:
     """Say once which hands move by another profile than configured, and why."""
     hands: dict[str, list[str]] = {}
     for one in prepared:

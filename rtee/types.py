@@ -7,7 +7,6 @@ measured"; a reference never contains ``NaN``.
 
 from __future__ import annotations
 
-import functools
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -17,10 +16,11 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from rtee.sample import NOTHING
+from rtee.sample import ActuatorState as ActuatorState  # part of this vocabulary, too
+from rtee.sample import BoolArray as BoolArray
+from rtee.sample import FloatArray as FloatArray
 
 FORMER_NAMES: Mapping[str, str] = MappingProxyType(
     {
@@ -33,11 +33,9 @@ FORMER_NAMES: Mapping[str, str] = MappingProxyType(
 """Keys and values of hand.yaml that were renamed: recordings made before are read by their new
 names, and people are told what to change."""
 
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
-
 
 def _nothing() -> Mapping[str, Any]:
-    return _NOTHING
+    return NOTHING
 
 
 def readonly(values: Sequence[float] | FloatArray) -> FloatArray:
@@ -53,14 +51,6 @@ Position = TypeVar("Position", float, FloatArray)
 def from_rest(rest: Position, goal: Position, intensity: float) -> Position:
     """Return the position at an intensity, which is 0 at rest and 1 at the goal [rad | m]."""
     return rest + intensity * (goal - rest)
-
-
-@functools.cache
-def _unmeasured(shape: tuple[int, ...]) -> FloatArray:
-    """Return the one read-only array of ``NaN`` for what devices do not measure."""
-    array = np.full(shape, np.nan)
-    array.flags.writeable = False
-    return array
 
 
 class JointKind(StrEnum):
@@ -169,66 +159,6 @@ class Capabilities:
     recoverable: bool = False
     gains: tuple[str, ...] = ()
     identity: Mapping[str, str] = field(default_factory=_nothing)
-
-
-@dataclass(frozen=True, slots=True)
-class ActuatorState:
-    """What a device measured, in the order of its actuators.
-
-    Attributes:
-        position: Position ``(n,)`` [rad | m].
-        velocity: Velocity ``(n,)`` [rad/s | m/s].
-        effort: Effort ``(n,)`` [N·m | N].
-        current: Motor current ``(n,)`` [A].
-        temperature: Temperature ``(n,)`` [°C].
-        stamp: When it was measured, CLOCK_MONOTONIC [s].
-        fresh: ``False`` when it repeats an earlier measurement.
-        grasped: The device's own word per actuator: holding something; ``None``: it says nothing.
-        extras: Further channels by name, for example ``pressure``. ``contact_force`` is the force
-            at the tip of every finger of the hand, in its order [N]; ``NaN``: not measured there.
-        warnings: Conditions the device reports that are no faults.
-    """
-
-    position: FloatArray
-    velocity: FloatArray
-    effort: FloatArray
-    current: FloatArray
-    temperature: FloatArray
-    stamp: float
-    fresh: bool = True
-    grasped: tuple[bool | None, ...] | None = None
-    extras: Mapping[str, FloatArray] = field(default_factory=_nothing)
-    warnings: tuple[str, ...] = ()
-
-    @classmethod
-    def measured(
-        cls,
-        position: Sequence[float] | FloatArray,
-        stamp: float,
-        *,
-        velocity: Sequence[float] | FloatArray | None = None,
-        effort: Sequence[float] | FloatArray | None = None,
-        current: Sequence[float] | FloatArray | None = None,
-        temperature: Sequence[float] | FloatArray | None = None,
-        grasped: tuple[bool | None, ...] | None = None,
-        extras: Mapping[str, FloatArray] = _NOTHING,
-        warnings: tuple[str, ...] = (),
-    ) -> ActuatorState:
-        """Make a fresh state; what is left out counts as not measured (``NaN``)."""
-        where = np.asarray(position, np.float64)
-        nothing = _unmeasured(where.shape)
-        return cls(
-            where,
-            nothing if velocity is None else np.asarray(velocity, np.float64),
-            nothing if effort is None else np.asarray(effort, np.float64),
-            nothing if current is None else np.asarray(current, np.float64),
-            nothing if temperature is None else np.asarray(temperature, np.float64),
-            stamp,
-            True,
-            grasped,
-            extras,
-            warnings,
-        )
 
 
 @dataclass(frozen=True, slots=True)

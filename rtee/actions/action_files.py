@@ -1,41 +1,68 @@
-"""The files of a library: what is stored in them, and whether somebody changed them."""
+"""The files of a hand's actions: one per primitive kind, one per custom action.
+
+::
+
+    actions/primitives/PinchTight.yaml
+    actions/composed/schunkGrasp.yaml
+    actions/timed/drill.yaml
+    actions/generic/point.yaml
+"""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from rtee.actions.comments import rewritten
+from rtee.actions.documents import (
+    CUSTOM,
+    WHAT,
+    custom_document,
+    located,
+    primitives_document,
+    read_primitives,
+)
 from rtee.actions.index import Index
 from rtee.actions.naming import normalise
-from rtee.actions.types import Action, CustomAction, Primitive
+from rtee.actions.resolve import Builder, Definition, read_definition
+from rtee.actions.types import Action, ActionKind, CustomAction, Primitive, kind_of
 from rtee.errors import ActionError
 from rtee.hand.catalog import FILE_NAME
+from rtee.hand.files import reason, write_all
 from rtee.hand.model import Hand
+from rtee.hand.own_copy import copied_since, copy_notice, own
+from rtee.hand.yamlfile import read_emitted, read_text
+from rtee.hand.yamlwrite import emit
 
 log = logging.getLogger(__name__)
 
 ACTIONS: Final = "actions"
 """The folder of the actions in a hand's folder."""
 
+PRIMITIVES: Final = "primitives"
+"""The folder of the primitives in it; those of other actions are called like their kinds."""
 
-class Shelf:
+
+class ActionFiles:
     """Where the actions of one hand are stored.
 
     Args:
         hand: The hand.
-        folder: The folder, or ``None`` if they are kept in memory.
+        folder: The folder.
 
     Attributes:
         folder: The folder.
     """
 
-    def __init__(self, hand: Hand, folder: Path | None) -> None:
+    def __init__(self, hand: Hand, folder: Path) -> None:
         self.hand = hand
         self.folder = folder
-        self._stored: dict[str, str] = {}
+        self._stored: set[str] = set()  # normalised names of the custom actions in files
         self._seen: dict[Path, int] = {}
 
     def read(self, keep: Sequence[Action] = ()) -> Index:
@@ -47,24 +74,19 @@ class Shelf:
         Raises:
             ActionError: for every mistake in the files, with file and line.
         """
-        from rtee.actions.store import read_actions, stamps
-
-        folder = self._home()
-        seen = stamps(folder)
-        actions = read_actions(self.hand, folder)
+        seen = stamps(self.folder)  # before reading: a change meanwhile is noticed later
+        actions = read_actions(self.hand, self.folder)
         index = Index(self.hand, (*actions, *keep))
-        custom = (action.name for action in actions if not isinstance(action, Primitive))
-        self._stored = {normalise(name): name for name in custom}
+        self._stored = {normalise(a.name) for a in actions if not isinstance(a, Primitive)}
         self._seen = seen
         return index
 
     def changed(self) -> bool:
         """Return whether a file was changed, added or removed since it was read or written."""
-        from rtee.actions.store import stamps
-
-        if self.folder is None:
-            return False
-        self._follow()
+        if _of_a_hand(self.folder):  # another program may have made a copy of the hand since
+            copy = copied_since(self.folder.parent)
+            if copy is not None and os.path.isdir(copy / ACTIONS):
+                self.folder = copy / ACTIONS
         return stamps(self.folder) != self._seen
 
     def holds(self, name: str) -> bool:
@@ -75,13 +97,11 @@ class Shelf:
         """Write one action to its file; of primitives all.
 
         Raises:
-            ActionError: if there is no folder, or it uses an action that is not stored.
+            ActionError: if it uses an action that is not stored.
             ConfigError: if the file cannot be written.
         """
-        from rtee.actions.store import primitive_changes
-
         if isinstance(action, Primitive):
-            primitive_changes(self._own_home(), self.hand, index.primitives).write()
+            primitive_changes(self._writable(), self.hand, index.primitives).write()
             return
         for use in action.uses:
             inner = index.find(use.action, use.elements, None)
@@ -95,10 +115,8 @@ class Shelf:
         """Write all actions to their files, or none; nothing is written that is equal.
 
         Raises:
-            ActionError: if there is no folder.
             ConfigError: if a file cannot be written.
         """
-        from rtee.actions.store import Changes, custom_changes, primitive_changes
 
         def changes(folder: Path) -> Changes:
             primitives = primitive_changes(folder, self.hand, index.primitives)
@@ -106,14 +124,11 @@ class Shelf:
             files = {**primitives.files, **custom.files}
             return Changes(files, primitives.gone, primitives.folders)
 
-        found = changes(self._home())
+        found = changes(self.folder)
         if found.files or found.gone:
-            found = changes(self._own_home())
+            found = changes(self._writable())
         found.write()
-        self._stored.update(
-            (normalise(action.name), action.name) for action in index.custom.values()
-        )
-        self._note()
+        self._remember(index.custom)
 
     def delete(self, action: Action) -> None:
         """Delete an action's file, if it has one.
@@ -121,12 +136,10 @@ class Shelf:
         Raises:
             ConfigError: if it cannot be deleted.
         """
-        from rtee.actions.store import delete_custom
-
         if self.holds(action.name):
-            delete_custom(self._own_home(), action)
-            del self._stored[normalise(action.name)]
-            self._note()
+            write_all({}, gone=[_custom_path(self._writable(), action)])
+            self._stored.discard(normalise(action.name))
+            self._remember()
 
     def rename(self, action: Action, new_name: str, changed: Sequence[CustomAction]) -> None:
         """Store an action under another name, if it is stored, and what uses it.
@@ -139,64 +152,203 @@ class Shelf:
         Raises:
             ConfigError: if a file cannot be written.
         """
-        from rtee.actions.store import delete_custom
-
-        old, new = normalise(action.name), normalise(new_name)
-        if old not in self._stored:
+        if not self.holds(action.name):
             return
-        self._write_custom(
-            [other for other in changed if normalise(other.name) == new or self.holds(other.name)]
-        )
-        if new != old:
-            delete_custom(self._own_home(), action)
-            del self._stored[old]
-            self._note()
+        new = normalise(new_name)
+        self._write_custom([a for a in changed if normalise(a.name) == new or self.holds(a.name)])
+        if new != normalise(action.name):
+            self.delete(action)
 
     def _write_custom(self, actions: Sequence[CustomAction]) -> None:
-        from rtee.actions.store import custom_changes
+        custom_changes(self._writable(), actions).write()
+        self._remember(normalise(action.name) for action in actions)
 
-        custom_changes(self._own_home(), actions).write()
-        self._stored.update((normalise(action.name), action.name) for action in actions)
-        self._note()
+    def _remember(self, stored: Iterable[str] = ()) -> None:
+        """Remember that the files are as they were just written."""
+        self._stored.update(stored)
+        self._seen = stamps(self.folder)
 
-    def _home(self) -> Path:
-        if self.folder is None:
-            raise ActionError("these actions have no folder to be stored in")
-        return self.folder
-
-    def _follow(self) -> None:
-        """Go to the copy of the hand, where another program has made one since."""
-        from rtee.hand.own_copy import copied_since
-
-        if self.folder is not None and _of_a_hand(self.folder):
-            copy = copied_since(self.folder.parent)
-            if copy is not None and os.path.isdir(copy / ACTIONS):
-                self.folder = copy / ACTIONS
-
-    def _own_home(self) -> Path:
+    def _writable(self) -> Path:
         """Return the folder to write to; a hand that is not to be changed is copied for it.
 
         Raises:
-            ActionError: if there is no folder.
             ConfigError: if a copy is needed and cannot be made.
         """
-        from rtee.hand.own_copy import own, told
-
-        home = self._home()
-        if not _of_a_hand(home):
-            return home
-        copy = own(home.parent)
-        if copy != home.parent:
-            log.info("%s", told(home.parent, copy))
-            self.folder = copy / ACTIONS
-        return self._home()
-
-    def _note(self) -> None:
-        from rtee.actions.store import stamps
-
-        self._seen = stamps(self._home())
+        if _of_a_hand(self.folder):
+            home = self.folder.parent
+            copy = own(home)
+            if copy != home:
+                log.info("%s", copy_notice(home, copy))
+                self.folder = copy / ACTIONS
+        return self.folder
 
 
 def _of_a_hand(folder: Path) -> bool:
     """Return whether a folder of actions is that of a hand, not one that was given by itself."""
     return folder.name == ACTIONS and os.path.isfile(folder.parent / FILE_NAME)
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        return sorted(
+            path
+            for path in folder.iterdir()
+            if path.suffix in (".yaml", ".yml") and not path.name.startswith(".")
+        )
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise ActionError(f"cannot be read: {reason(error)}", path=folder) from None
+
+
+def stamps(folder: Path) -> dict[Path, int]:
+    """Return the files of a folder of actions with the times of their last change [ns]."""
+    found: dict[Path, int] = {}
+    for room in (PRIMITIVES, *CUSTOM):
+        for path in _files(folder / room):
+            try:
+                found[path] = path.stat().st_mtime_ns
+            except OSError:
+                continue
+    return found
+
+
+# --- reading ---------------------------------------------------------------------------------
+
+
+def read_actions(hand: Hand, folder: Path) -> list[Action]:
+    """Read all actions of a hand, those that others are made of first.
+
+    Raises:
+        ActionError: for every mistake, with file and line.
+    """
+    primitives: list[Primitive] = []
+    for path in _files(folder / PRIMITIVES):
+        primitives += read_primitives(hand, path)
+    _refuse_twins(primitives, folder)
+    definitions: dict[str, Definition] = {}
+    for kind in CUSTOM:
+        for path in _files(folder / kind):
+            definition = _read_custom(kind, path)
+            other = definitions.setdefault(normalise(definition.name), definition)
+            if other is not definition:
+                with located(definition.document, ("name",)):
+                    raise ActionError(
+                        f"the name '{definition.name}' is already that of {other.document.path}, "
+                        "as case and underscores do not matter"
+                    )
+    return [*primitives, *Builder(hand, primitives, definitions).build()]
+
+
+def _read_custom(kind: ActionKind, path: Path) -> Definition:
+    definition = read_definition(kind, path)
+    with located(definition.document, ("name",)):
+        if normalise(path.stem) != normalise(definition.name):
+            raise ActionError(f"the name '{definition.name}' and the file's name differ")
+    return definition
+
+
+def _refuse_twins(primitives: Iterable[Primitive], folder: Path) -> None:
+    seen: set[tuple[str, frozenset[str]]] = set()
+    for primitive in primitives:
+        key = (primitive.name, frozenset(primitive.elements))
+        if key in seen:
+            raise ActionError(
+                f"{primitive.name} of {', '.join(primitive.elements)} is there twice",
+                path=_primitive_path(folder, primitive.name),
+            )
+        seen.add(key)
+
+
+# --- writing ---------------------------------------------------------------------------------
+
+
+def _primitive_path(folder: Path, name: str) -> Path:
+    return folder / PRIMITIVES / f"{name}.yaml"
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What is to change in a folder of actions.
+
+    Attributes:
+        files: The files that are new or different, with their text.
+        gone: The files to delete.
+        folders: The folders that are there afterwards.
+    """
+
+    files: Mapping[Path, str]
+    gone: Sequence[Path] = ()
+    folders: Sequence[Path] = ()
+
+    def write(self) -> None:
+        """Write them: all, or none where the folder or disk does not allow one.
+
+        Raises:
+            ConfigError: if a file cannot be written.
+        """
+        write_all(self.files, folders=self.folders, gone=self.gone)
+
+
+def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive]) -> Changes:
+    """Return what is to change so that a folder holds these primitives, one file per kind.
+
+    The same primitives give the same text. Comments of people in the files are kept; files of
+    kinds that are gone go too.
+
+    Args:
+        folder: The hand's folder of actions.
+        hand: The hand.
+        primitives: All its primitives.
+
+    Raises:
+        ActionError: if a file that is there cannot be read.
+    """
+    named: dict[str, list[Primitive]] = {}
+    for primitive in Index(hand, tuple(primitives)).primitives:
+        named.setdefault(primitive.name, []).append(primitive)
+    changed: dict[Path, str] = {}
+    kept = set()
+    for name, members in named.items():
+        path = _primitive_path(folder, name)
+        comment = f"{name}: {members[0].kind.label}."
+        changed |= _change(path, primitives_document(members), (comment,))
+        kept.add(path)
+    room = folder / PRIMITIVES
+    return Changes(changed, [path for path in _files(room) if path not in kept], [room])
+
+
+def custom_changes(folder: Path, actions: Iterable[CustomAction]) -> Changes:
+    """Return what is to change so that a folder holds these composed, timed or generic actions.
+
+    Comments in their files are kept.
+
+    Raises:
+        ActionError: if a file that is there cannot be read.
+    """
+    changed: dict[Path, str] = {}
+    for action in actions:
+        changed |= _change(_custom_path(folder, action), custom_document(action))
+    return Changes(changed)
+
+
+def _custom_path(folder: Path, action: Action) -> Path:
+    room = folder / kind_of(action)
+    same = (path for path in _files(room) if normalise(path.stem) == normalise(action.name))
+    return next(same, room / f"{action.name}.yaml")
+
+
+def _change(path: Path, data: dict[str, Any], comments: Sequence[str] = ()) -> dict[Path, str]:
+    """Return a file with its new text, comments kept; nothing if it is the same."""
+    text = emit(data, comments)
+    if path.exists():
+        old = read_text(path, WHAT, ActionError)
+        if old == text:
+            return {}
+        if read_emitted(old) is None or _header(old) != _header(text):
+            text = rewritten(old, data) or text
+    return {path: text}
+
+
+def _header(text: str) -> list[str]:
+    return list(takewhile(lambda line: line.startswith("#"), text.split("\n")))

@@ -55,7 +55,7 @@ class StepPlan:
 
 
 def full_posture(hand: Hand, involved: Mapping[str, float]) -> Posture:
-    """Return a posture in which the other actuators stand at rest, all in the hand's order.
+    """Return a posture in which the other actuators are at rest, all in the hand's order.
 
     Args:
         hand: The hand.
@@ -146,6 +146,7 @@ def compose(
                 )
             setter[actuator] = label(use.action, use.elements)
             values.setdefault(actuator, []).append(posture.position[actuator])
+    # fsum, so that the order of the parts does not move the last digit.
     mean = {actuator: math.fsum(found) / len(found) for actuator, found in values.items()}
     return Composed(name, tuple(resolved), full_posture(hand, mean), independent, description)
 
@@ -228,8 +229,8 @@ def warnings_of(action: Action) -> list[str]:
     ]
 
 
-def remade(hand: Hand, find: Find, action: CustomAction) -> CustomAction:
-    """Return an action made anew of what it is made of, which may have changed."""
+def rebuilt(hand: Hand, find: Find, action: CustomAction) -> CustomAction:
+    """Return an action rebuilt from what it is made of, which may have changed."""
     match action:
         case Composed():
             return compose(

@@ -69,6 +69,7 @@ def _find(
         if scale is None or (fingers and not fingers.issuperset(action.fingers)):
             continue
         others = {name: value for name, value in left.items() if name not in own}
+        # Parts with the same choices are combinations, not permutations.
         again = i + 1 if list(choices[1:2]) == [choices[0]] else 0
         more = _find(hand, choices[1:], others, fingers, again)
         if more is not None:

@@ -32,7 +32,7 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
     Args:
         hand: The hand.
         actions: Its actions.
-        seconds: How long it took to find or read them [s], if this is told.
+        seconds: How long it took to find or read them [s], if this is to be said.
 
     Returns:
         ``hand``, ``fingers``, ``actuators``, ``primitives``, ``composed``, ``timed``, ``generic``
@@ -98,7 +98,7 @@ def _primitive(action: Primitive) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return the fields of an action as plain data; those of a posture or use stand among them."""
+    """Return the fields of an action as plain data; those of a posture or use among them."""
     match value:
         case Posture():
             return _posture(value)

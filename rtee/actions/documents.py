@@ -1,4 +1,4 @@
-"""The documents of actions: what stands in their YAML files, and how it becomes an action."""
+"""The documents of actions: what their YAML files contain, and how it becomes an action."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ SetPoints = Annotated[dict[str, Number], Field(min_length=1)]
 
 
 class Entry(BaseModel):
-    """A mapping in a file of actions: no other keys, and nothing is taken for something else."""
+    """A mapping in a file of actions: no other keys, and no value is converted."""
 
     # Built when first used: a hand with primitives alone needs none of the others at its start.
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
@@ -266,7 +266,7 @@ class CustomDocument(Entry):
     """A file of one composed, timed or generic action.
 
     Attributes:
-        body: The key under which the action's parts, steps or set-points stand.
+        body: The key of the action's parts, steps or set-points.
     """
 
     body: ClassVar[str]
@@ -365,7 +365,7 @@ CUSTOM: Final[Mapping[ActionKind, type[CustomDocument]]] = {
     ActionKind.COMPOSED: ComposedDocument,
     ActionKind.TIMED: TimedDocument,
 }
-"""What stands in the files of each kind; those that others are made of first."""
+"""The contents of files by kind; those that others are made of first."""
 
 
 def _use_entry(use: ActionReference) -> dict[str, Any]:
@@ -405,13 +405,13 @@ def located(document: YamlDocument, location: Sequence[str | int]) -> Iterator[N
 
 
 def validated(model: type[M], document: YamlDocument, at: Location = (), data: Any = None) -> M:
-    """Return what stands in a document as a model.
+    """Return the content of a document as a model.
 
     Args:
         model: The model.
         document: The document.
-        at: Where it stands; from the root of the document unless given.
-        data: What stands there; the whole document unless given.
+        at: Its location; the root of the document unless given.
+        data: The content there; the whole document unless given.
 
     Raises:
         ActionError: for the first mistake in the file, with its line.
@@ -457,7 +457,7 @@ _WANTED: Final = {
     "bool_type": "true or false",
     "float_type": "a number",
 }
-"""What should stand there, by the type of pydantic's error."""
+"""What is expected, by the type of pydantic's error."""
 
 
 def _called(location: Location) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from rtee.actions.build import remade
+from rtee.actions.build import rebuilt
 from rtee.actions.naming import label, normalise
 from rtee.actions.types import (
     Action,
@@ -48,6 +48,7 @@ class Index:
     def __init__(self, hand: Hand, actions: Sequence[Action]) -> None:
         self.hand = hand
         order = [*hand.finger_names, *hand.actuator_names]
+        # Elements may be spelled in any case, unless that would make two of them the same.
         ambiguous = any(
             len({normalise(name) for name in names}) < len(names)
             for names in (hand.finger_names, hand.actuator_names)
@@ -212,7 +213,7 @@ class Index:
         )
 
     def rebuilt(self) -> Index:
-        """Return an index in which all composed and timed actions are made anew from their parts.
+        """Return an index in which all composed and timed actions are rebuilt from their parts.
 
         Raises:
             ActionError: if an action would contain itself.
@@ -230,7 +231,7 @@ class Index:
                 raise ActionError(f"the action '{inner}' would contain itself: {chain}")
             if key not in done:
                 under_way.append(key)
-                fresh[key] = remade(self.hand, find, fresh[key])
+                fresh[key] = rebuilt(self.hand, find, fresh[key])
                 under_way.pop()
                 done.add(key)
             return fresh[key]

@@ -6,8 +6,8 @@ import logging
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rtee.actions.action_files import Shelf
 from rtee.actions.build import StepPlan, check_custom_name, compose, sequence, warnings_of
 from rtee.actions.index import Index
 from rtee.actions.naming import label, normalise
@@ -23,6 +23,9 @@ from rtee.actions.types import (
 )
 from rtee.errors import ActionError
 from rtee.hand.model import Hand
+
+if TYPE_CHECKING:
+    from rtee.actions.action_files import ActionFiles
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +55,7 @@ class ActionLibrary:
         self.hand = hand
         self.version = 0
         self._index = Index(hand, tuple(actions))
-        self._shelf = Shelf(hand, folder)
+        self._stored = None if folder is None else _files_in(hand, folder)
         for action in self._index.custom.values():
             for use in action.uses:
                 self.find(use.action, use.elements)
@@ -69,7 +72,7 @@ class ActionLibrary:
         return library
 
     def _read(self, keep: Sequence[Action] = ()) -> None:
-        self._index = self._shelf.read(keep)
+        self._index = self._files.read(keep)
         self.version += 1
         for action in self._index.custom.values():
             for warning in warnings_of(action) if self.is_stored(action.name) else ():
@@ -78,7 +81,13 @@ class ActionLibrary:
     @property
     def folder(self) -> Path | None:
         """Where the actions are stored; ``None`` if they are kept in memory."""
-        return self._shelf.folder
+        return None if self._stored is None else self._stored.folder
+
+    @property
+    def _files(self) -> ActionFiles:
+        if self._stored is None:
+            raise ActionError("these actions have no folder to be stored in")
+        return self._stored
 
     def __len__(self) -> int:
         return len(self._index.primitives) + len(self._index.custom)
@@ -147,7 +156,7 @@ class ActionLibrary:
 
     def is_stored(self, name: str) -> bool:
         """Return whether a composed, timed or generic action is stored in a file."""
-        return self._shelf.holds(name)
+        return self._stored is not None and self._stored.holds(name)
 
     def compose(
         self,
@@ -184,6 +193,8 @@ class ActionLibrary:
             raise ActionError(f"there already is an action '{label(there, action.elements)}'")
         if not isinstance(action, Primitive):
             check_custom_name(action.name)
+        # The new index is checked, written to files and swapped in, in this order: whatever fails
+        # leaves the library as it was.
         index = Index(self.hand, (*others, action))
         for use in action.uses:
             if normalise(use.action) == normalise(action.name):
@@ -191,7 +202,7 @@ class ActionLibrary:
             index.find(use.action, use.elements, None)
         index = index.rebuilt() if replace_same else index
         if store:
-            self._shelf.write(index, action)
+            self._files.write(index, action)
         self._index = index
         self.version += 1
 
@@ -202,7 +213,7 @@ class ActionLibrary:
             ActionError: if the library has no folder.
             ConfigError: if the file cannot be written.
         """
-        self._shelf.write(self._index, self.find(name, elements))
+        self._files.write(self._index, self.find(name, elements))
         self.version += 1
 
     def remove(self, name: str) -> None:
@@ -218,7 +229,8 @@ class ActionLibrary:
         users = self._index.users(action)
         if users:
             raise ActionError(f"'{action.name}' is used by {', '.join(users)}; remove that first")
-        self._shelf.delete(action)
+        if self._stored is not None:
+            self._stored.delete(action)
         self._index = Index(self.hand, self._index.without(action))
         self.version += 1
 
@@ -250,7 +262,8 @@ class ActionLibrary:
             else:
                 kept.append(other)
         index = Index(self.hand, (*kept, *changed))
-        self._shelf.rename(action, new_name, changed)
+        if self._stored is not None:
+            self._stored.rename(action, new_name, changed)
         self._index = index
         self.version += 1
 
@@ -265,13 +278,13 @@ class ActionLibrary:
             ConfigError: if a file cannot be written.
         """
         if folder is not None:
-            self._shelf.folder = folder
-        self._shelf.write_all(self._index)
+            self._stored = _files_in(self.hand, folder)
+        self._files.write_all(self._index)
         self.version += 1
 
     def changed(self) -> bool:
         """Return whether a file was changed, added or removed since it was read or written."""
-        return self._shelf.changed()
+        return self._stored is not None and self._stored.changed()
 
     def reload(self, *, force: bool = False) -> bool:
         """Read the files again if they changed; actions that are only in memory stay.
@@ -289,3 +302,10 @@ class ActionLibrary:
         ]
         self._read(volatile)
         return True
+
+
+def _files_in(hand: Hand, folder: Path) -> ActionFiles:
+    # Imported only here: a library in memory, as a client has one, needs neither pydantic nor YAML.
+    from rtee.actions.action_files import ActionFiles
+
+    return ActionFiles(hand, folder)

@@ -17,10 +17,10 @@ from rtee.hand.yamlfile import YamlDocument
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """A custom action as it stands in its file, before what it refers to is looked up.
+    """A custom action as its file defines it, before what it refers to is looked up.
 
     Attributes:
-        content: What stands there.
+        content: The content of the file.
         document: The same, with its lines.
     """
 

@@ -1,4 +1,4 @@
-"""A rest posture that is a pinch, told from the stored primitives alone."""
+"""A rest posture that is a pinch, recognised from the stored primitives alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rtee.actions.types import Primitive, PrimitiveKind
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
 from rtee.hand.resting import APART, NEAR, OWN
-from rtee.hand.yaml_hints import rest_line
+from rtee.hand.yamlwrite import rest_line
 from rtee.types import FloatArray
 
 _HERE: Final = 0.1

@@ -129,7 +129,7 @@ class _Found:
 
     Attributes:
         key: Its name, or the elements of a primitive.
-        data: What stands there.
+        data: Its content.
         document: The file.
     """
 
@@ -138,14 +138,14 @@ class _Found:
     document: YamlDocument
 
     def read(self, model: type[M], *at: str) -> M:
-        """Return what stands there, or at a location inside, as far as a model asks for it."""
+        """Return the content, or what is at a location inside, as far as a model asks for it."""
         data: Any = self.data
         for part in at:
             data = data[part]
         return validated(model, self.document, (self.key, *at), data)
 
     def joints(self, *at: str) -> tuple[Location, Joints]:
-        """Return the positions of joints in a state, and where they stand."""
+        """Return the positions of joints in a state, and their location."""
         state = self.read(_State, *at)
         if not (state.joint_pos or state.joint_states):
             with located(self.document, (self.key, *at)):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import ClassVar, Final, Literal, Self
+from typing import ClassVar, Final, Literal, Protocol, Self
 
 
 class ActionKind(StrEnum):
@@ -70,7 +70,7 @@ class PrimitiveKind(StrEnum):
 
     @property
     def of_actuators(self) -> bool:
-        """Whether the elements are actuators; the fingers that they move are then told apart."""
+        """Whether the elements are actuators; the fingers that they move are then given as well."""
         return self.noun == "actuator"
 
 
@@ -80,7 +80,7 @@ class Posture:
 
     Attributes:
         position: Position of every actuator of the hand [rad | m], by name, in the hand's order;
-            those not involved stand at rest.
+            those not involved are at rest.
         involved: The actuators that the action moves, in the hand's order.
     """
 
@@ -159,10 +159,20 @@ class ActionReference:
     scale: float = 1.0
 
 
+class _WithPosture(Protocol):
+    @property
+    def posture(self) -> Posture: ...
+
+
 class _Action:
     """What all kinds of actions have in common: most are made of no other ones."""
 
     __slots__ = ()
+
+    @property
+    def waypoints(self: _WithPosture) -> tuple[Posture, ...]:
+        """The postures that it goes through, in order; the last is where it leads."""
+        return (self.posture,)
 
     @property
     def uses(self) -> tuple[ActionReference, ...]:
@@ -212,11 +222,6 @@ class Primitive(_Action):
         """The posture that is executed."""
         return self.postures[0]
 
-    @property
-    def waypoints(self) -> tuple[Posture, ...]:
-        """The postures that it goes through, in order; the last is where it leads."""
-        return (self.posture,)
-
 
 class _Custom(_Action):
     """What the actions that people define have in common: nothing of a primitive."""
@@ -251,11 +256,6 @@ class Composed(_Custom):
     def uses(self) -> tuple[ActionReference, ...]:
         """Its parts."""
         return self.parts
-
-    @property
-    def waypoints(self) -> tuple[Posture, ...]:
-        """The postures that it goes through, in order; the last is where it leads."""
-        return (self.posture,)
 
     def with_uses(self, change: Callable[[ActionReference], ActionReference]) -> Self:
         """Return the action with all its parts changed."""
@@ -327,11 +327,6 @@ class Generic(_Custom):
     name: str
     posture: Posture
     description: str = ""
-
-    @property
-    def waypoints(self) -> tuple[Posture, ...]:
-        """The postures that it goes through, in order; the last is where it leads."""
-        return (self.posture,)
 
 
 CustomAction = Composed | Timed | Generic

@@ -1,13 +1,17 @@
-"""What every bus has: owners, counters, a byte trace, one place where the link is opened."""
+"""What all buses share: owners, counters, a byte trace, one place where the link is opened."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import asdict, dataclass
+from typing import TypeVar
 
 from rtee.errors import BusBroken, BusClosed
+
+L = TypeVar("L")
 
 TraceHook = Callable[[str, str, bytes, float], None]
 """Called as ``hook(bus, direction, data, stamp)``; ``tx`` or ``rx``, CLOCK_MONOTONIC [s]."""
@@ -15,14 +19,14 @@ TraceHook = Callable[[str, str, bytes, float], None]
 
 @dataclass(slots=True)
 class Counters:
-    """What happened on a bus since it was made.
+    """What has happened on a bus since it was made.
 
     Attributes:
         transactions: Transactions begun.
         retries: Requests sent again.
         timeouts: Attempts that got no answer in time.
         checksum_errors: Frames with a wrong checksum or a wrong shape.
-        strays: Bytes or frames that nobody had asked for.
+        strays: Bytes or frames that no request had asked for.
         bytes_sent: Bytes written.
         bytes_received: Bytes read.
         opened: Times the link was opened.
@@ -47,9 +51,9 @@ class Counters:
 class Bus(ABC):
     """One wire with one owner process; several devices of this process may share it.
 
-    A bus is either connected or not. It becomes connected by `connect` only, which is idempotent;
-    when the link breaks, every call raises `BusBroken` until somebody connects again. So a device
-    is always identified anew before it is used after a break.
+    A bus becomes connected by `connect` only, which is idempotent. When the link breaks, every call
+    raises `BusBroken` until `connect` is called again. So after a break a device is always
+    identified again before it is used.
 
     Attributes:
         name: The address as configured.
@@ -134,6 +138,22 @@ class Bus(ABC):
         self._connected = False
         self._cause = cause or "the other end went away"
 
+    def _count(self, direction: str, data: bytes, stamp: float, head: bytes = b"") -> None:
+        """Count and trace bytes.
+
+        Args:
+            direction: ``tx`` or ``rx``.
+            data: The bytes.
+            stamp: When they passed, CLOCK_MONOTONIC [s].
+            head: What the trace shows before them, and no counter counts.
+        """
+        if direction == "tx":
+            self.counters.bytes_sent += len(data)
+        else:
+            self.counters.bytes_received += len(data)
+        if self.trace is not None:
+            self.trace(self.name, direction, head + data, stamp)
+
     @abstractmethod
     async def _open(self) -> None:
         """Open the link."""
@@ -141,3 +161,14 @@ class Bus(ABC):
     @abstractmethod
     async def _close(self) -> None:
         """Close the link, or what is left of it; idempotent."""
+
+
+def listen(listeners: list[L], listener: L) -> Callable[[], None]:
+    """Add a listener to a list and return what removes it; that may be called again."""
+    listeners.append(listener)
+
+    def remove() -> None:
+        with contextlib.suppress(ValueError):
+            listeners.remove(listener)
+
+    return remove

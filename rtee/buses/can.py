@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from rtee.buses.bus import Bus
-from rtee.buses.can_guard import Guarded
+from rtee.buses.bus import Bus, listen
+from rtee.buses.can_guard import Guarded, frame_of, message_of
 from rtee.buses.emulator import CanFrame
 from rtee.errors import BusBroken, BusTimeout
 
@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from rtee.buses.simulated_can import SimulatedCan
 
 _BUS_OFF = 0x40
+"""CAN_ERR_BUSOFF, the class of an error frame (linux/can/error.h)."""
 
 
 class CanBus(Bus):
-    """A channel of a python-can interface, read by its notifier into the event loop.
+    """A channel of a python-can interface; its notifier passes frames to the event loop.
 
     Attributes:
         interface: Name of the python-can interface.
@@ -49,7 +50,7 @@ class CanBus(Bus):
         self._watching: list[Callable[[], None]] = []
 
     async def send(self, frame: CanFrame) -> None:
-        """Send a frame; returns when the controller's queue has taken it.
+        """Send a frame; returns when it is in the controller's queue.
 
         Raises:
             BusBroken: if the bus is broken or its queue stays full.
@@ -62,20 +63,11 @@ class CanBus(Bus):
         import can
 
         self.check()
-        message = can.Message(
-            arbitration_id=frame.id,
-            data=frame.data,
-            is_extended_id=frame.extended,
-            is_remote_frame=frame.remote,
-            check=False,
-        )
         try:
-            self._bus.send(message, timeout=0)
+            self._bus.send(message_of(frame), timeout=0)
         except (can.CanError, OSError) as error:
             raise BusBroken(self.name, f"cannot send: {error}") from error
-        self.counters.bytes_sent += len(frame.data)
-        if self.trace is not None:
-            self.trace(self.name, "tx", _traced(frame), time.monotonic())
+        self._count("tx", frame.data, time.monotonic(), frame.id.to_bytes(4, "big"))
 
     async def request(
         self,
@@ -84,11 +76,11 @@ class CanBus(Bus):
         deadline: float,
         retries: int = 0,
     ) -> CanFrame:
-        """Send a frame and return the first one that ``accept`` takes for its answer.
+        """Send a frame and return the first one that ``accept`` identifies as its answer.
 
         Args:
             frame: The request.
-            accept: Tells whether a frame is the answer.
+            accept: Returns whether a frame is the answer.
             deadline: Longest time, retries included [s].
             retries: How often it may be sent again within that time.
 
@@ -140,23 +132,11 @@ class CanBus(Bus):
         listeners = self._by_any
         if identifier is not None:
             listeners = self._by_id.setdefault(identifier, [])
-        listeners.append(callback)
-
-        def undo() -> None:
-            with contextlib.suppress(ValueError):
-                listeners.remove(callback)
-
-        return undo
+        return listen(listeners, callback)
 
     def watch(self, callback: Callable[[], None]) -> Callable[[], None]:
         """Call ``callback`` in the event loop when the bus breaks; returns how to undo it."""
-        self._watching.append(callback)
-
-        def undo() -> None:
-            with contextlib.suppress(ValueError):
-                self._watching.remove(callback)
-
-        return undo
+        return listen(self._watching, callback)
 
     def _on_message(self, message: Any) -> None:
         if message.is_error_frame:
@@ -164,16 +144,8 @@ class CanBus(Bus):
             if self.interface == "socketcan" and message.arbitration_id & _BUS_OFF:
                 self._failed("bus-off: check the wiring, the termination and the bit rate")
             return
-        frame = CanFrame(
-            message.arbitration_id,
-            bytes(message.data),
-            message.is_extended_id,
-            message.is_remote_frame,
-            time.monotonic(),
-        )
-        self.counters.bytes_received += len(frame.data)
-        if self.trace is not None:
-            self.trace(self.name, "rx", _traced(frame), frame.stamp)
+        frame = frame_of(message, time.monotonic())
+        self._count("rx", frame.data, frame.stamp, frame.id.to_bytes(4, "big"))
         for callback in (*self._by_id.get(frame.id, ()), *self._by_any):
             callback(frame)
 
@@ -235,10 +207,6 @@ class CanBus(Bus):
             bus.shutdown()
 
         await asyncio.shield(asyncio.get_running_loop().run_in_executor(None, stop))
-
-
-def _traced(frame: CanFrame) -> bytes:
-    return frame.id.to_bytes(4, "big") + frame.data
 
 
 def _reason(error: Exception) -> str:

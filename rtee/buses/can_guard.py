@@ -1,4 +1,4 @@
-"""A python-can bus that its notifier can read without dying, and without a thread left behind."""
+"""python-can behind rtee's buses: its messages as frames, and a bus that survives its errors."""
 
 from __future__ import annotations
 
@@ -7,11 +7,36 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from rtee.buses.emulator import CanFrame
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
 
 
+def message_of(frame: CanFrame) -> Any:
+    """Return a frame as a message of python-can."""
+    import can
+
+    return can.Message(
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+        check=False,
+    )
+
+
+def frame_of(message: Any, stamp: float = 0.0) -> CanFrame:
+    """Return a message of python-can as a frame, received at a time, CLOCK_MONOTONIC [s]."""
+    return CanFrame(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_extended_id,
+        message.is_remote_frame,
+        stamp,
+    )
+
+
 class Guarded:
-    """A python-can bus whose receiving never raises, so that the notifier cannot die of it."""
+    """A python-can bus whose `recv` never raises: an error would end its notifier's thread."""
 
     def __init__(self, bus: Any, failed: Callable[[str], None]) -> None:
         self._bus = bus
@@ -33,14 +58,14 @@ class Guarded:
             return None
 
     def end(self) -> None:
-        """Have the notifier's thread end now instead of when its wait is over."""
+        """Make the notifier's thread end now instead of when its wait is over."""
         self._ended = True
         wake(self._bus)
 
     def recv(self, timeout: float | None = None) -> Any:
         """Return the next message, ``None`` where none came in time [s] or the bus broke."""
         if self._ended:
-            raise SystemExit  # ends a thread without a word
+            raise SystemExit  # ends a thread without a traceback
         if not self._prompt:
             self._prompt = True
             wake_exactly()
@@ -67,7 +92,7 @@ class Guarded:
 
 
 def wake(bus: Any) -> None:
-    """End the wait of whoever receives from a virtual bus, by an error frame of its own."""
+    """End the wait of a thread that receives from a virtual bus, by sending it an error frame."""
     import can
 
     queue = getattr(bus, "queue", None)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rtee.buses.can import CanBus
+from rtee.buses.can_guard import frame_of
 from rtee.buses.emulator import CanFrame
 from rtee.buses.worker import Worker
 from rtee.errors import BusBroken, BusTimeout
@@ -19,9 +20,9 @@ T = TypeVar("T")
 class CanopenBus(CanBus):
     """A CAN bus with the ``canopen`` package on top of it.
 
-    The package's own notifier is not used: received frames are handed to ``network`` from the
-    event loop, and what it sends goes out through this bus. Its blocking calls (SDO) belong into
-    `run`, never into the event loop; process data should go by `send_now` and `subscribe`.
+    The package's own notifier is not used: the event loop passes received frames to ``network``,
+    and what that sends goes out through this bus. Its blocking calls (SDO) have to be made in
+    `run`; process data should use `send_now` and `subscribe`.
 
     Attributes:
         network: The ``canopen.Network``.
@@ -82,7 +83,7 @@ class CanopenBus(CanBus):
 
 
 class _Outlet:
-    """What ``canopen`` takes for a python-can bus: only sending."""
+    """Stands for a python-can bus in ``canopen``, which only sends by it."""
 
     def __init__(self, bus: CanopenBus) -> None:
         self._bus = bus
@@ -91,13 +92,7 @@ class _Outlet:
     def send(self, message: Any, timeout: float | None = None) -> None:
         import can
 
-        frame = CanFrame(
-            message.arbitration_id,
-            bytes(message.data),
-            message.is_extended_id,
-            message.is_remote_frame,
-        )
         try:
-            self._bus.send_now(frame)
+            self._bus.send_now(frame_of(message))
         except BusBroken as error:
             raise can.CanOperationError(str(error)) from error

@@ -19,6 +19,13 @@ from rtee.errors import BusBroken, BusTimeout, RteeError
 
 T = TypeVar("T")
 
+_LATENCY = 4.0
+"""Time allowed beyond the bytes' own on the line [ms]: an adapter's latency timer of 1 ms, and a
+busy computer. Drivers set their own."""
+
+_POLL = 0.05
+"""Longest wait for a first byte before the packet's own timeout is looked at again [s]."""
+
 
 class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
     """The SDK's port, waiting for bytes instead of spinning, with a latency of its own.
@@ -32,7 +39,7 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
         self.is_open: bool = False
         self.ser: Any = None
         self._bus = bus
-        self.latency = 4.0
+        self.latency = _LATENCY
         self.baudrate = bus.line.baudrate
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802 - the SDK's name
@@ -54,7 +61,7 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
         waiting = self.ser.in_waiting
         if not waiting:
             left = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
-            self.ser.timeout = min(max(left, 0.0), 0.05)
+            self.ser.timeout = min(max(left, 0.0), _POLL)
             data = bytes(self.ser.read(1))
             self.ser.timeout = 0
             if not data or length <= 1:
@@ -110,24 +117,20 @@ class DynamixelBus(Bus):
         try:
             return await self._worker.run(function, deadline)
         except RteeError:
-            raise  # the function's own word; several of these are OSErrors, too
+            raise  # the function's own error; several of these are OSErrors, too
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"not done within {deadline:.3f} s") from None
         except (OSError, TypeError, termios.error) as error:
-            # pyserial raises TypeError when its port was closed under it, and lets termios.error
-            # through, which is no OSError, when it vanishes.
+            # pyserial raises TypeError when its port is closed meanwhile, and termios.error, which
+            # is not an OSError, when the port vanishes.
             self._broke(str(error))
             raise BusBroken(self.name, f"the link broke: {error}") from error
 
     def note(self, direction: str, data: bytes) -> bytes:
         """Count and trace bytes, in the worker thread; returns them."""
-        if direction == "tx":
-            self.counters.bytes_sent += len(data)
-        else:
-            self.counters.bytes_received += len(data)
-        if self.trace is not None and data:
-            self.trace(self.name, direction, data, time.monotonic())
+        if data:
+            self._count(direction, data, time.monotonic())
         return data
 
     async def _open(self) -> None:
@@ -145,7 +148,7 @@ class DynamixelBus(Bus):
         await self._worker.close()
         port, self.port = self.port, None
         if port is not None and port.is_open:
-            # In a thread: closing may take the kernel some time, if the adapter is gone above all.
+            # In a thread: closing may take the kernel some time, above all without the adapter.
             closing = asyncio.get_running_loop().run_in_executor(None, _close, port)
             await asyncio.shield(closing)
 

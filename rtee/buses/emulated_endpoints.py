@@ -32,7 +32,7 @@ class PlayedEnds:
         self.emulators: dict[str, Emulator] = {}
 
     def line(self, url: str, owner: str, line: Line, factory: EmulatorFactory) -> Callable[[], str]:
-        """Play a device on a line, and return what tells where the host finds it now."""
+        """Play a device on a line, and return a function of the address at which it is now."""
         from rtee.buses.simulated import SimulatedLine
 
         def make() -> SimulatedLine:
@@ -58,7 +58,7 @@ class PlayedEnds:
         )
 
     def zmq(self, address: str, owner: str, factory: EmulatorFactory) -> Callable[[], Endpoints]:
-        """Play a ZeroMQ server, and return what tells where the host finds it now."""
+        """Play a ZeroMQ server, and return a function of the addresses at which it is now."""
         from rtee.buses.simulated_zmq import SimulatedZmq
 
         simulation = self._playing(address, owner, factory, lambda: SimulatedZmq(name=address))

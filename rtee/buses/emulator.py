@@ -38,7 +38,7 @@ class Duplex(Enum):
 
 
 class Emulator(ABC):
-    """Plays a device: takes what comes over the wire and says what the device would answer.
+    """Plays a device: receives what comes over the wire and returns what the device would answer.
 
     It does no I/O, has no clock and no thread: `rtee.buses.simulated` drives it over a pty, a TCP
     port or a CAN channel, tests drive it by hand. Times are CLOCK_MONOTONIC [s] or any other that
@@ -71,19 +71,19 @@ class Emulator(ABC):
         return cls()
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Take bytes from a line and return the answers, if any."""
+        """Receive bytes from a line and return the answers, if any."""
         return []
 
     def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """Take a frame from a CAN bus and return the answers, if any."""
+        """Receive a frame from a CAN bus and return the answers, if any."""
         return []
 
     def step(self, now: float) -> list[bytes] | list[CanFrame]:
-        """Let time pass up to ``now``; return what the device sends unasked."""
+        """Let time pass up to ``now``; return what the device sends by itself."""
         return []
 
     def line_reset(self) -> None:  # noqa: B027 - most devices have nothing to forget
-        """Forget the bytes of an incomplete request: somebody else connected to the line."""
+        """Forget the bytes of an incomplete request: another program connected to the line."""
 
     @abstractmethod
     def power_cycle(self, now: float) -> None:
@@ -100,7 +100,7 @@ class Emulator(ABC):
         self.faults.add(fault)
 
     def clear(self, fault: str | None = None) -> None:
-        """Take one fault away, or all."""
+        """Remove one fault, or all."""
         if fault is None:
             self.faults.clear()
         else:

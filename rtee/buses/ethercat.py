@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import IntEnum
@@ -10,13 +10,20 @@ from typing import Any, NamedTuple, TypeVar
 
 from rtee.buses.bus import Bus
 from rtee.buses.worker import Worker
-from rtee.errors import BusBroken, BusTimeout, MissingExtra, RteeError
+from rtee.errors import BusBroken, BusTimeout, RteeError, needing_extra
 
 T = TypeVar("T")
 
 
+_FRAME_TIMEOUT = 2000
+"""Longest time for the frame to come round [µs]; SOEM's own default."""
+
+_OPENING, _CLOSING = 5.0, 2.0
+"""Longest time to find the slaves, and to leave them initialised [s]."""
+
+
 class State(IntEnum):
-    """States of a slave."""
+    """States of a slave, as in the AL control register (ETG.1000.6)."""
 
     INIT = 1
     PRE_OPERATIONAL = 2
@@ -53,7 +60,7 @@ class Ring(ABC):
 
     @abstractmethod
     def exchange(self, outputs: Sequence[bytes]) -> list[bytes] | None:
-        """Send outputs and return inputs by position; ``None`` if not every slave took part."""
+        """Send outputs and return inputs by position; ``None`` if any slave did not take part."""
 
     @abstractmethod
     def read(self, position: int, index: int, subindex: int) -> bytes:
@@ -76,10 +83,8 @@ class PysoemRing(Ring):
     """A ring on a network interface, through pysoem (the extra ``ethercat``)."""
 
     def __init__(self, interface: str) -> None:
-        try:
+        with needing_extra("EtherCAT", "ethercat"):
             import pysoem
-        except ImportError as error:
-            raise MissingExtra("EtherCAT", "ethercat") from error
         self._soem: Any = pysoem
         self._interface = interface
         self._master: Any = None
@@ -105,7 +110,7 @@ class PysoemRing(Ring):
         master.read_state()
         failed = self._soem.STATE_ERROR
         for slave in master.slaves:
-            if slave.state & failed:  # it has left its state by itself, and wants that acknowledged
+            if slave.state & failed:  # it left its state by itself, which has to be acknowledged
                 slave.state = (slave.state & ~failed) | self._soem.STATE_ACK
                 slave.write_state()
         master.state = int(state)
@@ -123,10 +128,10 @@ class PysoemRing(Ring):
         for slave, data in zip(master.slaves, outputs, strict=False):
             slave.output = data
         master.send_processdata()
-        count = master.receive_processdata(2000)
-        # Safe-operational slaves tell their inputs but take no outputs.
-        told = sum(1 for slave in master.slaves if slave.input)
-        if count < (told if self._state is State.SAFE_OPERATIONAL else master.expected_wkc):
+        count = master.receive_processdata(_FRAME_TIMEOUT)
+        # Safe-operational slaves report their inputs but ignore outputs.
+        reporting = sum(1 for slave in master.slaves if slave.input)
+        if count < (reporting if self._state is State.SAFE_OPERATIONAL else master.expected_wkc):
             return None
         return [bytes(slave.input) for slave in master.slaves]
 
@@ -205,22 +210,18 @@ class EthercatBus(Bus):
             BusClosed: if the bus is closed.
         """
         inputs = await self.run(lambda ring: ring.exchange(outputs), deadline)
-        self.counters.bytes_sent += sum(len(data) for data in outputs)
+        self._count("tx", b"".join(outputs), time.monotonic())
         if inputs is None:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, "not every slave took part in the exchange")
-        self.counters.bytes_received += sum(len(data) for data in inputs)
-        if self.trace is not None:
-            now = asyncio.get_running_loop().time()
-            self.trace(self.name, "tx", b"".join(outputs), now)
-            self.trace(self.name, "rx", b"".join(inputs), now)
+        self._count("rx", b"".join(inputs), time.monotonic())
         return inputs
 
     async def _open(self) -> None:
         await self._close()
         ring = self._make()
         try:
-            self.slaves = await self._worker.run(ring.open, 5.0)
+            self.slaves = await self._worker.run(ring.open, _OPENING)
         except (OSError, TimeoutError) as error:
             raise BusBroken(self.name, f"cannot be opened: {error}") from error
         self._ring = ring
@@ -229,7 +230,7 @@ class EthercatBus(Bus):
         ring, self._ring = self._ring, None
         if ring is not None:
             try:
-                await self._worker.run(ring.close, 2.0)
+                await self._worker.run(ring.close, _CLOSING)
             except (OSError, TimeoutError) as error:
                 self._cause = str(error)
         await self._worker.close()

@@ -4,14 +4,79 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Generic, TypeVar
 
 from rtee.buses.emulator import CanFrame, Duplex, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.timing import wire_time
 
+_STANDARD_BITS, _EXTENDED_BITS = 47, 67
+"""Bits of a frame beside its data, the pause between frames included (ISO 11898-1)."""
 
-class Wire:
+_STUFFING = 1.1
+"""Bits sent per bit of a frame, as stuffing makes of usual data; at worst it is 1.2."""
+
+M = TypeVar("M", bytes, CanFrame)
+
+
+class _Schedule(ABC, Generic[M]):
+    """Messages under way between a host and emulated devices, in the order of their arrival."""
+
+    def __init__(self, emulators: Sequence[Emulator], faults: Faults | None) -> None:
+        self.emulators = list(emulators)
+        self.faults = faults or Faults()
+        self.busy = 0.0
+        self._number = itertools.count()
+        self._events: list[tuple[float, int, bool, M]] = []
+        self._stepped = 0.0
+
+    @abstractmethod
+    def _arrive(self, message: M, when: float) -> None:
+        """Let the devices receive a message of the host."""
+
+    @abstractmethod
+    def _sent_unasked(self, emulator: Emulator, now: float) -> list[M]:
+        """Return what a device sends by itself."""
+
+    @abstractmethod
+    def _answer(self, emulator: Emulator, messages: Sequence[M], when: float) -> None:
+        """Put what a device sends on the wire."""
+
+    def step(self, now: float) -> list[M]:
+        """Let time pass up to ``now``; return what has reached the host."""
+        out: list[M] = []
+        while self._events and self._events[0][0] <= now:
+            when, _, inward, message = heapq.heappop(self._events)
+            if inward:
+                self._arrive(message, when)
+            else:
+                out.append(message)
+        period = self._period
+        if period and now - self._stepped >= period:
+            self._stepped = now
+            for emulator in self.emulators:
+                self._answer(emulator, self._sent_unasked(emulator, now), now)
+        return out
+
+    def next_due(self) -> float | None:
+        """Return when `step` is to be called next, or ``None``: only when a message comes."""
+        due = [self._events[0][0]] if self._events else []
+        period = self._period
+        if period:
+            due.append(self._stepped + period)
+        return min(due) if due else None
+
+    @property
+    def _period(self) -> float:
+        return min((e.period for e in self.emulators if e.period), default=0.0)
+
+    def _put(self, when: float, inward: bool, message: M) -> None:
+        heapq.heappush(self._events, (when, next(self._number), inward, message))
+
+
+class Wire(_Schedule[bytes]):
     """A line between a host and one or more emulated devices.
 
     A pty is infinitely fast; here a message occupies the line for as long as its bytes would, and
@@ -19,17 +84,16 @@ class Wire:
     a full-duplex one the host's and the devices' pass each other.
 
     Attributes:
-        emulators: The devices on the line; each hears everything.
+        emulators: The devices on the line; each receives everything.
         timed: Whether bytes and the devices' turn-around take their time.
         baudrate: Bits per second; ``None`` takes no time (a network).
-        spoken: Rate at which the host speaks [baud]; devices of another one then hear nothing.
+        spoken: Rate at which the host sends [baud]; devices of another one then receive nothing.
         bits: Bits on the line per byte.
         faults: What goes wrong.
         bytes_in: Bytes that came from the host.
         bytes_out: Bytes that went to the host.
-        busy: Time during which a message or a device's turn-around was under way so far [s]; with
-            the silence that the host keeps, it is what no program can do without that waits for
-            each answer.
+        busy: Time during which a message or a device's turn-around was under way so far [s]. With
+            the silence that the host keeps, no program that waits for each answer needs less.
     """
 
     def __init__(
@@ -52,22 +116,17 @@ class Wire:
             timed: Whether bytes and the devices' turn-around take their time.
             duplex: Its duplex; by default that of the devices on it.
         """
-        self.emulators = list(emulators)
+        super().__init__(emulators, faults)
         self.timed = timed
         self._duplex = duplex
         self.baudrate = baudrate if timed else None
         self.spoken: int | None = None
         self.bits = bits
-        self.faults = faults or Faults()
         self.bytes_in = 0
         self.bytes_out = 0
-        self.busy = 0.0
         self._inward = 0.0
         self._outward = 0.0
         self._counted = 0.0
-        self._number = itertools.count()
-        self._events: list[tuple[float, int, bool, bytes]] = []
-        self._stepped = 0.0
 
     @property
     def duplex(self) -> Duplex:
@@ -78,7 +137,7 @@ class Wire:
         return Duplex.FULL if full else Duplex.HALF
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take bytes from the host; the devices hear them when the last one has passed."""
+        """Put bytes of the host on the line; the devices receive them with the last one."""
         self.bytes_in += len(data)
         start = max(now, self._inward)
         end = self._inward = start + wire_time(len(data), self.baudrate, self.bits)
@@ -91,29 +150,9 @@ class Wire:
 
     def step(self, now: float) -> list[bytes]:
         """Let time pass up to ``now``; return what has reached the host."""
-        out: list[bytes] = []
-        while self._events and self._events[0][0] <= now:
-            when, _, inward, data = heapq.heappop(self._events)
-            if inward:
-                for emulator in self.emulators:
-                    if self.spoken is None or self.spoken == emulator.baudrate:
-                        self._answer(emulator, emulator.feed(data, when), when)
-            else:
-                self.bytes_out += len(data)
-                out.append(data)
-        if self._stepping and now - self._stepped >= self._stepping:
-            self._stepped = now
-            for emulator in self.emulators:
-                sent = [d for d in emulator.step(now) if isinstance(d, bytes)]
-                self._answer(emulator, sent, now)
+        out = super().step(now)
+        self.bytes_out += sum(len(data) for data in out)
         return out
-
-    def next_due(self) -> float | None:
-        """Return when `step` is to be called next, or ``None``: only when bytes come."""
-        due = [self._events[0][0]] if self._events else []
-        if self._stepping:
-            due.append(self._stepped + self._stepping)
-        return min(due) if due else None
 
     def reset(self) -> None:
         """Forget everything that is under way: the line was cut."""
@@ -122,13 +161,17 @@ class Wire:
         for emulator in self.emulators:
             emulator.line_reset()
 
-    @property
-    def _stepping(self) -> float:
-        return min((e.period for e in self.emulators if e.period), default=0.0)
+    def _arrive(self, message: bytes, when: float) -> None:
+        for emulator in self.emulators:
+            if self.spoken is None or self.spoken == emulator.baudrate:
+                self._answer(emulator, emulator.feed(message, when), when)
 
-    def _answer(self, emulator: Emulator, answers: Sequence[bytes], when: float) -> None:
+    def _sent_unasked(self, emulator: Emulator, now: float) -> list[bytes]:
+        return [data for data in emulator.step(now) if isinstance(data, bytes)]
+
+    def _answer(self, emulator: Emulator, messages: Sequence[bytes], when: float) -> None:
         turnaround = emulator.turnaround if self.timed else 0.0
-        for answer in answers:
+        for answer in messages:
             since = max(when, self._outward)
             start = max(when + turnaround, self._outward)
             end = self._outward = start + wire_time(len(answer), self.baudrate, self.bits)
@@ -143,15 +186,12 @@ class Wire:
         self.busy += max(0.0, end - max(start, self._counted))
         self._counted = max(self._counted, end)
 
-    def _put(self, when: float, inward: bool, data: bytes) -> None:
-        heapq.heappush(self._events, (when, next(self._number), inward, data))
 
-
-class CanWire:
+class CanWire(_Schedule[CanFrame]):
     """A CAN bus between a host and one or more emulated nodes.
 
     Attributes:
-        emulators: The nodes; each hears every frame of the host.
+        emulators: The nodes; each receives every frame of the host.
         bitrate: Bits per second; ``None`` takes no time.
         busy: Time that frames and the nodes' turn-around have taken so far [s].
         faults: What goes wrong; a corrupted frame is a lost one, as the controllers drop it.
@@ -164,56 +204,32 @@ class CanWire:
         bitrate: float | None = None,
         faults: Faults | None = None,
     ) -> None:
-        self.emulators = list(emulators)
+        super().__init__(emulators, faults)
         self.bitrate = bitrate
-        self.busy = 0.0
-        self.faults = faults or Faults()
         self._free = 0.0
-        self._number = itertools.count()
-        self._events: list[tuple[float, int, bool, CanFrame]] = []
-        self._stepped = 0.0
 
     def receive(self, frame: CanFrame, now: float) -> None:
-        """Take a frame from the host."""
+        """Put a frame of the host on the bus."""
         taken = frame_time(frame, self.bitrate)
         self.busy += taken
         self._free = max(now, self._free) + taken
         for late in self.faults.copies() if self.faults.requests else [0.0]:
             self._put(self._free + late, True, frame)
 
-    def step(self, now: float) -> list[CanFrame]:
-        """Let time pass up to ``now``; return what the nodes have sent."""
-        out: list[CanFrame] = []
-        while self._events and self._events[0][0] <= now:
-            when, _, inward, frame = heapq.heappop(self._events)
-            if inward:
-                for emulator in self.emulators:
-                    self._answer(emulator, emulator.on_frame(frame, when), when)
-            else:
-                out.append(frame)
-        period = min((e.period for e in self.emulators if e.period), default=0.0)
-        if period and now - self._stepped >= period:
-            self._stepped = now
-            for emulator in self.emulators:
-                sent = [f for f in emulator.step(now) if isinstance(f, CanFrame)]
-                self._answer(emulator, sent, now)
-        return out
-
-    def next_due(self) -> float | None:
-        """Return when `step` is to be called next, or ``None``: only when a frame comes."""
-        due = [self._events[0][0]] if self._events else []
-        period = min((e.period for e in self.emulators if e.period), default=0.0)
-        if period:
-            due.append(self._stepped + period)
-        return min(due) if due else None
-
     def reset(self) -> None:
         """Forget everything that is under way."""
         self._events.clear()
         self._free = 0.0
 
-    def _answer(self, emulator: Emulator, frames: Sequence[CanFrame], when: float) -> None:
-        for frame in frames:
+    def _arrive(self, message: CanFrame, when: float) -> None:
+        for emulator in self.emulators:
+            self._answer(emulator, emulator.on_frame(message, when), when)
+
+    def _sent_unasked(self, emulator: Emulator, now: float) -> list[CanFrame]:
+        return [frame for frame in emulator.step(now) if isinstance(frame, CanFrame)]
+
+    def _answer(self, emulator: Emulator, messages: Sequence[CanFrame], when: float) -> None:
+        for frame in messages:
             since = max(when, self._free)
             start = max(when + emulator.turnaround, self._free)
             self._free = start + frame_time(frame, self.bitrate)
@@ -221,13 +237,10 @@ class CanWire:
             for late in self.faults.copies():
                 self._put(self._free + late, False, frame)
 
-    def _put(self, when: float, inward: bool, frame: CanFrame) -> None:
-        heapq.heappush(self._events, (when, next(self._number), inward, frame))
-
 
 def frame_time(frame: CanFrame, bitrate: float | None) -> float:
-    """Return how long a frame occupies the bus [s], with a tenth of its bits stuffed."""
+    """Return how long a frame occupies the bus [s]; 0 where there is no bit rate."""
     if not bitrate:
         return 0.0
-    bits = (67 if frame.extended else 47) + 8 * len(frame.data)
-    return bits * 1.1 / bitrate
+    bits = (_EXTENDED_BITS if frame.extended else _STANDARD_BITS) + 8 * len(frame.data)
+    return bits * _STUFFING / bitrate

@@ -1,6 +1,6 @@
 """Opening a byte link: a tty, ``socket://host:port``, ``tcp://host:port`` or ``rfc2217://host:port``.
 
-Whatever it is, the result is an asyncio transport, so that the layers above see no difference.
+The result is always an asyncio transport, so that the layers above see no difference.
 """
 
 from __future__ import annotations
@@ -22,6 +22,12 @@ import serial
 import serial_asyncio
 
 from rtee.errors import BusBroken, BusBusy, BusError, ConfigError
+
+_PIECE = 4096
+"""Bytes read at a time; the kernel buffers as many of a tty."""
+
+_POLL = 0.05
+"""Longest wait of the reading thread before it looks whether it has to end [s]."""
 
 LinkProtocol = Callable[[], asyncio.Protocol]
 
@@ -123,7 +129,7 @@ def _open_port(url: str, line: Line) -> Any:
         url,
         do_not_open=True,
         baudrate=line.baudrate,
-        # A pty knows no parity, and the C library reports that as an error.
+        # A pty has no parity, and the C library reports a request for one as an error.
         parity="N" if os.path.realpath(url).startswith("/dev/pts/") else line.parity,
         stopbits=line.stopbits,
         timeout=0,
@@ -144,7 +150,7 @@ def _open_port(url: str, line: Line) -> Any:
 def explained(name: str, error: OSError | ValueError) -> BusError:
     """Return the error of opening a port as a sentence with a hint."""
     code, cause = getattr(error, "errno", None), error.__context__
-    if code is None and isinstance(cause, termios.error):  # pyserial tells it in words only
+    if code is None and isinstance(cause, termios.error):  # pyserial's error has only a text
         code = cause.args[0]
     if code in (errno.EAGAIN, errno.EBUSY):
         return BusBusy(name, "another program has it open; `rtee doctor` names it")
@@ -166,7 +172,7 @@ def explained(name: str, error: OSError | ValueError) -> BusError:
 
 
 async def ended(transport: asyncio.Transport) -> None:
-    """Wait until a transport that was aborted has given its port back."""
+    """Wait until a transport that was aborted has closed its port."""
     if isinstance(transport, SerialTransport):
         await asyncio.shield(transport.given_back)
     else:
@@ -177,11 +183,11 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
     """pyserial-asyncio's transport: quiet when the adapter vanishes, and direct.
 
     It writes at once instead of at the next turn of the event loop, and reads by one system call.
-    The port is closed in a thread: that may take the kernel some time, above all when the adapter
-    is gone, and other devices' exchanges must not wait for it.
+    The port is closed in a thread: the kernel may need some time for that, above all when the
+    adapter is gone, and other devices' exchanges must not wait for it.
 
     Attributes:
-        given_back: Done when the port is closed.
+        given_back: Done when the port is closed, so that it can be opened again.
     """
 
     _serial: Any
@@ -194,7 +200,7 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
         super().__init__(loop, protocol, port)
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
-        """Write now what the port takes; the rest when it takes more."""
+        """Write now what the port accepts; the rest when it accepts more."""
         if self._closing:
             return
         if not self._write_buffer:
@@ -209,16 +215,16 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
             super().write(bytes(data))
 
     def read_now(self) -> None:
-        """Hand over what the port has received, without waiting for the event loop."""
+        """Pass on what the port has received, without waiting for the event loop."""
         if self._serial is None or self._closing:
             return
-        with contextlib.suppress(OSError):  # a port that vanished says so when it is written to
+        with contextlib.suppress(OSError):  # writing to a port that vanished reports it
             if self._serial.in_waiting:
                 self._read_ready()
 
     def _read_ready(self) -> None:
         try:
-            data = os.read(self._serial.fd, 4096)
+            data = os.read(self._serial.fd, _PIECE)
         except (BlockingIOError, InterruptedError):
             return
         except OSError as error:
@@ -251,7 +257,7 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
 
 
 def _close(port: Any) -> None:
-    # Closing drains the port, which may take long on a dead line: throw the output away before.
+    # Closing drains the port, which may take long on a dead line, so the output is dropped first.
     with contextlib.suppress(Exception):
         port.reset_output_buffer()
     with contextlib.suppress(Exception):
@@ -270,18 +276,18 @@ class ThreadTransport(asyncio.Transport):
         self._port = port
         self._closing = False
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="serial-write")
-        port.timeout = 0.05
+        port.timeout = _POLL
         self._reader = threading.Thread(target=self._read, name="serial-read", daemon=True)
         loop.call_soon(protocol.connection_made, self)
         self._reader.start()
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
-        """Hand bytes to the writing thread."""
+        """Pass bytes to the writing thread."""
         if not self._closing:
             self._writer.submit(self._write, bytes(data))
 
     def close(self) -> None:
-        """Stop both threads and close the port; the protocol hears of it."""
+        """Stop both threads and close the port; the protocol is notified."""
         self._finish(None)
 
     def abort(self) -> None:
@@ -301,7 +307,7 @@ class ThreadTransport(asyncio.Transport):
     def _read(self) -> None:
         try:
             while not self._closing:
-                data = self._port.read(max(1, min(self._port.in_waiting, 4096)))
+                data = self._port.read(max(1, min(self._port.in_waiting, _PIECE)))
                 if data:
                     self._post(self._deliver, data)
         except (OSError, ValueError, TypeError) as error:

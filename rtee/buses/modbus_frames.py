@@ -1,16 +1,19 @@
-"""Modbus frames, sans-I/O: the answers a master waits for and the requests a slave hears."""
+"""Modbus frames, sans-I/O: the answers a master waits for and the requests a slave hears.
+
+The master's side is pymodbus's. The slave's side, which emulated devices use, is written apart from
+it, so that the two can be tested against each other; they share the checksum alone.
+"""
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 
+from pymodbus.framer import FramerBase, FramerRTU, FramerSocket
+from pymodbus.pdu import ModbusPDU
+
 _MOST = 260
-_TABLE: list[int] = []
-for _byte in range(256):
-    _crc = _byte
-    for _ in range(8):
-        _crc = _crc >> 1 ^ 0xA001 if _crc & 1 else _crc >> 1
-    _TABLE.append(_crc)
+"""Longest frame [byte]: a PDU of 253 and the 7 of the TCP header."""
 
 READ_HOLDING = 0x03
 READ_INPUT = 0x04
@@ -21,10 +24,7 @@ READ_WRITE = 0x17
 
 def crc16(data: bytes) -> bytes:
     """Return the CRC-16/MODBUS of ``data`` in the order of transmission."""
-    crc = 0xFFFF
-    for byte in data:
-        crc = crc >> 8 ^ _TABLE[(crc ^ byte) & 0xFF]
-    return crc.to_bytes(2, "little")
+    return FramerRTU.compute_CRC(data).to_bytes(2, "big")
 
 
 def rtu_frame(unit: int, pdu: bytes) -> bytes:
@@ -33,77 +33,75 @@ def rtu_frame(unit: int, pdu: bytes) -> bytes:
     return frame + crc16(frame)
 
 
-def find_answer(data: bytes, unit: int, function: int, head: bytes = b"") -> tuple[int, int]:
-    """Return start and end of the first complete RTU answer in ``data``, or (-1, -1).
+class AnswerParser:
+    """Finds the answer to one request in what a line or connection brings.
 
-    Garbage before the answer does not matter.
-
-    Args:
-        data: What was received.
-        unit: The slave that was asked.
-        function: The function it was asked for; an exception counts as an answer.
-        head: What follows the function in the answer to just this request, from `answer_head`.
-    """
-    start = data.find(unit)
-    while 0 <= start <= len(data) - 5:
-        size = _answer_size(data[start + 1 : start + 7], function, head)
-        end = start + size + 3
-        if size and end <= len(data) and crc16(data[start : end - 2]) == data[end - 2 : end]:
-            return start, end
-        start = data.find(unit, start + 1)
-    return -1, -1
-
-
-def find_network_answer(
-    data: bytes, transaction: int, unit: int, function: int, head: bytes = b""
-) -> tuple[int, int]:
-    """Return start and end of the first complete TCP answer in ``data``, or (-1, -1).
+    pymodbus's framers expect a frame at the beginning of what they are given, and wait for the rest
+    of whatever looks like one. So they are given only what begins as the answer to this request,
+    or its exception, has to begin: garbage before it costs nothing, nor does another answer.
 
     Args:
-        data: What was received.
-        transaction: Number of the request.
-        unit: The unit that was asked.
-        function: The function it was asked for; an exception counts as an answer.
-        head: What follows the function in the answer to just this request, from `answer_head`.
+        framer: Frames requests and cuts answers out, for RTU or TCP.
+        request: The request.
+        head: What follows the function in its answer, before the registers: the number of bytes,
+            or, of a write, its address and number of registers.
     """
-    wanted = transaction.to_bytes(2, "big") + b"\0\0"
-    start = data.find(wanted)
-    while 0 <= start <= len(data) - 9:
-        size = _answer_size(data[start + 7 : start + 13], function, head)
-        told = int.from_bytes(data[start + 4 : start + 6], "big")
-        end = start + 7 + size
-        if size and told == size + 1 and data[start + 6] == unit and end <= len(data):
-            return start, end
-        start = data.find(wanted, start + 1)
-    return -1, -1
 
+    def __init__(self, framer: FramerBase, request: ModbusPDU, head: bytes) -> None:
+        self._framer = framer
+        self._request = request
+        function = bytes([request.function_code])
+        size = 5 if request.function_code == WRITE_MANY else 2 + head[0]
+        self._pdus = ((function + head, size), (bytes([request.function_code | 0x80]), 2))
+        self._openings: tuple[bytes, ...] = ()
+        self._failed = 0
+        self._buffer = b""
 
-def answer_head(function: int, address: int, count: int) -> bytes:
-    """Return what follows the function code in the answer to a request.
+    @property
+    def errors(self) -> int:
+        """Attempts that brought bytes, but no answer."""
+        return self._failed + bool(self._buffer)
 
-    Args:
-        function: What is asked for.
-        address: First register written, for function 16.
-        count: Registers read, or written by function 16.
-    """
-    if function == WRITE_MANY:
-        return address.to_bytes(2, "big") + count.to_bytes(2, "big")
-    return bytes([2 * count])
+    def reset(self) -> None:
+        """Forget what has come in."""
+        self._failed = self.errors
+        self._buffer = b""
 
+    def request(self, number: int) -> bytes:
+        """Return the frame of the request; only an answer to this one is found from now on.
 
-def _answer_size(pdu: bytes, function: int, head: bytes) -> int:
-    """Return the size of the PDU that begins so, 0 if it is no answer to the request."""
-    found = pdu[0]
-    if found == function | 0x80:
-        return 2
-    if found != function or not head.startswith(pdu[1 : 1 + len(head)]):
-        return 0
-    return 5 if found in (WRITE_ONE, WRITE_MANY) else 2 + pdu[1]
+        Args:
+            number: The transaction's number, which only TCP frames carry.
+        """
+        self._request.transaction_id = number
+        unit = self._request.dev_id
+        if isinstance(self._framer, FramerSocket):
+            self._openings = tuple(
+                struct.pack(">HHHB", number, 0, size + 1, unit) + pdu for pdu, size in self._pdus
+            )
+        else:
+            self._openings = tuple(bytes([unit]) + pdu for pdu, _ in self._pdus)
+        return self._framer.buildFrame(self._request)
+
+    def feed(self, data: bytes) -> list[ModbusPDU]:
+        """Receive bytes and return the answer when it is complete."""
+        self._buffer += data
+        for opening in self._openings:
+            start = self._buffer.find(opening)
+            while start >= 0:
+                pdu = self._framer.decode(self._buffer[start:])[3]
+                answer = self._framer.decoder.decode(pdu) if pdu else None
+                if answer is not None:
+                    self._buffer = b""
+                    return [answer]
+                start = self._buffer.find(opening, start + 1)
+        self._buffer = self._buffer[-_MOST:]
+        return []
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a slave hears.
+    """What a slave receives.
 
     Attributes:
         unit: The slave that is asked.
@@ -126,7 +124,7 @@ class RtuRequests:
     """Cuts the requests to one slave out of a line's bytes; frames for others are skipped.
 
     Attributes:
-        unit: The slave; broadcasts (0) are heard too.
+        unit: The slave; broadcasts (0) are answered by no one, but obeyed.
         errors: Bytes skipped because they belong to no frame of this slave.
     """
 
@@ -136,7 +134,7 @@ class RtuRequests:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Request]:
-        """Take bytes and return the requests that they complete."""
+        """Receive bytes and return the requests that they complete."""
         self._buffer += data
         found = []
         while (request := self._next()) is not None:
@@ -194,11 +192,11 @@ class TcpRequests:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Request]:
-        """Take bytes and return the requests that they complete."""
+        """Receive bytes and return the requests that they complete."""
         if self._buffer and _network_size(data) == len(data):
             self.errors += len(self._buffer)
             self._buffer = b""
-        if not self._buffer and len(data) >= 8 and _told(data) == len(data):
+        if not self._buffer and len(data) >= 8 and _length(data) == len(data):
             return [Request(data[6], data[7:], data[:4])]
         self._buffer += data
         found = []
@@ -228,13 +226,13 @@ def _network_size(data: bytes) -> int:
     """Return the length of the TCP request that begins so: 0 if none does, -1 if too few bytes."""
     if len(data) < 8:
         return -1
-    size, function = _told(data), data[7]
+    size, function = _length(data), data[7]
     if not size or not 0 < function < 0x80:
         return 0
     if function <= 6:
         return 12 if size == 12 else 0
     at = {0x0F: 12, WRITE_MANY: 12, READ_WRITE: 16}.get(function)
-    if at is None:  # a function of which only the header tells the length
+    if at is None:  # only the header gives the length of this function
         return size
     if len(data) <= at:
         return -1 if size > at + 1 else 0
@@ -243,7 +241,7 @@ def _network_size(data: bytes) -> int:
     return size if data[at] == bytes_of and size == at + 1 + bytes_of else 0
 
 
-def _told(data: bytes) -> int:
-    """Return the length of the TCP frame that its header tells, 0 if there is no header."""
-    told = int.from_bytes(data[4:6], "big")
-    return 6 + told if data[2:4] == b"\0\0" and 2 <= told <= 254 else 0
+def _length(data: bytes) -> int:
+    """Return the length of the TCP frame according to its header, 0 if there is no header."""
+    length = int.from_bytes(data[4:6], "big")
+    return 6 + length if data[2:4] == b"\0\0" and 2 <= length <= 254 else 0

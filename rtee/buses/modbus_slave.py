@@ -23,12 +23,16 @@ from rtee.buses.timing import silence
 ILLEGAL_FUNCTION = 1
 ILLEGAL_ADDRESS = 2
 ILLEGAL_VALUE = 3
+_KEPT = 64
+"""Requests kept for tests."""
+_MOST_REGISTERS = 125
+"""Registers that one answer can carry: 250 of the 253 bytes of a PDU."""
 
 Framing = Literal["rtu", "tcp"]
 
 
 class Refused(Exception):
-    """The device refuses a request; with silence where it has no exceptions.
+    """The device refuses a request: by an exception, or by silence where it has none.
 
     Attributes:
         code: The Modbus exception code.
@@ -43,11 +47,11 @@ class ModbusEmulator(Emulator):
     """A device of 16-bit registers.
 
     Attributes:
-        FUNCTIONS: Function codes that it knows, unless told otherwise.
+        FUNCTIONS: Function codes that it knows, unless others are given.
         EXCEPTIONS: Whether it refuses by an exception; else it stays silent.
         unit: Its number on the line.
         any_unit: Whether it answers to any number, as many devices do on TCP.
-        requests: Requests heard, newest last, for tests.
+        requests: Requests received, newest last, for tests.
     """
 
     FUNCTIONS: ClassVar[frozenset[int]] = frozenset(
@@ -91,12 +95,12 @@ class ModbusEmulator(Emulator):
         return []
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Take bytes and return the answers."""
+        """Receive bytes and return the answers."""
         answers = []
         for request in self._parser.feed(data):
             if not (request.unit == self.unit or self.any_unit or request.unit == 0):
                 continue
-            self.requests = [*self.requests[-63:], request.pdu]
+            self.requests = [*self.requests[1 - _KEPT :], request.pdu]
             pdu = self._handle(request, now)
             if pdu is not None and (request.unit or self.framing == "tcp"):
                 answers.append(request.answer(pdu))
@@ -135,7 +139,7 @@ class ModbusEmulator(Emulator):
         return self._read(function, source, count, now)
 
     def _read(self, function: int, address: int, count: int, now: float) -> bytes:
-        if not 1 <= count <= 125:
+        if not 1 <= count <= _MOST_REGISTERS:
             raise Refused(ILLEGAL_VALUE)
         values = self.read(function, address, count, now)
         return bytes([2 * count]) + struct.pack(f">{count}H", *values)

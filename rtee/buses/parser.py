@@ -13,15 +13,15 @@ class Parser(Protocol[F]):
 
     Its buffer is bounded by the longest frame of its protocol, and after garbage it finds the next
     good frame without losing it.
-
-    Attributes:
-        errors: Frames with a wrong checksum or a wrong shape seen so far.
     """
 
-    errors: int
+    @property
+    def errors(self) -> int:
+        """Frames with a wrong checksum or a wrong shape seen so far."""
+        ...
 
     def feed(self, data: bytes) -> list[F]:
-        """Take bytes and return the frames that they complete, in order."""
+        """Receive bytes and return the frames that they complete, in order."""
         ...
 
     def reset(self) -> None:
@@ -30,15 +30,17 @@ class Parser(Protocol[F]):
 
 
 class FramedParser(ABC, Generic[F]):
-    """Finds frames that begin with a header and tell their length; a bad one costs only itself.
+    """Finds frames that begin with a header and contain their length.
+
+    A bad frame costs no other.
 
     Attributes:
         HEADER: What every frame begins with.
-        HEAD: Bytes from which the length can be told.
-        PIECE: Most bytes taken at once, the longest frame.
+        HEAD: Bytes that contain the length.
+        PIECE: Most bytes examined at once: the longest frame.
         LIMIT: Most bytes kept.
         INSIDE: Shortest frame looked for inside one that is incomplete; shorter ones are too easily
-            made up by chance.
+            produced by chance.
         errors: Frames dropped for a bad length, content or checksum.
     """
 
@@ -54,7 +56,7 @@ class FramedParser(ABC, Generic[F]):
 
     @abstractmethod
     def _length(self, at: int) -> int:
-        """Return the length that the header at ``at`` tells; 0 if no frame is so long."""
+        """Return the length according to the header at ``at``; 0 if no frame is so long."""
 
     @abstractmethod
     def _decode(self, raw: bytes) -> F:
@@ -70,7 +72,7 @@ class FramedParser(ABC, Generic[F]):
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[F]:
-        """Take bytes as they come in and return the frames completed by them."""
+        """Receive bytes and return the frames that they complete."""
         if not self._buffer and len(data) <= self.PIECE:
             frame = self._only(data)
             if frame is not None:
@@ -84,9 +86,9 @@ class FramedParser(ABC, Generic[F]):
     def _only(self, data: bytes) -> F | None:
         """Return the frame that ``data`` is, whole and nothing else, as most answers are."""
         self._buffer += data
-        told = self._length(0) if len(data) >= self.HEAD else 0
+        length = self._length(0) if len(data) >= self.HEAD else 0
         self._buffer.clear()
-        if told != len(data) or not data.startswith(self.HEADER):
+        if length != len(data) or not data.startswith(self.HEADER):
             return None
         try:
             return self._decode(data)

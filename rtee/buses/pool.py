@@ -29,11 +29,11 @@ C = TypeVar("C", bound="CanBus")
 class BusPool:
     """Hands out buses; two devices that name the same address share one.
 
-    A driver whose device is emulated gives the factory of its emulator along; the pool then plays
-    it on a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to that
-    instead of to the address. The played device lives as long as the pool, like a real one
-    outlives its connection. Emulated lines and servers are each hand's own, though their
-    configurations name the same address; devices of one hand share them.
+    A driver whose device is emulated passes the factory of its emulator; the pool then plays it on
+    a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to that instead
+    of to the address. The emulated device lives as long as the pool, as a real one outlives its
+    connection. Emulated lines and servers belong to one hand each, even where the configurations of
+    several name the same address; the devices of one hand share them.
 
     Attributes:
         trace: Hook given to every bus made from now on.
@@ -54,7 +54,7 @@ class BusPool:
 
     @property
     def buses(self) -> tuple[Bus, ...]:
-        """The buses that somebody owns at present."""
+        """The buses that have an owner."""
         return tuple(bus for bus, _, _ in self._buses.values() if bus.owners)
 
     def played(self, owner: str) -> Emulator:
@@ -88,7 +88,7 @@ class BusPool:
 
         Args:
             url: Its address.
-            owner: The device that asks; give it back with ``bus.detach(owner)``.
+            owner: The device that asks; it ends its use by ``bus.detach(owner)``.
             baudrate: Bits per second.
             parity: ``N``, ``E`` or ``O``.
             stopbits: 1 or 2.
@@ -103,14 +103,13 @@ class BusPool:
         from rtee.buses.serial import SerialBus
 
         line = Line(baudrate, parity, stopbits)
-        url = self._apart(url, owner, emulator)
-        address = emulator and self._ends.line(url, owner, line, emulator)
-        return await self._acquire(
+        return await self._on_line(
             url,
             SerialBus,
             (line, gap),
             owner,
-            lambda: SerialBus(url, line, address=address, gap=gap),
+            emulator,
+            lambda url, address: SerialBus(url, line, address=address, gap=gap),
         )
 
     async def modbus(
@@ -131,11 +130,14 @@ class BusPool:
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
-        url = self._apart(url, owner, emulator)
-        address = emulator and self._ends.line(url, owner, line, emulator)
         gap = None if emulator is None or self.wire_time else 0.0
-        return await self._acquire(
-            url, ModbusBus, line, owner, lambda: ModbusBus(url, line, address=address, gap=gap)
+        return await self._on_line(
+            url,
+            ModbusBus,
+            (line, gap),
+            owner,
+            emulator,
+            lambda url, address: ModbusBus(url, line, address=address, gap=gap),
         )
 
     async def dynamixel(
@@ -150,10 +152,13 @@ class BusPool:
         from rtee.buses.dynamixel import DynamixelBus
 
         line = Line(baudrate)
-        port = self._apart(port, owner, emulator)
-        address = emulator and self._ends.line(port, owner, line, emulator)
-        return await self._acquire(
-            port, DynamixelBus, line, owner, lambda: DynamixelBus(port, line, address=address)
+        return await self._on_line(
+            port,
+            DynamixelBus,
+            (line, None),
+            owner,
+            emulator,
+            lambda port, address: DynamixelBus(port, line, address=address),
         )
 
     async def can(
@@ -169,7 +174,7 @@ class BusPool:
 
         Args:
             channel: For example ``can0``.
-            owner: The device that asks; give it back with ``bus.detach(owner)``.
+            owner: The device that asks; it ends its use by ``bus.detach(owner)``.
             interface: Name of a python-can interface.
             bitrate: Bits per second.
             emulator: Plays the node instead, on a virtual channel.
@@ -208,7 +213,7 @@ class BusPool:
 
         Args:
             address: ``tcp://host``.
-            owner: The device that asks; give it back with ``bus.detach(owner)``.
+            owner: The device that asks; it ends its use by ``bus.detach(owner)``.
             ports: Where it publishes, takes commands, and answers requests.
             emulator: Plays the server instead, on this machine.
 
@@ -223,7 +228,7 @@ class BusPool:
             places = self._ends.zmq(address, owner, emulator)
         else:
             given = Endpoints(*(f"{address}:{port}" for port in ports))
-            places = lambda: given  # noqa: E731 - the same shape as the simulated ones
+            places = lambda: given  # noqa: E731 - the same type as of the simulated ones
         return await self._acquire(address, ZmqBus, ports, owner, lambda: ZmqBus(address, places))
 
     async def ethercat(
@@ -233,7 +238,7 @@ class BusPool:
 
         Args:
             interface: For example ``eth1``.
-            owner: The device that asks; give it back with ``bus.detach(owner)``.
+            owner: The device that asks; it ends its use by ``bus.detach(owner)``.
             emulator: Plays the slaves instead, at the level of process data.
 
         Raises:
@@ -268,7 +273,7 @@ class BusPool:
         self, key: str, kind: type[B], settings: object, owner: str, make: Callable[[], B]
     ) -> B:
         while (entry := self._buses.get(key)) is not None and not entry[0].owners:
-            await entry[0].close()  # somebody gives it back: its port is free when that is done
+            await entry[0].close()  # its last owner detaches: then its port is free
             if self._buses.get(key) is entry:
                 del self._buses[key]
         if entry is None:
@@ -292,6 +297,19 @@ class BusPool:
             await found.detach(owner)
             raise
         return found
+
+    async def _on_line(
+        self,
+        url: str,
+        kind: type[B],
+        settings: tuple[Line, float | None],
+        owner: str,
+        emulator: EmulatorFactory | None,
+        make: Callable[[str, Callable[[], str] | None], B],
+    ) -> B:
+        url = self._apart(url, owner, emulator)
+        address = emulator and self._ends.line(url, owner, settings[0], emulator)
+        return await self._acquire(url, kind, settings, owner, lambda: make(url, address))
 
     async def _on_can(
         self,

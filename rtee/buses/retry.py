@@ -1,4 +1,4 @@
-"""Asking again where a single answer that was late or garbled means nothing."""
+"""Retrying what a busy computer may let time out once."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from rtee.errors import BusTimeout, FrameError
 
 T = TypeVar("T")
 
+_PAUSE = 0.01
+"""Time between two attempts [s], in which other tasks of a busy loop catch up."""
+
 
 async def patiently(call: Callable[[], Awaitable[T]], times: int = 8) -> T:
-    """Call what may time out on a busy computer, again if it did.
+    """Call a function that may time out on a busy computer, and again if it did.
 
     Args:
         call: What to call.
@@ -26,5 +29,5 @@ async def patiently(call: Callable[[], Awaitable[T]], times: int = 8) -> T:
         try:
             return await call()
         except (BusTimeout, FrameError):
-            await asyncio.sleep(0.01)
+            await asyncio.sleep(_PAUSE)
     return await call()

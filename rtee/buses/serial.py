@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 from rtee.buses.bus import Bus
-from rtee.buses.link import Line, ended, open_link
+from rtee.buses.link import Line, SerialTransport, ended, open_link
 from rtee.buses.parser import Parser
 from rtee.buses.timing import Pause
 from rtee.errors import BusBroken, BusTimeout, FrameError
@@ -16,7 +16,7 @@ from rtee.errors import BusBroken, BusTimeout, FrameError
 F = TypeVar("F")
 
 _NOTHING: Any = object()
-"""What an answer is that did not come in time."""
+"""Stands for an answer that did not come in time."""
 
 
 def _give_up(answer: asyncio.Future[Any]) -> None:
@@ -30,14 +30,32 @@ class SerialBus(Bus):
     Attributes:
         line: How the line is set.
         gap: Silence kept between the last byte received or sent and the next request [s].
+        fresh: Whether what the port has received before a request is thrown away, for protocols
+            whose answers do not name their request.
     """
 
     def __init__(
-        self, name: str, line: Line, *, address: Callable[[], str] | None = None, gap: float = 0.0
+        self,
+        name: str,
+        line: Line,
+        *,
+        address: Callable[[], str] | None = None,
+        gap: float = 0.0,
+        fresh: bool = False,
     ) -> None:
+        """Make a bus that is not connected.
+
+        Args:
+            name: The address as configured.
+            line: How the line is set.
+            address: Returns where to connect to, if not to ``name``.
+            gap: See the attribute.
+            fresh: See the attribute.
+        """
         super().__init__(name)
         self.line = line
         self.gap = gap
+        self.fresh = fresh
         self._address = address or (lambda: name)
         self._transport: asyncio.Transport | None = None
         self._protocol: asyncio.Protocol | None = None
@@ -52,22 +70,24 @@ class SerialBus(Bus):
 
     async def transact(
         self,
-        request: bytes,
+        request: bytes | Callable[[], bytes],
         parser: Parser[F],
         deadline: float,
         retries: int = 1,
         *,
         accept: Callable[[F], bool] | None = None,
+        whom: str = "",
     ) -> F:
         """Send a request and return the frame that answers it.
 
         Args:
-            request: The bytes to send.
-            parser: Cuts the answer; it is reset before every attempt.
+            request: The bytes to send, or what makes them for each attempt.
+            parser: Finds the answer; it is reset before every attempt.
             deadline: Longest time for the whole transaction, retries and waiting for the line
                 included [s].
             retries: How often the request may be sent again within that time.
-            accept: Tells whether a frame is the answer; others are counted as strays.
+            accept: Returns whether a frame is the answer; others are counted as strays.
+            whom: The device that is asked, for error messages of a line that several share.
 
         Raises:
             BusTimeout: if nothing came in time.
@@ -93,8 +113,6 @@ class SerialBus(Bus):
                 share = (end - time.monotonic()) / (retries + 1 - attempt)
                 if share <= 0.0:
                     break
-                if self.gap:
-                    await self._pause.until(self._last + self.gap)
                 try:
                     frame = await self._ask(request, parser, share, accept)
                 finally:
@@ -106,25 +124,48 @@ class SerialBus(Bus):
         finally:
             counters.checksum_errors += parser.errors - errors
             self._lock.release()
+        where = f"{whom}: " if whom else ""
         if received:
-            raise FrameError(self.name, f"{received} bytes but no valid answer in {deadline:.3f} s")
-        raise BusTimeout(self.name, f"no answer within {deadline:.3f} s")
+            raise FrameError(
+                self.name, f"{where}{received} bytes but no valid answer in {deadline:.3f} s"
+            )
+        raise BusTimeout(self.name, f"{where}no answer within {deadline:.3f} s")
 
     def _ask(
-        self, request: bytes, parser: Parser[F], share: float, accept: Callable[[F], bool] | None
+        self,
+        request: bytes | Callable[[], bytes],
+        parser: Parser[F],
+        share: float,
+        accept: Callable[[F], bool] | None,
     ) -> asyncio.Future[Any]:
-        """Send a request and return what its answer will be, `_NOTHING` when the time is up."""
+        """Send a request and return the future of its answer: `_NOTHING` when the time is up."""
         parser.reset()
         loop = asyncio.get_running_loop()
-        answer: asyncio.Future[Any] = loop.create_future()
-        self._answer, self._parser, self._accept = answer, parser, accept
-        self._write(request)
-        # One timer instead of asyncio.timeout, and after the request: this is done in every cycle.
+        answer = self._answer = loop.create_future()
+        data = request if isinstance(request, bytes) else request()
+
+        def ask() -> None:
+            if answer.done():
+                return  # the time is up, or the link is broken
+            if self.fresh and isinstance(self._transport, SerialTransport):
+                self._transport.read_now()  # without a parser, what comes is thrown away
+            self._parser, self._accept = parser, accept
+            self._write(data)
+
+        if self.gap and (due := self._last + self.gap) > time.monotonic():
+            # The request is made while the silence lasts and goes out from the timer's callback.
+            self._pause.start(due, ask)
+        else:
+            ask()
+        # A timer costs less than asyncio.timeout, and is made after the request, so that this goes
+        # out sooner: it happens in every cycle.
         self._timer = loop.call_later(share, _give_up, answer)
         return answer
 
     def _asked(self) -> None:
         self._answer = self._parser = self._accept = None
+        if self.gap:
+            self._pause.cancel()
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -161,24 +202,20 @@ class SerialBus(Bus):
             raise BusTimeout(self.name, f"the line was not free within {deadline:.3f} s") from None
 
     def listen(self, listener: Callable[[bytes], None] | None) -> None:
-        """Hand bytes that nobody waits for to ``listener``, for devices that talk unasked."""
+        """Pass bytes that no request waits for to ``listener``, for devices that send unasked."""
         self._listener = listener
 
     def _write(self, data: bytes) -> None:
         self.check()
         if self._transport is None:
             raise BusBroken(self.name, "no link")
-        if self.trace is not None:
-            self.trace(self.name, "tx", data, time.monotonic())
+        self._count("tx", data, time.monotonic())
         self._transport.write(data)
         self._last = time.monotonic()
-        self.counters.bytes_sent += len(data)
 
     def _received(self, data: bytes) -> None:
         self._last = time.monotonic()
-        self.counters.bytes_received += len(data)
-        if self.trace is not None:
-            self.trace(self.name, "rx", data, self._last)
+        self._count("rx", data, self._last)
         if self._parser is None or self._answer is None:
             self.counters.strays += len(data)
             if self._listener is not None:

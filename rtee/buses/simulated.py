@@ -150,25 +150,25 @@ class Simulation(ABC):
         self._serve()
 
     def _serve(self) -> None:
-        """Do what others asked for between two turns."""
+        """Run the functions that other threads passed to `call`."""
         while not self._tasks.empty():
             self._tasks.get()()
 
 
 _SPIN = 1e-4
-"""Longest time before something is due that is waited for without sleeping [s]."""
+"""Longest time to spin before something is due [s]: the usual lateness of a sleep."""
 
 
 class SimulatedLine(Simulation):
     """A byte line over a pty or a TCP port of this machine.
 
-    Where the wire takes its time, the thread wakes up before something is due, by as much as its
-    sleeps have lately been too long, and waits for the rest: bytes arrive to some microseconds when
-    the modelled wire has carried them.
+    With a timed wire, the thread wakes up before something is due, by as much as its sleeps have
+    lately been too long, and spins for the rest: bytes arrive within microseconds of the time at
+    which the modelled wire has carried them.
 
     Attributes:
         wire: Its wire: emulators, baud rate, faults.
-        strict: Devices hear only a host that speaks at their own rate (ptys alone).
+        strict: Devices receive only what a host sends at their own rate (ptys only).
     """
 
     def __init__(
@@ -259,6 +259,7 @@ class SimulatedLine(Simulation):
         readable = select.select(files, [], [], max(0.0, timeout - self._late))[0]
         if not readable and timeout > self._late:
             late = time.monotonic() - (due - self._late)
+            # A mean over the last eight or so, as the lateness changes with the load.
             self._late += (min(max(late, 0.0), _SPIN) - self._late) / 8
         while not readable and time.monotonic() < due:
             pass

@@ -8,11 +8,14 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rtee.buses.can_guard import wake
+from rtee.buses.can_guard import frame_of, message_of, wake
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.line_model import CanWire
 from rtee.buses.simulated import Simulation
+
+_POLL = 0.02
+"""Longest wait for a frame [s]: only virtual buses can be woken for a call of another thread."""
 
 
 class SimulatedCan(Simulation):
@@ -79,18 +82,10 @@ class SimulatedCan(Simulation):
         if self._bus is None:
             select.select([self._wake_out], [], [], timeout)
             return
-        # Buses of other interfaces cannot be woken, so what is asked for waits this long.
-        message = self._bus.recv(0.02 if timeout is None else min(timeout, 0.02))
+        message = self._bus.recv(_POLL if timeout is None else min(timeout, _POLL))
         now = time.monotonic()
         if message is not None and not message.is_error_frame:
-            frame = CanFrame(
-                message.arbitration_id,
-                bytes(message.data),
-                message.is_extended_id,
-                message.is_remote_frame,
-                now,
-            )
-            self.wire.receive(frame, now)
+            self.wire.receive(frame_of(message, now), now)
         for frame in self.wire.step(time.monotonic()):
             self._send(frame)
 
@@ -98,11 +93,4 @@ class SimulatedCan(Simulation):
         import can
 
         with contextlib.suppress(can.CanError):
-            self._bus.send(
-                can.Message(
-                    arbitration_id=frame.id,
-                    data=frame.data,
-                    is_extended_id=frame.extended,
-                    is_remote_frame=frame.remote,
-                )
-            )
+            self._bus.send(message_of(frame))

@@ -15,17 +15,18 @@ from pathlib import Path
 from rtee.errors import BusBroken
 
 _TCGETS2 = 0x802C542A
+"""The ioctl that reads a tty's settings with any rate; see ioctl_tty(2). termios has no name."""
 _TERMIOS2 = struct.Struct("=4I20s2I")
 """Linux's termios2: flags, control characters, speed in, speed out."""
 _PIECE = 4096
-"""Bytes read from a pseudo-terminal at a time; what its kernel buffer usually holds."""
+"""Bytes read at a time; what the kernel buffer of a pseudo-terminal usually holds."""
 
 
 class Pty:
     """A pseudo-terminal, found by a symbolic link, whose host end is kept raw.
 
-    As on a real line, bytes that come while no program has it open are lost. The master tells that
-    by a hang-up that lasts, so it is watched for changes (edge-triggered) instead.
+    As on a real line, bytes that come while no program has it open are lost. Meanwhile the master
+    reports a hang-up all the time, so it is polled edge-triggered.
     """
 
     def __init__(self, link: Path | str | None) -> None:
@@ -201,7 +202,7 @@ class Tcp:
         if self._peer is None:
             return b""
         try:
-            data = self._peer.recv(4096)
+            data = self._peer.recv(_PIECE)
         except OSError:
             data = b""
         if not data:

@@ -1,7 +1,7 @@
 """A simulated EtherCAT ring: emulated slaves at the level of process data and objects.
 
-There is no wire here: an Ethernet port cannot be simulated without privileges, so what is played is
-what a master's library hands to its user.
+There is no wire here: an Ethernet port cannot be simulated without privileges. So what is played is
+the interface that a master's library offers.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ class PlaysSlaves(Protocol):
         ...
 
     def become(self, state: State, now: float) -> bool:
-        """Bring the slaves to a state; whether they follow."""
+        """Bring the slaves to a state; return whether they follow."""
         ...
 
     def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes] | None:
-        """Take outputs and return inputs by position; ``None``: not every slave takes part."""
+        """Return inputs by position for outputs; ``None`` if any slave does not take part."""
         ...
 
     def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
@@ -36,7 +36,7 @@ class PlaysSlaves(Protocol):
         ...
 
     def write_object(self, position: int, index: int, subindex: int, data: bytes) -> bool:
-        """Write an object; whether it is taken."""
+        """Write an object; return whether the slave accepts it."""
         ...
 
     def set_watchdog(self, position: int, seconds: float) -> None:
@@ -45,21 +45,16 @@ class PlaysSlaves(Protocol):
 
 
 class SimulatedEthercat(Simulation):
-    """The ring's far end: plays one emulator of slaves."""
+    """The ring's far end: plays one emulator of slaves.
+
+    Attributes:
+        faults: What goes wrong: frames that are lost or damaged do not come back.
+    """
 
     def __init__(self, *, name: str = "ethercat", faults: Faults | None = None) -> None:
         super().__init__(name)
-        self._faults = faults or Faults()
+        self.faults = faults or Faults()
         self._there = False
-
-    @property
-    def faults(self) -> Faults:
-        """What goes wrong: frames that are lost or damaged do not come back."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self._faults = faults
 
     @property
     def address(self) -> str:

@@ -21,7 +21,7 @@ class Ports(NamedTuple):
 
     Attributes:
         state: Where it publishes.
-        command: Where it takes commands.
+        command: Where it receives commands.
         service: Where it answers requests.
     """
 
@@ -32,7 +32,7 @@ class Ports(NamedTuple):
 
 @runtime_checkable
 class Serves(Protocol):
-    """An emulator that answers requests beside taking commands."""
+    """An emulator that answers requests beside receiving commands."""
 
     def serve(self, request: bytes, now: float) -> bytes | None:
         """Return the answer to a request, or ``None`` to leave it unanswered."""
@@ -44,6 +44,7 @@ class SimulatedZmq(Simulation):
 
     Attributes:
         endpoints: Its addresses; ports that are not given are chosen at the first start and kept.
+        faults: What goes wrong with messages: they are lost, late or come twice, as TCP admits.
     """
 
     def __init__(
@@ -57,20 +58,11 @@ class SimulatedZmq(Simulation):
         super().__init__(name)
         chosen: tuple[int | str, ...] = ports or ("*", "*", "*")
         self.endpoints = Endpoints(*(f"tcp://{host}:{port}" for port in chosen))
-        self._faults = faults or Faults()
+        self.faults = faults or Faults()
         self._context: zmq.Context[Any] | None = None
         self._sockets: list[Any] = []
         self._late: list[tuple[float, Callable[[], None]]] = []
         self._stepped = 0.0
-
-    @property
-    def faults(self) -> Faults:
-        """What goes wrong with messages: they are lost, late or come twice; TCP lets none else."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self._faults = faults
 
     @property
     def address(self) -> str:
@@ -125,18 +117,18 @@ class SimulatedZmq(Simulation):
         poller.poll(None if timeout is None else int(timeout * 1000.0))
         now = time.monotonic()
         if self._sockets:
-            self._take(now)
+            self._receive(now)
             self._publish(now)
         for when, action in [late for late in self._late if late[0] <= now]:
             self._late.remove((when, action))
             action()
 
-    def _take(self, now: float) -> None:
+    def _receive(self, now: float) -> None:
         _, commands, service = self._sockets
         with contextlib.suppress(zmq.Again):
             while True:
                 data = commands.recv(zmq.NOBLOCK)
-                for late in self._faults.copies() if self._faults.requests else [0.0]:
+                for late in self.faults.copies() if self.faults.requests else [0.0]:
                     self._after(now + late, partial(self._feed, data))
         with contextlib.suppress(zmq.Again):
             while True:
@@ -164,7 +156,7 @@ class SimulatedZmq(Simulation):
         for emulator in self.emulators:
             for data in emulator.step(now):
                 if isinstance(data, bytes):
-                    for late in self._faults.copies():
+                    for late in self.faults.copies():
                         self._after(now + late, partial(self._send, data))
 
     def _send(self, data: bytes) -> None:

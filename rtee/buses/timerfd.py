@@ -61,7 +61,7 @@ class Timer:
                 raise
 
     def start(self, first_ns: int, period_ns: int = 0) -> None:
-        """Start it, or start it anew; a first expiry that has passed happens at once.
+        """Start or restart it; a first expiry that has passed happens at once.
 
         Raises:
             OSError: if the system refuses.
@@ -78,7 +78,7 @@ class Timer:
             return 0
 
     def close(self) -> None:
-        """Give the descriptor back; idempotent."""
+        """Close the descriptor; idempotent."""
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1

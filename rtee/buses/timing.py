@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from rtee.buses import timerfd
 
-_PR_SET_TIMERSLACK = 29
+_PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}
 
 SLICE = 100_000
@@ -31,20 +31,20 @@ def silence(baudrate: float | None, bits: float = 11.0) -> float:
 
 
 def wake_exactly() -> None:
-    """Have the calling thread's timers go off at their time, not up to 50 µs later (Linux)."""
+    """Make the calling thread's timers expire on time, not up to 50 µs later (Linux)."""
     libc = timerfd.libc()
     if libc is not None:
         libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def ask_for_short_slices() -> bool:
-    """Have the calling thread woken promptly though it is an ordinary one.
+    """Make the scheduler wake the calling thread promptly, without real-time priority.
 
     Linux 6.12 and later (EEVDF) let a thread that asks for little processor time at a time go
     before others that have had more than their share; see sched_setattr(2), ``sched_runtime``.
 
     Returns:
-        Whether the system took it; older kernels take it too, and make nothing of it.
+        Whether the system accepted it; older kernels accept it, too, without effect.
     """
     number, libc = _SCHED_SETATTR.get(platform.machine()), timerfd.libc()
     if number is None or libc is None:
@@ -88,7 +88,7 @@ class Pause:
         loop.add_reader(self._timer.fd, self._ready)
 
     def cancel(self) -> None:
-        """Call nothing; idempotent."""
+        """Forget the call; idempotent."""
         self._callback = None
         if self._handle is not None:
             self._handle.cancel()
@@ -97,7 +97,7 @@ class Pause:
             asyncio.get_running_loop().remove_reader(self._timer.fd)
 
     def _ready(self) -> None:
-        if self._timer is not None and self._timer.expiries():  # else armed anew meanwhile
+        if self._timer is not None and self._timer.expiries():  # else it was restarted meanwhile
             self._call()
 
     def _call(self) -> None:
@@ -107,7 +107,7 @@ class Pause:
             callback()
 
     def close(self) -> None:
-        """Give the timer back; idempotent, and it may be used again afterwards."""
+        """Close the timer; idempotent, and it may be used again afterwards."""
         if self._timer is not None:
             self.cancel()
             self._timer.close()

@@ -19,11 +19,11 @@ _Call = tuple[Callable[[], Any], asyncio.AbstractEventLoop, "asyncio.Future[Any]
 class Worker:
     """A thread that calls blocking functions one after the other.
 
-    A call that misses its deadline keeps the thread until it returns; what it returns is thrown
-    away, and the next call waits for it. So two calls never touch the library at once.
+    A call that misses its deadline keeps the thread until it returns; its result is dropped, and
+    the next call waits. So two calls never use the library at once.
 
-    The event loop's executor would do the same, but takes twice as many turns of the loop to hand a
-    result over, and this happens in every cycle.
+    The event loop's executor would do the same, but needs twice as many turns of the loop to pass a
+    result on, and this happens in every cycle.
     """
 
     def __init__(self, name: str) -> None:

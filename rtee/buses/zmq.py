@@ -1,4 +1,4 @@
-"""ZeroMQ as a bus: a server publishes states, takes commands, answers requests."""
+"""ZeroMQ as a bus: a server publishes states, receives commands, answers requests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import zmq
 import zmq.asyncio
 
-from rtee.buses.bus import Bus
+from rtee.buses.bus import Bus, listen
 from rtee.errors import BusBroken, BusTimeout
 
 
@@ -20,7 +20,7 @@ class Endpoints(NamedTuple):
 
     Attributes:
         state: Where it publishes.
-        command: Where it takes commands.
+        command: Where it receives commands.
         service: Where it answers requests.
     """
 
@@ -32,9 +32,8 @@ class Endpoints(NamedTuple):
 class ZmqBus(Bus):
     """Three sockets to one server. Only the newest command waits to be sent.
 
-    ZeroMQ connects in the background and again after a break, so that a server that is not there
-    shows as silence. The bus counts as broken when the operating system closed the state's
-    connection.
+    ZeroMQ connects in the background, and again after a break, so a missing server shows as
+    silence. The bus counts as broken when the connection of the states was closed.
     """
 
     def __init__(self, name: str, endpoints: Callable[[], Endpoints]) -> None:
@@ -51,13 +50,7 @@ class ZmqBus(Bus):
 
     def subscribe(self, callback: Callable[[bytes, float], None]) -> Callable[[], None]:
         """Call ``callback(message, stamp)`` with every message; returns how to undo it."""
-        self._listeners.append(callback)
-
-        def undo() -> None:
-            with contextlib.suppress(ValueError):
-                self._listeners.remove(callback)
-
-        return undo
+        return listen(self._listeners, callback)
 
     def send_now(self, message: bytes) -> None:
         """Publish a command; a command still waiting is replaced.
@@ -68,9 +61,7 @@ class ZmqBus(Bus):
         """
         self.check()
         self.counters.transactions += 1
-        self.counters.bytes_sent += len(message)
-        if self.trace is not None:
-            self.trace(self.name, "tx", message, time.monotonic())
+        self._count("tx", message, time.monotonic())
         with contextlib.suppress(zmq.Again):
             self._command.send(message, zmq.NOBLOCK)
 
@@ -86,9 +77,7 @@ class ZmqBus(Bus):
         self.counters.transactions += 1
         try:
             async with asyncio.timeout(deadline), self._asking:
-                self.counters.bytes_sent += len(message)
-                if self.trace is not None:
-                    self.trace(self.name, "tx", message, time.monotonic())
+                self._count("tx", message, time.monotonic())
                 await self._service.send(message)
                 answer = bytes(await self._service.recv())
         except TimeoutError:
@@ -96,9 +85,7 @@ class ZmqBus(Bus):
             raise BusTimeout(self.name, f"no answer within {deadline:.3f} s") from None
         except zmq.ZMQError as error:
             raise BusBroken(self.name, f"the request failed: {error}") from error
-        self.counters.bytes_received += len(answer)
-        if self.trace is not None:
-            self.trace(self.name, "rx", answer, time.monotonic())
+        self._count("rx", answer, time.monotonic())
         return answer
 
     async def _open(self) -> None:
@@ -116,7 +103,7 @@ class ZmqBus(Bus):
             self._command.setsockopt(zmq.CONFLATE, 1)
             self._command.connect(places.command)
             self._service = context.socket(zmq.REQ)
-            # A request without answer must not block the next, nor its late answer pass for it.
+            # A request that got no answer must neither block the next one nor answer it late.
             self._service.setsockopt(zmq.REQ_RELAXED, 1)
             self._service.setsockopt(zmq.REQ_CORRELATE, 1)
             self._service.connect(places.service)
@@ -129,9 +116,7 @@ class ZmqBus(Bus):
         while True:
             message = bytes(await self._state.recv())
             stamp = time.monotonic()
-            self.counters.bytes_received += len(message)
-            if self.trace is not None:
-                self.trace(self.name, "rx", message, stamp)
+            self._count("rx", message, stamp)
             for listener in tuple(self._listeners):
                 listener(message, stamp)
 

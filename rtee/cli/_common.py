@@ -1,9 +1,10 @@
-"""What several commands share: the hand they are about, its actions, and shell completion."""
+"""Options that several commands share, their shell completion, and how commands are made."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,7 @@ HAND_VARIABLE = "RTEE_HAND"
 
 
 def complete_hand(incomplete: str) -> list[str]:
-    """Return the hands there are that begin like this."""
+    """Return the configured hands that begin with the given text."""
     from rtee.hand.catalog import hand_names
 
     try:
@@ -29,9 +30,9 @@ def complete_hand(incomplete: str) -> list[str]:
 
 
 def complete_action(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the actions of the hand in question that begin like this.
+    """Return the actions of the chosen hand that begin with the given text.
 
-    A shell completes what was typed letter by letter, so ``pinch_t`` becomes ``pinch_tight`` and
+    Names are completed in the spelling that was begun: ``pinch_t`` becomes ``pinch_tight``, and
     ``Pinch`` becomes ``PinchTight``.
     """
     from rtee.actions.naming import snake_case
@@ -46,7 +47,7 @@ def complete_action(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def complete_element(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the elements that go with the action and the elements typed so far."""
+    """Return the elements that fit the action and the elements typed so far."""
     typed = list(ctx.params.get("elements") or ())
     try:
         library = actions_of(_hand_asked(ctx))
@@ -65,12 +66,12 @@ def _hand_asked(ctx: typer.Context) -> str | None:
     asked = ctx.params.get("hand") or os.environ.get(HAND_VARIABLE)
     if asked:
         return str(asked)
-    there = complete_running("")
+    there = complete_running("")  # as the command itself: the only one that runs
     return there[0] if len(there) == 1 else None
 
 
 def complete_running(incomplete: str) -> list[str]:
-    """Return the hands that run on this computer and begin like this."""
+    """Return the hands running on this computer that begin with the given text."""
     from rtee.remote.directory import running
 
     try:
@@ -124,14 +125,17 @@ WaitOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
-class WaitingCommand(TyperCommand):
-    """A command whose ``--wait`` may be given without its number of seconds."""
+class _Command(TyperCommand):
+    """A command whose option ``--wait``, if it has one, needs no number of seconds."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the number in where it is left out."""
+        """Insert the number where it is missing."""
+        if "--wait" not in args or all(option.name != "wait" for option in self.params):
+            return super().parse_args(ctx, args)
         from rtee.remote.monitoring import READY_WITHIN
 
         end = args.index("--") if "--" in args else len(args)
+        # From the end, so that an insertion does not shift what is still to be looked at.
         for number in [i for i, word in enumerate(args[:end]) if word == "--wait"][::-1]:
             if number + 1 >= end or not _is_number(args[number + 1]):
                 args = [*args[: number + 1], f"{READY_WITHIN:g}", *args[number + 1 :]]
@@ -146,11 +150,45 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def hand_folder(name: str | None) -> Path:
-    """Return the folder of a hand given by name or path; of the only hand if none is given.
+def app_of(command: Callable[..., None] | typer.Typer) -> typer.Typer:
+    """Return the typer app of a command, given as a function or as a group of commands."""
+    app = command
+    if not isinstance(app, typer.Typer):
+        app = typer.Typer()
+        app.command(cls=_Command)(command)
+    app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
+    # With rich's own markup, units in brackets would be taken for tags and vanish.
+    app.rich_markup_mode = "markdown"
+    return app
+
+
+def named_values(words: Sequence[str], option: str, what: str) -> dict[str, Any]:
+    """Return the values given as NAME=VALUE, read as in YAML.
+
+    Args:
+        words: The texts.
+        option: The option that they were given with.
+        what: What a value is, for error messages.
 
     Raises:
-        ConfigError: if there is no such hand, or several and none is given.
+        ConfigError: if a text has no name, or its value is not YAML.
+    """
+    from rtee.hand.yamlfile import parse_yaml
+
+    found: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not (name and equals):
+            raise ConfigError(f"{option} {word}: should be NAME=VALUE")
+        found |= parse_yaml(f"{name}: {text}\n", Path(option), what).data
+    return found
+
+
+def hand_folder(name: str | None) -> Path:
+    """Return the folder of a hand given by name or path; without one, of the only hand.
+
+    Raises:
+        ConfigError: if there is no such hand, or there are several and none is given.
     """
     from rtee.hand.catalog import hand_names
     from rtee.hand.load import hand_folder as find_folder
@@ -166,7 +204,7 @@ def hand_folder(name: str | None) -> Path:
 
 
 def actions_of(name: str | None) -> ActionLibrary:
-    """Return the stored actions of a hand; what is noteworthy about them is said on stderr.
+    """Return the stored actions of a hand; warnings about them go to stderr.
 
     Raises:
         UserError: if the hand or one of its files cannot be used.
@@ -182,16 +220,16 @@ def actions_of(name: str | None) -> ActionLibrary:
 
 
 def report_copy(before: Path | None, after: Path | None) -> None:
-    """Say in a line that a hand was copied to be changed, if it was.
+    """Print a line if a hand was copied in order to be changed.
 
     Args:
-        before: The hand's folder, or that of its actions, as it was.
-        after: The same now.
+        before: Folder of the hand, or of its actions, before the change.
+        after: The same folder after it.
     """
     if before is None or after is None or before == after:
         return
-    from rtee.hand.own_copy import told
+    from rtee.hand.own_copy import copy_notice
 
     if before.name == after.name == "actions":
         before, after = before.parent, after.parent
-    print(told(before, after), file=sys.stderr)
+    print(copy_notice(before, after), file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What the commands share that talk to a running hand."""
+"""What the commands for running hands share: connecting, and printing results."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def with_hand(
     *,
     wait: float | None = None,
 ) -> T:
-    """Connect to a running hand, call a function with it and return what that returns.
+    """Connect to a running hand, call a function with it and return its result.
 
     Args:
-        hand: Its name; not needed where only one runs.
-        endpoint: Where it is; ``None``: on this computer, unless ``RTEE_CONNECT`` says so.
-        what: The command, to tell this client from others.
+        hand: Its name; not needed if only one hand runs.
+        endpoint: Its address; ``None`` for that in ``RTEE_CONNECT``, else this computer.
+        what: The command, as part of this client's name.
         function: What to do with the hand.
-        wait: How long to wait for it to run and to be ready [s]; ``None``: it must run, no more.
+        wait: Time to wait until the hand runs and is ready [s]; ``None`` not to wait at all.
     """
     import anyio
 
@@ -45,6 +45,7 @@ def with_hand(
             hand, endpoint=endpoint, client=name, wait=within, on_wait=_waiting if wait else None
         ) as remote:
             if wait is not None:
+                # Connecting has used up a part of the time.
                 await remote.ready(max(0.0, began + wait - time.monotonic()), _waiting)
             return await function(remote)
 
@@ -56,12 +57,12 @@ def _waiting(text: str) -> None:
 
 
 def to_json(values: Any) -> str:
-    """Return plain data as JSON; what is not a finite number becomes ``null``."""
+    """Return plain data as JSON; numbers that are not finite become ``null``."""
     return json.dumps(_plain(values))
 
 
 def result_json(result: Result) -> str:
-    """Return how a goal ended, as one JSON object."""
+    """Return the result of a goal as a JSON object."""
     return to_json(asdict(result) | {"succeeded": result.succeeded})
 
 
@@ -76,7 +77,7 @@ def _plain(values: Any) -> Any:
 
 
 def sentence(result: Result, elements: Sequence[str] = ()) -> str:
-    """Return how a goal with some elements ended, for people."""
+    """Return the result of a goal with some elements as a sentence."""
     why = f": {result.reason}" if result.reason else ""
     said = [
         words

@@ -1,4 +1,4 @@
-"""Tables: fitted to the width of a terminal; elsewhere one line per row, nothing cut off."""
+"""Tables: fitted to the width of a terminal; elsewhere one line per row, never cut."""
 
 from __future__ import annotations
 
@@ -13,10 +13,19 @@ if TYPE_CHECKING:
     from rich.table import Table as Grid
 
 _GAP: Final = 2
+"""Blanks between columns [characters]: one could be part of a cell."""
+
 _INDENT: Final = 2
+"""Indentation of rows below a heading [characters]."""
+
 _NOTHING: Final = "-"
+"""Printed for an empty cell, so that each line has the same number of columns."""
+
 _NARROW: Final = 8
+"""Least width of a column [characters]: the length of a word."""
+
 _PADDED: Final = 44
+"""Longest cell to which others are padded [characters]; longer ones are exceptions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +34,8 @@ class Column:
 
     Attributes:
         name: Its heading.
-        right: Whether its cells end at the same place, as numbers do.
-        whole: Whether its lines are never broken.
+        right: Whether its cells are aligned to the right, as numbers are.
+        whole: Whether its lines are never wrapped.
     """
 
     name: str
@@ -39,10 +48,10 @@ class Row:
     """A row of a table.
 
     Attributes:
-        cells: One text per column; the lines of a text are items of a list.
-        heading: On a terminal, rows in sequence with the same heading stand below it; elsewhere it
-            is the first cell.
-        faint: Whether it is shown with less weight.
+        cells: One text per column; its lines are the items of a list.
+        heading: On a terminal, consecutive rows with the same heading are listed below it;
+            elsewhere it is the first cell.
+        faint: Whether the row is dimmed.
     """
 
     cells: tuple[str, ...]
@@ -57,8 +66,8 @@ class Table:
     Attributes:
         columns: The columns.
         rows: The rows.
-        title: What it shows; for terminals only.
-        heading: Name of the first column where rows have headings; empty if they have none.
+        title: The title; for terminals only.
+        heading: Name of the column of headings; empty if the rows have none.
     """
 
     columns: tuple[Column, ...]
@@ -93,7 +102,7 @@ class Table:
         return Group(*parts)
 
     def lines(self) -> list[str]:
-        """Return one line per row, cells at least two blanks apart; long ones push the rest on."""
+        """Return one line per row, with at least two blanks between cells."""
         head = tuple(column.name for column in self.columns)
         cells = [head, *(row.cells for row in self.rows)]
         if self.heading:
@@ -118,7 +127,7 @@ class Table:
     def widths(self, width: int) -> list[int]:
         """Return the widths of the columns on a terminal.
 
-        Columns that may be broken share what the others leave, the wide ones giving way first.
+        Columns that may be wrapped share what the others leave; wide ones are narrowed first.
 
         Args:
             width: Width of the terminal in characters.
@@ -160,12 +169,12 @@ class Table:
 
 
 def on_terminal() -> bool:
-    """Return whether people read what is printed."""
+    """Return whether the output goes to a terminal, and so to people."""
     return sys.stdout.isatty()
 
 
 def prefix_to_drop(names: Collection[str]) -> str:
-    """Return what all names begin with and a terminal need not repeat; elsewhere nothing."""
+    """Return the common prefix of names, which a terminal need not repeat; elsewhere nothing."""
     from rtee.hand.names import common_prefix
 
     return common_prefix(names) if on_terminal() else ""

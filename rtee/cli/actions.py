@@ -7,22 +7,17 @@ import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-import typer
-
 from rtee.cli._common import Hand, JsonOption, actions_of
+from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
     from rtee.actions.types import Action, ActionReference, Evidence
-    from rtee.cli._table import Row
     from rtee.hand.model import Hand as HandModel
 
-app = typer.Typer()
-
 _SHOWN = 3
-"""How many pairs of colliding links a terminal shows; elsewhere all are named."""
+"""Pairs of colliding links shown on a terminal; elsewhere all are named."""
 
 
-@app.command()
 def actions(hand: Hand, as_json: JsonOption = False) -> None:
     """List the grasping actions of a hand."""
     from rtee.actions.describe import describe
@@ -37,7 +32,6 @@ def actions(hand: Hand, as_json: JsonOption = False) -> None:
 
 
 def _show(hand: HandModel, found: list[Action]) -> None:
-    from rtee.cli._table import Column, Table, prefix_to_drop
 
     if not found:
         name = hand.name
@@ -55,7 +49,6 @@ def _show(hand: HandModel, found: list[Action]) -> None:
 def _row(hand: HandModel, action: Action, prefix: str) -> Row:
     from rtee.actions.sideways import sideways_words
     from rtee.actions.types import Primitive, Timed
-    from rtee.cli._table import Row
 
     match action:
         case Primitive():
@@ -86,14 +79,13 @@ def _use(use: ActionReference, prefix: str) -> str:
 
 
 def remarks(evidence: Evidence, prefix: str = "") -> str:
-    """Return the evidence of a posture in words, a line for each matter.
+    """Return the evidence of a posture in words, one line per subject.
 
     Args:
         evidence: The evidence.
-        prefix: What to leave out where names of links begin with it.
+        prefix: Prefix to remove from the names of links.
     """
     from rtee.actions.describe import clearance_text
-    from rtee.cli._table import on_terminal
 
     said = []
     if evidence.depth > 0.0:

@@ -1,30 +1,36 @@
-"""`rtee do`: execute a grasping action."""
+"""`rtee do` and `rtee open`: execute a grasping action, with its progress on the terminal."""
 
 from __future__ import annotations
 
+import contextlib
+import signal
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
 
+# Imported before a goal begins: a signal that comes during an import would not cancel it.
+import anyio
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
 
 from rtee.cli._common import (
     ConnectOption,
     JsonOption,
     RunningOption,
-    WaitingCommand,
     WaitOption,
     complete_action,
     complete_element,
 )
+from rtee.cli._online import result_json, sentence, with_hand
+from rtee.errors import RteeError
 from rtee.types import Stage
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
-    from rtee.types import Result
+    from rtee.remote.goal import RunningGoal
+    from rtee.types import Feedback, Result
 
-app = typer.Typer()
 
-
-@app.command(cls=WaitingCommand)
 def do(
     action: Annotated[
         str,
@@ -60,7 +66,7 @@ def do(
     ] = None,
     stage: Annotated[Stage, typer.Option(help="How far a pinch goes.")] = Stage.BOTH,
     kind: Annotated[
-        str | None, typer.Option(help="Kind of the action, where its name is not enough.")
+        str | None, typer.Option(help="Kind of the action, where its name is ambiguous.")
     ] = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
@@ -73,8 +79,6 @@ def do(
     """
     from rtee.actions.cli_syntax import read_efforts
     from rtee.actions.naming import label
-    from rtee.cli._online import result_json, sentence, with_hand
-    from rtee.cli._progress import follow
 
     efforts = read_efforts(effort or [])
     chosen = tuple(elements or ())
@@ -96,8 +100,82 @@ def do(
             stage=stage,
             kind=kind,
         )
-        return await follow(running, label(action, chosen))
+        return await _follow(running, label(action, chosen))
 
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
     raise typer.Exit(0 if result.succeeded else 1)
+
+
+def open_(
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Bring the hand to its rest posture, or do its action "open" if it has one."""
+
+    async def execute(remote: RemoteHand) -> Result:
+        return await _follow(await remote.start("open"), "open")
+
+    result = with_hand(hand, connect, "open", execute, wait=wait)
+    print(result_json(result) if as_json else sentence(result))
+    raise typer.Exit(0 if result.succeeded else 1)
+
+
+async def _follow(running: RunningGoal, title: str) -> Result:
+    """Show a goal's progress until its result; Ctrl-C cancels it, a second Ctrl-C leaves it.
+
+    Args:
+        running: The goal.
+        title: Title of its progress bar.
+    """
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bars = _Bars(progress, title)
+        result = await _interruptible(running, bars.show)
+        if result.succeeded:
+            bars.complete()
+    return result
+
+
+async def _interruptible(running: RunningGoal, show: Callable[[Feedback], None]) -> Result:
+    async def cancel_on_signal() -> None:
+        # The second signal has its usual effect again.
+        with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
+            async for _ in signals:
+                break
+        with contextlib.suppress(RteeError):
+            await running.cancel()
+
+    errors: list[RteeError] = []
+    async with anyio.create_task_group() as group:
+        group.start_soon(cancel_on_signal)
+        try:
+            return await running.result(show)
+        except RteeError as error:  # raised below, where the task group does not wrap it
+            errors.append(error)
+        finally:
+            group.cancel_scope.cancel()
+    raise errors[0]
+
+
+class _Bars:
+    """One progress bar for the goal, and one for each inner action of a timed one."""
+
+    def __init__(self, progress: Progress, title: str) -> None:
+        self._progress = progress
+        self._whole = progress.add_task(title, total=1.0)
+        self._inner: dict[str, TaskID] = {}
+
+    def show(self, feedback: Feedback) -> None:
+        self._progress.update(self._whole, completed=feedback.progress)
+        for name, value in feedback.inner_progress.items():
+            if name not in self._inner:
+                self._inner[name] = self._progress.add_task(f"  {name}", total=1.0)
+            self._progress.update(self._inner[name], completed=value)
+
+    def complete(self) -> None:
+        for task in (self._whole, *self._inner.values()):
+            self._progress.update(task, completed=1.0)

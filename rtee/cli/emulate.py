@@ -1,45 +1,31 @@
-"""`rtee emulate`: play a device for other software."""
+"""`rtee emulate`: emulate a device for other software."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from rtee.cli._common import named_values
 
 if TYPE_CHECKING:
     from rtee.drivers.emulator_server import Player
 
-app = typer.Typer()
-
 
 def _complete_device(incomplete: str) -> list[str]:
-    from rtee.drivers.emulators import emulator_names
+    from rtee.drivers.registry import emulator_names
 
     return [name for name in emulator_names() if name.startswith(incomplete)]
 
 
-def _properties(values: list[str]) -> dict[str, Any]:
-    from rtee.errors import ConfigError
-    from rtee.hand.yamlfile import parse_yaml
-
-    found: dict[str, Any] = {}
-    for value in values:
-        name, equals, text = value.partition("=")
-        if not (name and equals):
-            raise ConfigError(f"--set {value}: should be NAME=VALUE")
-        found |= parse_yaml(f"{name}: {text}\n", Path("--set"), "the property").data
-    return found
-
-
-@app.command()
 def emulate(
     device: Annotated[
         str,
         typer.Argument(metavar="DEVICE", help="Name of a driver.", autocompletion=_complete_device),
     ],
     link: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Make the port a link at this path.")
+        Path | None, typer.Option(metavar="PATH", help="Make a link to the port at this path.")
     ] = None,
     tcp: Annotated[
         int | None, typer.Option(metavar="PORT", min=0, max=65535, help="Listen at a TCP port.")
@@ -56,7 +42,7 @@ def emulate(
     ] = "udp_multicast",
     baudrate: Annotated[int | None, typer.Option(min=1, help="Bits per second.")] = None,
     strict_rate: Annotated[
-        bool, typer.Option("--strict-rate", help="On a tty, hear only what comes at that rate.")
+        bool, typer.Option("--strict-rate", help="On a tty, receive only at that rate.")
     ] = False,
     set_: Annotated[
         list[str] | None,
@@ -71,20 +57,20 @@ def emulate(
         typer.Option(
             "--object",
             metavar="SIZE",
-            help="Between its fingers: 50mm, or the part of the way that they close, 0.4.",
+            help="Object between its fingers: 50mm, or the part of the way that they close, 0.4.",
         ),
     ] = None,
     fault: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A fault it has from the start.")
+        list[str] | None, typer.Option(metavar="NAME", help="A fault that it has from the start.")
     ] = None,
 ) -> None:
-    """Play a device for other software until Ctrl-C; lines typed meanwhile make faults."""
+    """Emulate a device for other software until Ctrl-C; lines typed meanwhile cause faults."""
     from rtee.drivers.emulator_server import Player
     from rtee.drivers.objects import ObjectInHand, grasping
 
     player = Player(
         device,
-        _properties(set_ or []),
+        named_values(set_ or [], "--set", "the property"),
         link=link,
         tcp=tcp,
         raw=raw,
@@ -104,10 +90,11 @@ def emulate(
 
 
 def _converse(player: Player) -> None:
-    """Obey lines typed; without anybody who types, wait for Ctrl-C."""
+    """Carry out typed lines; at the end of the input, wait for Ctrl-C."""
     import signal
     import sys
 
+    # As a service it is ended by SIGTERM; the link to the port is removed then, too.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     for line in sys.stdin:
         if line.strip() in ("quit", "exit"):

@@ -17,29 +17,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtee.cli._common import JsonOption, complete_hand, hand_folder, report_copy
+from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rtee.actions.types import Primitive
     from rtee.extract.extraction import Extraction
-    from rtee.extract.report_page import Tried
+    from rtee.extract.report import Tried
     from rtee.hand.model import Hand as HandModel
 
-app = typer.Typer()
-
-_PATIENCE = 1.0
-"""A progress bar appears after this time [s]."""
+_BAR_AFTER = 1.0
+"""Time after which a progress bar appears [s]: shorter work needs none."""
 
 
 class Rank(StrEnum):
-    """What makes one posture of a pinch better than another."""
+    """The criterion by which the postures of a pinch are ranked."""
 
     DEPTH = "depth"
     OPPOSITION = "opposition"
 
 
-@app.command()
 def extract(
     hand: Annotated[
         str | None,
@@ -75,13 +73,14 @@ def extract(
     from rtee.errors import ConfigError, needing_extra
     from rtee.hand.files import check_writable
 
-    # Matrices are small here; threads for their products only get in the searches' way.
+    # The matrices are small; threads for their products would only slow down the searches.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if (hand is None) == (urdf is None):
         raise ConfigError("give either a hand or --urdf")
     if urdf is None and (srdf or package_dir):
         raise ConfigError("--srdf and --package-dir go with --urdf")
     folder = hand_folder(hand) if hand is not None else None
+    # Everything that can be refused is refused before the search, which may take minutes.
     if save and folder is None:
         raise ConfigError("--save needs a hand of the configuration; with --urdf give --out")
     from rtee.hand.own_copy import own, own_place
@@ -115,10 +114,10 @@ def extract(
 
 
 def _write(targets: list[Path], files: dict[Path, str], hand: HandModel, found: Extraction) -> None:
-    """Write the primitives to some folders, and other files: all of it or nothing."""
+    """Write the primitives to some folders, and other files: everything or nothing."""
     if not (targets or files):
         return
-    from rtee.actions.store import primitive_changes
+    from rtee.actions.action_files import primitive_changes
     from rtee.hand.files import write_all
 
     changes = [primitive_changes(target, hand, found.primitives) for target in targets]
@@ -140,8 +139,8 @@ def _report(hand: HandModel, found: Extraction, folder: Path | None, jobs: int) 
 
 
 def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
-    """Return what `rtee try --all` found, for the report, and what is to be noted about it."""
-    from rtee.extract.report_page import Tried
+    """Return the results of `rtee try --all` for the report, and notes about them."""
+    from rtee.extract.report import Tried
     from rtee.trials.store import FILE_NAME, fingerprint, read_results
 
     if folder is None:
@@ -150,7 +149,7 @@ def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
     if results and not read_results(folder / FILE_NAME, fingerprint(folder)):
         notes.append(
             f"the trials in {FILE_NAME} were made with other files of this hand;"
-            f" `rtee try {folder.name} --all` makes them anew"
+            f" `rtee try {folder.name} --all` repeats them"
         )
     tried = [
         Tried(
@@ -177,7 +176,7 @@ def _load(
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Put off the collection of garbage, of which imports and searches make next to none."""
+    """Suspend garbage collection, since imports and searches leave hardly any cycles."""
     gc.disable()
     try:
         yield
@@ -187,7 +186,7 @@ def _uncollected() -> Iterator[None]:
 
 @contextmanager
 def _progress(what: str = "searching pinches") -> Iterator[Callable[[int, int], None] | None]:
-    """Give what shows progress on a terminal, once it takes longer than a second."""
+    """Provide a function that shows progress on a terminal if the work takes over a second."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -197,7 +196,7 @@ def _progress(what: str = "searching pinches") -> Iterator[Callable[[int, int], 
 
     def show(done: int, total: int) -> None:
         nonlocal bar, task
-        if bar is None and time.monotonic() - begun > _PATIENCE:
+        if bar is None and time.monotonic() - begun > _BAR_AFTER:
             from rich.console import Console
             from rich.progress import Progress
 
@@ -215,7 +214,6 @@ def _progress(what: str = "searching pinches") -> Iterator[Callable[[int, int], 
 
 
 def _show(hand: HandModel, found: Extraction) -> None:
-    from rtee.cli._table import Column, Row, Table, prefix_to_drop
 
     prefix = prefix_to_drop(hand.actuator_names)
     title = f"Primitive grasping actions of {hand.name}, found in {found.seconds:.2f} s"
@@ -236,7 +234,6 @@ def _usable(primitive: Primitive) -> bool:
 
 def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:
     from rtee.actions.sideways import sideways_words
-    from rtee.cli._table import on_terminal
     from rtee.cli.actions import remarks
 
     posture = primitive.posture

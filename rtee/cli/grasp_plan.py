@@ -9,20 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import Hand, JsonOption
-from rtee.cli._define import Replace
+from rtee.cli.define import Replace
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.planning.objects import GraspObject
     from rtee.planning.result import GraspPlan, Ranking
 
-app = typer.Typer()
-
 _CHECKED = 3
 """How many of the best grasps are tried in dynamics: each takes seconds."""
 
 
-@app.command()
 def grasp_plan(
     hand: Hand,
     object_: Annotated[
@@ -167,7 +164,7 @@ def _save(library: ActionLibrary, name: str, ranking: Ranking, replace: bool, qu
     import contextlib
     import sys
 
-    from rtee.cli._define import store
+    from rtee.cli.define import store
     from rtee.planning.composition import action_of
 
     plan = ranking.plans[0]

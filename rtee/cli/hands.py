@@ -1,21 +1,17 @@
-"""``rtee hands``: list the hands there are."""
+"""`rtee hands`: list the configured hands."""
 
 from __future__ import annotations
 
 import json
 import sys
-from typing import Annotated, Any
+from typing import Any
 
-import typer
+from rtee.cli._common import JsonOption
+from rtee.cli._table import Column, Row, Table
 
-app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 
-
-@app.command()
-def hands(
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-) -> None:
-    """List the hands there are, with their fingers, actuators and devices."""
+def hands(as_json: JsonOption = False) -> None:
+    """List the configured hands with their fingers, actuators and devices."""
     from rtee.hand.catalog import hands as all_hands
 
     rows = [_row(name, str(folder)) for name, folder in all_hands().items()]
@@ -49,7 +45,6 @@ def _row(name: str, folder: str) -> dict[str, Any]:
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    from rtee.cli._table import Column, Row, Table
 
     if not rows:
         print("There are no hands yet; 'rtee new NAME --urdf FILE' makes one.")

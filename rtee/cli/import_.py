@@ -1,4 +1,4 @@
-"""`rtee import`: take over the actions of ROS End-Effector."""
+"""`rtee import`: import the actions of ROS End-Effector."""
 
 from __future__ import annotations
 
@@ -14,10 +14,7 @@ if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.actions.types import Action
 
-app = typer.Typer()
 
-
-@app.command(name="import")
 def import_(
     folder: Annotated[
         Path,
@@ -26,7 +23,7 @@ def import_(
     hand: HandOption = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Write to this folder, not to the hand's own actions."),
+        typer.Option("--out", help="Write to this folder instead of the hand's own actions."),
     ] = None,
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace actions of the same name.")

@@ -1,14 +1,17 @@
-"""`rtee log`: look at recordings, plot, export, replay and repair them."""
+"""`rtee log`: inspect, plot, export, replay and repair recordings."""
 
 from __future__ import annotations
 
 import json
+import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rtee.cli._common import JsonOption
+from rtee.cli._table import Column, Row, Table
 from rtee.errors import LogError
 
 if TYPE_CHECKING:
@@ -21,7 +24,7 @@ File = Annotated[
     Path, typer.Argument(metavar="FILE", help="A recording, or a folder: its newest recording.")
 ]
 Series = Annotated[
-    bool, typer.Option("--series", help="Take all parts of the recording that FILE belongs to.")
+    bool, typer.Option("--series", help="Use all parts of the recording that FILE belongs to.")
 ]
 
 
@@ -33,7 +36,7 @@ def _paths(path: Path, series: bool) -> list[Path]:
 
 @app.command()
 def info(file: File, series: Series = False, as_json: JsonOption = False) -> None:
-    """Show what a recording holds."""
+    """Show the contents of a recording."""
     from rtee.log.info import info as look
 
     found = look(_paths(file, series))
@@ -44,7 +47,6 @@ def info(file: File, series: Series = False, as_json: JsonOption = False) -> Non
 
 
 def _show(found: Info) -> None:
-    from rtee.cli._table import Column, Row, Table
     from rtee.log.info import iso
 
     recording = found.recording
@@ -185,7 +187,7 @@ def replay(
     series: Series = False,
     checking: Annotated[
         bool,
-        typer.Option("--check", help="Compute the references anew and compare them bit for bit."),
+        typer.Option("--check", help="Compute the references again and compare them bit for bit."),
     ] = False,
     speed: Annotated[
         float, typer.Option(min=0.01, max=1000.0, help="How fast time passes in it.")
@@ -194,7 +196,7 @@ def replay(
     gui: Annotated[bool, typer.Option("--gui", help="Open the hand in the browser.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show a recording to the GUI and all clients, or check that it comes out again."""
+    """Show a recording to the GUI and all clients, or check that it is reproduced exactly."""
     from rtee.log.reader import read
 
     paths = _paths(file, series)
@@ -205,9 +207,55 @@ def replay(
         return
     if len(paths) > 1:
         raise LogError("--series goes with --check only: replay one part after the other")
-    from rtee.cli._replay import show
+    raise typer.Exit(_run_recording(paths[0], speed=speed, repeat=repeat, gui=gui))
 
-    raise typer.Exit(show(paths[0], speed=speed, repeat=repeat, gui=gui))
+
+def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
+    """Run the hand of a recording on its recorded states until Ctrl-C.
+
+    The hand is the configured one of that name if it has the same actuators, else the one that the
+    recording itself describes. A recording that was never closed is repaired in a copy first.
+    """
+    import anyio
+
+    from rtee.log.playback import write_hand
+    from rtee.log.reader import read
+    from rtee.log.recover import recover as make_whole
+    from rtee.messages.topics import ROBOT_DESCRIPTION
+    from rtee.run import RunOptions, run_hands
+
+    recording = read(path, only=[ROBOT_DESCRIPTION])
+    with tempfile.TemporaryDirectory(prefix="rtee-replay-") as folder:
+        if not recording.finished:
+            path = make_whole(path, Path(folder) / path.name).path
+        hand = recording.hand
+        if not _configured(hand, recording.metadata.get("actuators", "").split()):
+            hand = str(write_hand(recording, Path(folder)))
+        options = RunOptions(
+            driver="replay",
+            driver_options={"file": str(path.absolute()), "speed": speed, "repeat": repeat},
+            rate=recording.rate or None,
+            record=False,
+            companions=((sys.executable, "-m", "rtee", "gui"),) if gui else (),
+        )
+
+        async def main() -> int:
+            return await run_hands([hand], options, say=lambda line: print(line, flush=True))
+
+        return anyio.run(main)
+
+
+def _configured(name: str, actuators: list[str]) -> bool:
+    """Return whether there is a configured hand of this name with these actuators."""
+    from rtee.errors import UserError
+    from rtee.hand.catalog import find_hand
+    from rtee.hand.load import load_hand
+
+    try:
+        find_hand(name)
+        return sorted(load_hand(name).actuator_names) == sorted(actuators)
+    except UserError:
+        return False
 
 
 def _show_check(found: Check, as_json: bool) -> None:
@@ -265,7 +313,7 @@ def recover(
         typer.Option("--out", metavar="PATH", help="Write the whole file here instead."),
     ] = None,
 ) -> None:
-    """Make recordings whole whose program was killed."""
+    """Repair recordings whose program was killed."""
     from rtee.log.recover import recover as make_whole
 
     paths = [path for file in files for path in _paths(file, False)]

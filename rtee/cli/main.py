@@ -11,62 +11,62 @@ from typing import Any, Final, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from rtee.cli._common import app_of
 from rtee.errors import RteeError
 
 COMMANDS: dict[str, tuple[str, str]] = {
     # offline
-    "hands": ("rtee.cli.hands", "List the hands there are."),
-    "new": ("rtee.cli.new", "Make a hand's folder from a URDF."),
-    "extract": ("rtee.cli.extract", "Find the primitive grasping actions of a hand."),
-    "actions": ("rtee.cli.actions", "List the grasping actions of a hand."),
-    "compose": ("rtee.cli.compose", "Define a composed action."),
-    "time": ("rtee.cli.time", "Define a timed action."),
-    "generic": ("rtee.cli.generic", "Define a generic action."),
-    "grasp-plan": ("rtee.cli.grasp_plan", "Rank the actions of a hand for an object."),
-    "import": ("rtee.cli.import_", "Import action files of ROS End-Effector."),
+    "hands": ("rtee.cli.hands:hands", "List the configured hands."),
+    "new": ("rtee.cli.new:new", "Make a hand's folder from a URDF."),
+    "extract": ("rtee.cli.extract:extract", "Find the primitive grasping actions of a hand."),
+    "actions": ("rtee.cli.actions:actions", "List the grasping actions of a hand."),
+    "compose": ("rtee.cli.define:compose", "Define a composed action."),
+    "time": ("rtee.cli.define:time", "Define a timed action."),
+    "generic": ("rtee.cli.define:generic", "Define a generic action."),
+    "grasp-plan": ("rtee.cli.grasp_plan:grasp_plan", "Rank the actions of a hand for an object."),
+    "import": ("rtee.cli.import_:import_", "Import action files of ROS End-Effector."),
     # online
-    "run": ("rtee.cli.run", "Run one hand or several."),
-    "do": ("rtee.cli.do", "Execute a grasping action."),
-    "open": ("rtee.cli.open", "Open the hand."),
-    "stop": ("rtee.cli.stop", "Stop the hand."),
-    "recover": ("rtee.cli.recover", "Bring devices out of a fault."),
-    "state": ("rtee.cli.state", "Show the hand's state, live."),
-    "status": ("rtee.cli.status", "Show the loop and the devices."),
-    "gui": ("rtee.cli.gui", "Open the hand in the browser."),
-    "log": ("rtee.cli.log", "Look at recordings, replay and repair them."),
+    "run": ("rtee.cli.run:run", "Run one hand or several."),
+    "do": ("rtee.cli.do:do", "Execute a grasping action."),
+    "open": ("rtee.cli.do:open_", "Open the hand."),
+    "stop": ("rtee.cli.stop:stop", "Stop the hand."),
+    "recover": ("rtee.cli.stop:recover", "Bring devices out of a fault."),
+    "state": ("rtee.cli.state:state", "Show the hand's state, live."),
+    "status": ("rtee.cli.status:status", "Show the loop and the devices."),
+    "gui": ("rtee.cli.gui:gui", "Open the hand in the browser."),
+    "log": ("rtee.cli.log:app", "Inspect, replay and repair recordings."),
     # devices
-    "emulate": ("rtee.cli.emulate", "Play a device for other software."),
-    "scan": ("rtee.cli.scan", "Find devices on all buses."),
-    "doctor": ("rtee.cli.doctor", "Say what is wrong and what to type."),
-    "locate": ("rtee.cli.locate", "Twitch a hand to see which one it is."),
-    "calibrate": ("rtee.cli.calibrate", "Calibrate a device that has offsets."),
-    "new-driver": ("rtee.cli.new_driver", "Write the skeleton of a driver package."),
+    "emulate": ("rtee.cli.emulate:emulate", "Emulate a device for other software."),
+    "scan": ("rtee.cli.scan:scan", "Find devices on all buses."),
+    "doctor": ("rtee.cli.devices:doctor", "Report what is wrong and what to type."),
+    "locate": ("rtee.cli.devices:locate", "Twitch a hand to see which one it is."),
+    "calibrate": ("rtee.cli.devices:calibrate", "Calibrate a device that has offsets."),
+    "new-driver": ("rtee.cli.new:new_driver", "Write the skeleton of a driver package."),
     # dynamics
-    "try": ("rtee.cli.try_", "Try an action on an object in simulation."),
+    "try": ("rtee.cli.try_:try_", "Try an action on an object in simulation."),
 }
-"""Command to its module and its one-line help. The module holds a typer app or function `app`."""
+"""Each command with its function, or group of commands, and its one-line help."""
 
 
 class LazyGroup(TyperGroup):
-    """Lists commands without importing them."""
+    """Lists the commands without importing them."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the commands in the order of `COMMANDS`."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Import one command; while listing or completing names, stand in for it by its help."""
+        """Import a command; for lists and completions of commands, return only its help."""
         entry = COMMANDS.get(cmd_name)
         if entry is None:
             return None
+        # A list shows all commands; importing them would take seconds.
         if cmd_name not in sys.argv and "_RTEE_COMPLETE" not in os.environ:
             return TyperCommand(cmd_name, callback=None, help=entry[1], short_help=entry[1])
-        module = importlib.import_module(entry[0])
-        app: Any = module.app
-        app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
-        # Otherwise units in brackets are taken for rich's markup and vanish.
-        app.rich_markup_mode = "markdown"
-        command: Any = typer.main.get_command(app)
+        module, _, name = entry[0].partition(":")
+        command: Any = typer.main.get_command(
+            app_of(getattr(importlib.import_module(module), name))
+        )
         command.name = cmd_name
         command.short_help = entry[1]
         return command
@@ -102,10 +102,10 @@ def root(
 
 
 _Usage: Final[Any] = typer.BadParameter.__mro__[2]
-"""The base of typer's errors, which it does not hand on by name."""
+"""The base class of typer's errors, which it does not export."""
 
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""What a disk says on which there is no room."""
+"""Error numbers of a full disk."""
 
 
 def main() -> None:
@@ -115,7 +115,7 @@ def main() -> None:
         sys.stdout.flush()
         sys.exit(status if isinstance(status, int) else 0)
     except SystemExit as ended:
-        # The reader of our output left (`rtee … | head`); nothing is wrong, but typer says 1.
+        # The reader of the output has left (`rtee … | head`), which typer counts as a failure.
         if isinstance(ended.__context__, BrokenPipeError):
             _leave_unread(0)
         raise
@@ -128,7 +128,7 @@ def main() -> None:
     except BrokenPipeError:
         _leave_unread(0)
     except OSError as error:
-        # Files are written by functions that say so themselves; what is left is our output.
+        # Functions that write files report errors themselves; this one is about the output.
         if error.errno not in _FULL:
             raise
         print(
@@ -141,14 +141,14 @@ def main() -> None:
 
 
 def _leave_unread(status: int) -> NoReturn:
-    """End though nobody gets what is still to be printed."""
+    """Exit without printing what is still buffered."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.exit(status)
 
 
 def _explain(error: Any) -> None:
-    """Say in a sentence what is wrong with the words of a command."""
-    if type(error).__name__ == "NoArgsIsHelpError":  # the help is shown already
+    """Print in a sentence what is wrong with the command line."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # the help has been printed already
         return
     said = " ".join(error.format_message().split()).rstrip(".")
     context = getattr(error, "ctx", None)

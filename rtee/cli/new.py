@@ -1,4 +1,4 @@
-"""``rtee new``: make a hand's folder from a URDF."""
+"""`rtee new` and `rtee new-driver`: make a hand's folder, or the package of a driver."""
 
 from __future__ import annotations
 
@@ -13,10 +13,7 @@ from rtee.errors import ConfigError, needing_extra
 if TYPE_CHECKING:
     from rtee.hand.scaffold import NewHand
 
-app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
 
-
-@app.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the new hand.")],
     urdf: Annotated[Path | None, typer.Option("--urdf", help="Its URDF.")] = None,
@@ -25,7 +22,7 @@ def new(
     ] = None,
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option("--package-dir", help="Where package:// is looked up; may be repeated."),
+        typer.Option("--package-dir", help="Folder to look package:// up in; may be repeated."),
     ] = None,
     source: Annotated[
         str | None,
@@ -38,7 +35,7 @@ def new(
     ] = None,
     into: Annotated[Path, typer.Option("--into", help="Folder of the hands.")] = Path("config"),
     ask: Annotated[
-        bool, typer.Option("--ask", help="Ask about what the files cannot say for sure.")
+        bool, typer.Option("--ask", help="Ask about what the files leave open.")
     ] = False,
 ) -> None:
     """Make config/NAME with hand.yaml, URDF, SRDF and meshes; or copy a hand."""
@@ -70,7 +67,7 @@ def _copy(folder: Path, target: Path) -> None:
 
 
 def _known(folder: Path) -> str:
-    """Return by what a hand is found: in ./config and here by its name, elsewhere by its folder."""
+    """Return the argument that finds a hand: its name in ./config or here, else its folder."""
     return folder.name if folder.parent in (Path("config"), Path()) else str(folder)
 
 
@@ -87,3 +84,17 @@ def _print(made: NewHand) -> None:
         f"{len(made.pairs)} pairs of links are never checked for collision; {hand.name}.srdf says "
         f"why.\nNext: rtee extract {_known(made.folder)} --save"
     )
+
+
+def new_driver(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Such as my_gripper.")],
+    folder: Annotated[
+        Path, typer.Option("--in", metavar="DIR", help="Where the package's folder is made.")
+    ] = Path(),
+) -> None:
+    """Write a driver package: codec, driver, emulator, and tests that it passes."""
+    from rtee.testing.scaffold import write_package
+
+    for path in write_package(name, folder):
+        print(path)
+    print(f"now: cd {folder / name} && pip install -e '.[test]' && pytest")

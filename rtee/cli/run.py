@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import complete_hand
+from rtee.cli._common import complete_hand, named_values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-app = typer.Typer()
 
 
 def _complete_driver(incomplete: str) -> list[str]:
@@ -26,36 +24,18 @@ def _complete_driver(incomplete: str) -> list[str]:
 def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     if not gui:
         return ()
-    try:
-        found = importlib.util.find_spec("viser")  # importing it takes a second
-    except ImportError:
-        found = None
-    if found is None:
-        from rtee.errors import MissingExtra
+    from rtee.errors import needing_extra
 
-        raise MissingExtra("the GUI", "gui")
-    # A hand given by its folder has a name of its own; the GUI then shows the first that runs.
+    with needing_extra("the GUI", "gui"):
+        if importlib.util.find_spec("viser") is None:  # importing it would take a second
+            raise ImportError
+    # The name of a hand given by its folder is not known yet; the GUI shows the first that runs.
     shown = [] if Path(hands[0]).exists() else [hands[0]]
     return ((sys.executable, "-m", "rtee", "gui", *shown),)
 
 
-def _options(values: Sequence[str]) -> dict[str, object]:
-    """Return driver options given as NAME=VALUE; a value is read like one in hand.yaml."""
-    from rtee.errors import ConfigError
-    from rtee.hand.yamlfile import parse_yaml
-
-    found: dict[str, object] = {}
-    for value in values:
-        name, equals, _ = value.partition("=")
-        if not (name and equals):
-            raise ConfigError(f"--option {value}: should be NAME=VALUE")
-        text = f"{name}: {value.partition('=')[2]}\n"
-        found |= parse_yaml(text, Path("--option"), "the option").data
-    return found
-
-
 def _scene(driver: str | None, shape: str | None, gravity: float | None) -> dict[str, object]:
-    """Return what is around the hand as options of the simulation."""
+    """Return the surroundings of the hand as options of the simulation."""
     from rtee.errors import ConfigError
 
     given = {"object": shape, "gravity": gravity}
@@ -67,7 +47,6 @@ def _scene(driver: str | None, shape: str | None, gravity: float | None) -> dict
     return {}
 
 
-@app.command()
 def run(
     hands: Annotated[
         list[str],
@@ -84,7 +63,7 @@ def run(
     ] = None,
     option: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Option of the driver, before hand.yaml's."),
+        typer.Option(metavar="NAME=VALUE", help="Option of the driver; overrides hand.yaml."),
     ] = None,
     object_: Annotated[
         str | None,
@@ -134,11 +113,13 @@ def run(
         format="%(asctime)s %(levelname)s %(message)s",
         level=logging.INFO if verbose else logging.WARNING,
     )
+    driver_options = named_values(option or [], "--option", "the option")
+    driver_options |= _scene(driver, object_, gravity)
     options = RunOptions(
         driver=driver,
         emulated=emulated,
         object_in_hand=None if driver == "mujoco" else object_,
-        driver_options=_options(option or []) | _scene(driver, object_, gravity),
+        driver_options=driver_options,
         home=home,
         rate=rate,
         realtime=realtime,

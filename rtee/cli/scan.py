@@ -14,10 +14,7 @@ from rtee.cli._common import JsonOption
 if TYPE_CHECKING:
     from rtee.drivers.diagnosis.scan import Address, Plan
 
-app = typer.Typer()
 
-
-@app.command()
 def scan(
     port: Annotated[
         list[str] | None,
@@ -35,13 +32,13 @@ def scan(
     ] = 1_000_000,
     unit: Annotated[
         list[int] | None,
-        typer.Option(metavar="N", min=0, max=255, help="Modbus number to ask; else the usual."),
+        typer.Option(metavar="N", min=0, max=255, help="Modbus number to query; else the usual."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find devices: their ports, rates and numbers. Nothing moves by it.
+    """Find devices: their ports, rates and numbers. Nothing moves.
 
-    Ends with status 1 where a port could not be asked.
+    The exit status is 1 if a port could not be scanned.
     """
     import asyncio
 

@@ -8,26 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtee.cli._common import ConnectOption, RunningOption
+from rtee.cli._online import to_json, with_hand
+from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
+from rtee.sample import COLUMNS, MEASURED
 
 if TYPE_CHECKING:
-    from rtee.cli._table import Table
     from rtee.messages.state import State
     from rtee.remote.client import RemoteHand
 
-app = typer.Typer()
-
-_COLUMNS = {
-    "position": ("position", 4),
-    "velocity": ("velocity", 4),
-    "effort": ("effort", 3),
-    "current": ("current", 3),
-    "temperature": ("°C", 1),
-    "reference_position": ("reference", 4),
-}
-"""What is shown: headings and digits."""
+_COLUMNS = {name: COLUMNS[name] for name in (*MEASURED, "reference_position")}
+"""The quantities shown."""
 
 
-@app.command()
 def state(
     hand: RunningOption = None,
     connect: ConnectOption = None,
@@ -40,8 +32,6 @@ def state(
     ] = False,
 ) -> None:
     """Show the hand's state: live until Ctrl-C, or once."""
-    from rtee.cli._online import with_hand
-    from rtee.cli._table import on_terminal
 
     async def execute(remote: RemoteHand) -> None:
         if once:
@@ -65,7 +55,6 @@ async def _live(remote: RemoteHand, rate: float) -> None:
 
 
 def _print(name: str, found: State, as_json: bool) -> None:
-    from rtee.cli._online import to_json
 
     if as_json:
         print(to_json(_plain(name, found)), flush=True)
@@ -89,19 +78,18 @@ def _plain(name: str, found: State) -> dict[str, Any]:
 
 
 def _table(name: str, found: State) -> Table:
-    from rtee.cli._table import Column, Row, Table, prefix_to_drop
 
     prefix = prefix_to_drop(found.names)
     title = f"{name}, tick {found.tick}"
     if prefix:
         title += f" (names of actuators begin with {prefix})"
-    # What no actuator measures would only take room.
+    # Quantities that no actuator measures are left out.
     measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
     columns = [Column("actuator", whole=True)]
-    columns += [Column(_COLUMNS[c][0], right=True, whole=True) for c in measured]
+    columns += [Column(_COLUMNS[c].heading or c, right=True, whole=True) for c in measured]
     rows = []
     for i, actuator in enumerate(found.names):
-        values = [_number(float(getattr(found, c)[i]), _COLUMNS[c][1]) for c in measured]
+        values = [_number(float(getattr(found, c)[i]), _COLUMNS[c].digits) for c in measured]
         rows.append(Row((actuator.removeprefix(prefix), *values)))
     return Table(tuple(columns), tuple(rows), title)
 

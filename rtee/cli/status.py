@@ -4,30 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption
+from rtee.cli._online import to_json, with_hand
+from rtee.cli._table import Column, Row, Table, on_terminal
 
 if TYPE_CHECKING:
-    from rtee.remote.client import RemoteHand
     from rtee.remote.monitoring import HandStatus
 
-app = typer.Typer()
 
-
-@app.command()
 def status(
     hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
 ) -> None:
-    """Show how a hand's loop and its devices are doing."""
+    """Show the status of a hand's loop and its devices."""
     from dataclasses import asdict
 
-    from rtee.cli._online import to_json, with_hand
-
-    async def execute(remote: RemoteHand) -> HandStatus:
-        return await remote.status()
-
-    found = with_hand(hand, connect, "status", execute)
+    found = with_hand(hand, connect, "status", lambda remote: remote.status())
     if as_json:
         print(to_json(asdict(found)))
     else:
@@ -35,7 +26,6 @@ def status(
 
 
 def _show(found: HandStatus) -> None:
-    from rtee.cli._table import Column, Row, Table, on_terminal
 
     clock = found.statistics
     measured = f"{clock.measured_rate:.1f} Hz of " if clock.measured_rate else ""  # in 1 s
@@ -76,7 +66,7 @@ def _show(found: HandStatus) -> None:
     if not on_terminal():
         Table(columns, tuple(Row(cells) for cells in rows)).show()
         return
-    # Remarks are sentences; beside seven columns they would have the width of a word.
+    # Remarks are sentences, which would be wrapped at every word beside seven columns.
     Table(columns[:-1], tuple(Row(cells[:-1]) for cells in rows)).show()
     for name, remark in said:
         if remark:

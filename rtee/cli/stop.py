@@ -1,26 +1,27 @@
-"""`rtee stop`: stop the hand, whoever holds it."""
+"""`rtee stop` and `rtee recover`: stop a hand, and bring its devices out of a fault."""
 
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption
+from rtee.cli._online import to_json, with_hand
 from rtee.errors import RteeError
 
-app = typer.Typer()
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.remote.monitoring import HandStatus
 
 
-@app.command()
 def stop(
     hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
 ) -> None:
-    """Stop a hand now, whoever holds it; without --hand all that run on this computer."""
+    """Stop a hand now, whoever holds its lease; without --hand all that run on this computer."""
     import anyio
 
-    from rtee.cli._online import to_json
-    from rtee.remote.client import RemoteHand
     from rtee.remote.client import connect as connected
     from rtee.remote.find import hands_running
 
@@ -33,13 +34,12 @@ def stop(
     async def one(name: str | None) -> None:
         try:
             async with connected(name, endpoint=connect, client="rtee-stop") as remote:
-                remote_hand: RemoteHand = remote
-                devices = confirmed[remote_hand.name] = await remote_hand.stop()
+                devices = confirmed[remote.name] = await remote.stop()
             if as_json:
                 return
-            for device, done in devices.items():  # at once: another hand may not answer
+            for device, done in devices.items():  # printed now: another hand may not answer
                 words = "has stopped" if done else "did NOT confirm the stop"
-                print(f"{remote_hand.name}: {device} {words}", flush=True)
+                print(f"{remote.name}: {device} {words}", flush=True)
         except RteeError as error:
             errors.append(error)
 
@@ -56,3 +56,26 @@ def stop(
     if errors:
         raise errors[0]
     raise typer.Exit(0 if all(all(devices.values()) for devices in confirmed.values()) else 1)
+
+
+def recover(
+    device: Annotated[
+        str | None, typer.Argument(metavar="[DEVICE]", help="One device; by default all.")
+    ] = None,
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Bring devices out of a fault, or connect them; only a device that must be homed moves."""
+
+    async def execute(remote: RemoteHand) -> HandStatus:
+        await remote.recover(device)
+        return await remote.status()
+
+    status = with_hand(hand, connect, "recover", execute)
+    now = {one.name: one.lifecycle for one in status.devices if device in (None, one.name)}
+    if as_json:
+        print(to_json({status.hand: now}))
+        return
+    for name, lifecycle in now.items():
+        print(f"{status.hand}: {name} is {lifecycle}")

@@ -20,13 +20,10 @@ if TYPE_CHECKING:
 
     from rtee.trials.trial import Trial, TrialResult
 
-app = typer.Typer()
-
 _WRITING = 0.1
-"""Largest share of the time that goes into writing results; the file is written whole each time."""
+"""Largest share of the time spent writing results, since each time the whole file is written."""
 
 
-@app.command()
 def try_(
     hand: Annotated[
         str, typer.Argument(help="Name of the hand, or its folder.", autocompletion=complete_hand)
@@ -53,7 +50,7 @@ def try_(
         bool, typer.Option("--all", help="All actions with all standard objects; resumable.")
     ] = False,
     again: Annotated[
-        bool, typer.Option("--again", help="With --all: also what is known already.")
+        bool, typer.Option("--again", help="With --all: repeat trials whose results are known.")
     ] = False,
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", min=0, help="Processes; 0: one per processor.")
@@ -66,7 +63,7 @@ def try_(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Where --all keeps its results, if not with the hand."),
+        typer.Option(metavar="FILE", help="Where --all writes its results, if not with the hand."),
     ] = None,
     pictures: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write a strip of pictures of each trial.")
@@ -116,7 +113,7 @@ def try_(
 
 def _resolved(hand: str) -> str:
     """Return a hand's name, or the absolute path of its folder for other processes."""
-    return str(Path(hand).resolve()) if os.sep in hand else hand
+    return str(Path(hand).resolve()) if os.sep in hand else hand  # a bare name is looked up
 
 
 def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> TrialResult:
@@ -156,7 +153,7 @@ def _all(
     cluster: str | None,
     out: Path | None,
 ) -> list[TrialResult]:
-    """Do what is not known yet; every result is kept as it comes."""
+    """Run the trials whose results are not known yet; each result is stored as it comes."""
     from rtee.drivers.mujoco.objects import parse_object
     from rtee.errors import ConfigError
     from rtee.hand.own_copy import own
@@ -181,7 +178,7 @@ def _all(
             report_copy(ready.folder, folder)
             path = folder / FILE_NAME
         keep = _Kept(path, made_with, known)
-        keep.write()  # so that it fails before, not after
+        keep.write()  # fails now rather than after the trials, if the file cannot be written
         processes = jobs or len(os.sched_getaffinity(0))
         coming = sweep_on_cluster(name, todo, cluster) if cluster else sweep(name, todo, processes)
         with keep.until_done(len(todo), again), closing(coming):
@@ -199,7 +196,7 @@ class _Kept:
         self._taken = 0
 
     def add(self, result: TrialResult) -> None:
-        """Keep a result; it is written now, unless writing would take too much of the time."""
+        """Add a result; it is written at once unless writing takes too much of the time."""
         self._known[result.trial.key] = result
         self._taken += 1
         if time.monotonic() >= self._write_at:
@@ -216,15 +213,15 @@ class _Kept:
 
     @contextmanager
     def until_done(self, total: int, again: bool) -> Iterator[None]:
-        """Write what there is when the context ends; where it is interrupted, say what is kept.
+        """Write the results when the context ends; after an interrupt, say how many there are.
 
         Args:
-            total: How many results are to come.
-            again: Whether they come from trials that are done though their results are known.
+            total: Number of results expected.
+            again: Whether trials with known results are repeated.
         """
 
         def once(*_: object) -> None:
-            # Some send it twice, to the process and its group; the second must not spoil the end.
+            # Some programs send it to the process and to its group; the second must be ignored.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             raise KeyboardInterrupt
 

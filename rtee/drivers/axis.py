@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass
 
 _STEP = 0.001
+"""Longest step of the integration [s], short beside the time constants of motors."""
 _MOST_STEPS = 400
+"""Most steps of one call: a longer time is integrated in longer steps."""
 
 
 @dataclass(slots=True)
@@ -32,7 +34,7 @@ class Axis:
 
     Attributes:
         position: Where it is.
-        target: Where it is told to go.
+        target: Where it is asked to go.
         velocity: How fast it moves.
         effort: What it exerts, signed, towards the target.
         enabled: Whether the motor is powered; unpowered it stays where it is (friction).
@@ -47,7 +49,7 @@ class Axis:
         obstacle: The object, if there is one.
         self_locking: Its gear yields to no push: an object squeezed with less effort than before
             does not push it back.
-        stuck: It does not move, whatever it is told.
+        stuck: It does not move, whatever its target.
         temperature: Of the motor [°C].
         ambient: Of the surroundings [°C].
         heating: Warming at ``max_effort`` of the device's rating [K/s].

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
+from rtee.buses.pool import BusPool
+from rtee.drivers.connection import Connection
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-    from rtee.buses.pool import BusPool
 
 
 class Driver(ABC):
@@ -26,12 +26,14 @@ class Driver(ABC):
         spec: The device as configured.
         buses: The buses of this process; a driver asks it for the bus it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
-        doing: What takes a while now, in words such as ``homing the thumb``; else empty. It is told
-            while the call is under way.
+        doing: What takes a while now, in words such as ``homing the thumb``; else empty; it is
+            published while the call is under way.
+        connection: Its bus from `configure` to `close`, for drivers that have one bus.
     """
 
     Options: ClassVar[type[BaseModel] | None] = None
     doing: str = ""
+    connection: Connection[Any] | None = None
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.spec = spec
@@ -110,7 +112,7 @@ class Driver(ABC):
 
     def counters(self) -> Mapping[str, int]:
         """Return the counters of its bus, for the device's status; must return at once."""
-        return {}
+        return {} if self.connection is None else self.connection.counters()
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Change gains while running; only those named in ``capabilities.gains``."""
@@ -119,4 +121,6 @@ class Driver(ABC):
         """Disable the device; the opposite of `activate`."""
 
     async def close(self) -> None:
-        """Give the bus back; may be called any number of times, in any state."""
+        """Detach from the bus; may be called any number of times, in any state."""
+        if self.connection is not None:
+            await self.connection.close()

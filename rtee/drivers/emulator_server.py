@@ -20,7 +20,7 @@ from rtee.errors import ConfigError, RteeError, suggestion
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
 _ZMQ_PORT = 5556
-"""Where a ZeroMQ server publishes; it answers requests one port above, takes commands two above."""
+"""TCP port where a ZeroMQ server publishes; the next answers requests, the one after commands."""
 HELP = """\
 fault NAME        put a fault into the device
 clear [NAME]      take it away, or all
@@ -171,20 +171,20 @@ class Player:
             grasping(self.emulator).remove_object()
 
     def _state(self) -> str:
-        """Return what the device would say of itself, and its faults."""
+        """Return what the device would report, and its faults."""
         self.emulator.step(time.monotonic())
         status = getattr(self.emulator, "status", None)
-        told = status() if callable(status) else None
+        found = status() if callable(status) else None
         text = ""
-        if told is not None and dataclasses.is_dataclass(told) and not isinstance(told, type):
-            text = ", ".join(f"{k} {v}" for k, v in dataclasses.asdict(told).items())
+        if dataclasses.is_dataclass(found) and not isinstance(found, type):
+            text = ", ".join(f"{k} {v}" for k, v in dataclasses.asdict(found).items())
         faults = ", ".join(sorted(self.emulator.faults)) or "none"
         return "\n".join(line for line in (text, self._closed(), f"faults: {faults}") if line)
 
     def _closed(self) -> str:
         closings = self.emulator.closings() if isinstance(self.emulator, Grasps) else ()
-        told = ", ".join(f"{one.part:.0%}" for one in closings)
-        return f"closed: {told}" if told else ""
+        parts = ", ".join(f"{one.part:.0%}" for one in closings)
+        return f"closed: {parts}" if parts else ""
 
 
 def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:

@@ -1,7 +1,8 @@
-"""Actuators taken over while they hold something, and not asked for anything else since.
+"""Actuators that were holding something when the driver attached, and were not asked to move since.
 
-What holds an object has a target beyond where it stands: the difference is the grip. The reference
-of a device that is taken over begins where it stands, and sent as it is would let go.
+An actuator that holds an object has a target beyond its position: the difference is the grip. The
+reference of a device that a driver attaches to begins at the measured position, and sending it
+would end the grip.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from collections.abc import Collection, Iterable, Sequence
 from rtee.types import ActuatorSpec, FloatArray, Reference
 
 _SAME = 0.01
-"""A reference this near to the measured position asks for no motion, as part of the range."""
+"""A reference this near to the measured position asks for no motion [part of the range]."""
 _CHANGED = 1e-4
-"""One that has changed by more than this since the first one does, as part of the range."""
+"""One that has changed by more than this since the first one does [part of the range]."""
 
 
 class Attached:
@@ -40,11 +41,11 @@ class Attached:
         self._first.clear()
 
     def left(self, reference: Reference, measured: FloatArray) -> Collection[int]:
-        """Return those that a reference does not ask to move; the others are driven from now on.
+        """Return those that a reference does not ask to move; the others follow from now on.
 
         Args:
             reference: What is asked for.
-            measured: Where they stand.
+            measured: Their positions.
         """
         for i in tuple(self._left):
             if not reference.mask[i]:

@@ -18,14 +18,15 @@ OPTION = "object"
 """The property of every emulated device that puts an object between its fingers at the start."""
 
 STIFFNESS = 50.0
-"""Stiffness of an object that gives none."""
+"""Stiffness of an object by default; see `ObjectInHand`."""
 
 WRITTEN = "0.4 (part of the way that the fingers close), 50mm (its width), or 50mm:20 (softer)"
-"""How an object is written, in words."""
+"""The ways to write an object, for messages."""
 
 _PATTERN = re.compile(r"([0-9.eE+-]+)\s*(mm|cm|m)?\s*(?::\s*([0-9.eE+-]+))?")
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SLACK = 0.02
+"""How far fingers may be closed beyond an object that is placed [part of their way]."""
 
 
 class Closes(Protocol):
@@ -67,8 +68,8 @@ class ObjectInHand:
     Attributes:
         closure: Part of the way from open to closed at which it is met, 0 to 1, where no width is.
         width: Its width [m], for devices whose fingers' distance is known.
-        stiffness: The device's greatest efforts that it takes to squeeze it through the whole way:
-            at 50, full effort presses the fingers 2 % of the way into it.
+        stiffness: Effort to squeeze it through the whole way [greatest effort of the device]: at
+            50, full effort presses the fingers 2 % of the way into it.
     """
 
     closure: float = 0.0
@@ -108,7 +109,7 @@ def _numbers(found: re.Match[str]) -> tuple[float, float]:
 
 
 class Grasps(ABC):
-    """The part of an emulator that lets an object be put between its fingers, and taken away."""
+    """The part of an emulator between whose fingers an object can be placed."""
 
     @abstractmethod
     def closings(self) -> Sequence[Closing]:

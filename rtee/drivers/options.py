@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from rtee.errors import ConfigError, suggestion
 from rtee.types import DeviceSpec
+
+Positive = Annotated[float, Field(gt=0.0)]
+"""An option that must be above 0."""
 
 
 class DeviceOptions(BaseModel):

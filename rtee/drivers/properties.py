@@ -55,5 +55,5 @@ def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) 
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
-        told = first["msg"].lower().replace("tuple", "list") + _FORMS.get(first["type"], "")
-        raise ConfigError(f"property '{name}' of the emulated device: {told}") from None
+        said = first["msg"].lower().replace("tuple", "list") + _FORMS.get(first["type"], "")
+        raise ConfigError(f"property '{name}' of the emulated device: {said}") from None

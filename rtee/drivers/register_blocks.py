@@ -5,32 +5,35 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import owner_of
-from rtee.errors import BusError, BusTimeout, NotConnected
+from rtee.drivers.connection import Connection
+from rtee.errors import BusError, BusTimeout
 from rtee.types import DeviceSpec
 
 ExchangeKind = Literal["auto", "combined", "separate"]
 
 PATIENT = 0.5
-"""What belongs to no cycle and must arrive may take so long [s]."""
+"""Longest time of an exchange outside the cycle, which a busy computer may delay [s]."""
+
 _TRIES = 3
+"""Attempts before function 23 counts as missing, or a write that must arrive as lost."""
+
 _REFRESH = 0.005
-"""Robotiq's grippers refresh their registers every 5 ms."""
+"""Robotiq's grippers refresh their registers every 5 ms [s]; their manuals, Modbus RTU section."""
 
 
 class Blocks:
     """The output and the input block of one gripper.
 
     One exchange writes the output block and reads the input block, with function 23 where the
-    gripper has it, else with functions 16 and 3 or 4. The grippers refuse by silence, so function
-    23 counts as missing when it was never answered in three tries.
+    gripper has it, else with functions 16 and 3 or 4. Some grippers refuse by silence, so function
+    23 counts as missing when it was never answered in `_TRIES` attempts.
 
     Attributes:
         bus: The line or connection.
@@ -72,7 +75,7 @@ class Blocks:
 
     @contextlib.contextmanager
     def unhurried(self) -> Iterator[None]:
-        """Give exchanges that belong to no cycle the time they may need on a busy computer."""
+        """Allow exchanges outside the cycle the time they may need on a busy computer."""
         usual, self.deadline = self.deadline, PATIENT
         try:
             yield
@@ -133,7 +136,7 @@ class Blocks:
         self._cached = block, time.monotonic()
 
     def fresh(self, age: float) -> tuple[tuple[int, ...], float] | None:
-        """Return the kept block, once, and its time; ``None`` when older than ``age`` [s]."""
+        """Return the kept block and its time, once; ``None`` when older than ``age`` [s]."""
         cached, self._cached = self._cached, None
         if cached is None or time.monotonic() - cached[1] > age:
             return None
@@ -154,49 +157,38 @@ class Blocks:
 
 
 class BlocksDriver(Driver):
-    """What the drivers of such grippers have in common: the link, its pace, the last block read."""
+    """A driver of such a gripper: its connection, its pace, the block read last."""
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self._bus: ModbusBus | None = None
-        self._blocks: Blocks | None = None
+        self.connection: Connection[Blocks] = Connection(spec)
         self._active = False
 
     def _pace(self, best: float) -> None:
-        """Let an exchange take no longer than its share of ticks, for a best rate [Hz]."""
+        """Set the deadline of an exchange to its share of ticks, for a best rate [Hz]."""
         every = self.spec.every or math.ceil(self.spec.rate / best)
-        self._open().deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
+        usual = max(1.5 * every / self.spec.rate, 5.0 / best)
+        self.connection.link.deadline = self.spec.deadline or usual
 
     def _last_read(self) -> tuple[tuple[int, ...], float] | None:
-        """Return what the last exchange brought and when [s], unless it was long ago or is used."""
+        """Return the block of the last exchange and its time [s], unless it is old or used."""
         period = (self.spec.every or 1) / self.spec.rate
-        return self._open().fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
+        return self.connection.link.fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
 
     async def _insist(self, registers: Sequence[int]) -> bool:
         """Write what must arrive; return whether it did."""
-        for _ in range(_TRIES if self._blocks is not None else 0):
+        for _ in range(_TRIES if self.connection.is_open else 0):
             with contextlib.suppress(BusError):
-                await self._open().write(registers)
+                await self.connection.link.write(registers)
                 return True
         return False
 
     async def deactivate(self) -> None:
-        """Stop; what is held stays held."""
+        """Stop; a grip is kept."""
         await self.stop()
         self._active = False
 
     async def close(self) -> None:
-        """Give the link back."""
+        """Detach from the bus."""
         self._active = False
-        bus, self._bus, self._blocks = self._bus, None, None
-        if bus is not None:
-            await bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the link."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
-
-    def _open(self) -> Blocks:
-        if self._blocks is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._blocks
+        await super().close()

@@ -1,14 +1,17 @@
-"""Find a driver by name: those of rtee, entry points ``rtee.drivers``, or ``module:Class``."""
+"""Find drivers and emulators by name: those of rtee, entry points, or ``module:Class``."""
 
 from __future__ import annotations
 
 import importlib
+from collections.abc import Mapping
 from importlib.metadata import entry_points
+from typing import Any
 
+from rtee.buses.emulator import Emulator
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, suggestion
 
-BUILT_IN: dict[str, str] = {
+DRIVERS: Mapping[str, str] = {
     "kinematic": "rtee.drivers.kinematic.driver:KinematicDriver",
     "replay": "rtee.drivers.replay.driver:ReplayDriver",
     "robotiq_2f": "rtee.drivers.robotiq_2f.driver:Robotiq2FDriver",
@@ -25,39 +28,85 @@ BUILT_IN: dict[str, str] = {
 }
 """Name to ``module:Class``, imported only when asked for."""
 
-GROUP = "rtee.drivers"
+EMULATORS: Mapping[str, str] = {
+    "robotiq_2f": "rtee.drivers.robotiq_2f.emulator:Robotiq2FEmulator",
+    "robotiq_3f": "rtee.drivers.robotiq_3f.emulator:Robotiq3FEmulator",
+    "onrobot_3fg": "rtee.drivers.onrobot_3fg.emulator:OnRobot3FGEmulator",
+    "qb_softhand": "rtee.drivers.qb_softhand.emulator:QbSoftHandEmulator",
+    "schunk_svh": "rtee.drivers.schunk_svh.emulator:SchunkSvhEmulator",
+    "dynamixel": "rtee.drivers.dynamixel.emulator:DynamixelEmulator",
+    "cia402": "rtee.drivers.cia402.emulator:Cia402Emulator",
+    "allegro": "rtee.drivers.allegro.emulator:AllegroEmulator",
+    "xbot2": "rtee.drivers.xbot2.emulator:XBot2Emulator",
+    "heri_ethercat": "rtee.drivers.heri_ethercat.emulator:HeriEmulator",
+}
+"""The same for the emulators of the drivers' devices."""
+
+DRIVER_GROUP = "rtee.drivers"
 """The entry point group under which other packages offer drivers."""
+
+EMULATOR_GROUP = "rtee.emulators"
+"""The entry point group under which other packages offer emulators."""
 
 
 def driver_names() -> list[str]:
     """Return the names of all drivers that can be found, sorted."""
-    return sorted({*BUILT_IN, *(point.name for point in entry_points(group=GROUP))})
+    return sorted({*DRIVERS, *_offered(DRIVER_GROUP)})
+
+
+def emulator_names() -> list[str]:
+    """Return the names of all emulators that can be found, sorted."""
+    return sorted({*EMULATORS, *_offered(EMULATOR_GROUP)})
 
 
 def find_driver(name: str, *, source: str = "") -> type[Driver]:
     """Return the driver class of that name.
 
     Args:
-        name: A registry name, an entry point's name, or ``module:Class``.
+        name: A name in `DRIVERS`, an entry point's name, or ``module:Class``.
         source: ``file:line`` where the name stands, for the message.
 
     Raises:
         ConfigError: if there is none, it cannot be imported, or it is no `Driver`.
     """
     where = f"{source}: " if source else ""
-    target = BUILT_IN.get(name)
-    if target is None:
-        points = {point.name: point.value for point in entry_points(group=GROUP)}
-        target = points.get(name, name if ":" in name else None)
+    target = _target(name, DRIVERS, DRIVER_GROUP)
     if target is None:
         raise ConfigError(f"{where}unknown driver '{name}'; {suggestion(name, driver_names())}")
+    found: type[Driver] = _imported(f"{where}driver '{name}' ({target})", target, Driver)
+    return found
+
+
+def find_emulator(name: str) -> type[Emulator]:
+    """Return the emulator class of a driver's name, entry point or ``module:Class``.
+
+    Raises:
+        ConfigError: if there is none, it cannot be imported, or it is no `Emulator`.
+    """
+    target = _target(name, EMULATORS, EMULATOR_GROUP)
+    if target is None:
+        raise ConfigError(
+            f"there is no emulator for '{name}'; {suggestion(name, emulator_names())}"
+        )
+    found: type[Emulator] = _imported(f"emulator '{name}' ({target})", target, Emulator)
+    return found
+
+
+def _offered(group: str) -> Mapping[str, str]:
+    return {point.name: point.value for point in entry_points(group=group)}
+
+
+def _target(name: str, built_in: Mapping[str, str], group: str) -> str | None:
+    """Return the ``module:Class`` that a name stands for; rtee's own names come first."""
+    return built_in.get(name) or _offered(group).get(name) or (name if ":" in name else None)
+
+
+def _imported(what: str, target: str, base: type) -> Any:
     module_name, _, class_name = target.partition(":")
     try:
         found = getattr(importlib.import_module(module_name), class_name)
-    except Exception as error:  # whatever a module of somebody else's does when it is imported
-        raise ConfigError(
-            f"{where}driver '{name}' ({target}) cannot be imported: {error}"
-        ) from error
-    if not (isinstance(found, type) and issubclass(found, Driver)):
-        raise ConfigError(f"{where}driver '{name}' ({target}) is not a subclass of Driver")
+    except Exception as error:  # whatever a module of another package does when it is imported
+        raise ConfigError(f"{what} cannot be imported: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise ConfigError(f"{what} is not a subclass of {base.__name__}")
     return found

@@ -1,6 +1,6 @@
-"""The life of a Robotiq gripper: identify, attach or activate, exchange, stop, recover.
+"""Drives a Robotiq gripper: identify, attach or activate, exchange, stop, recover.
 
-It is the same for the two-finger and the three-finger gripper; the registers are not.
+All of this is the same for the two-finger grippers and the 3-Finger; the registers are not.
 """
 
 from __future__ import annotations
@@ -12,12 +12,16 @@ from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import ClassVar, Generic, TypeVar
 
-from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import owner_of
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
-from rtee.drivers.robotiq_faults import NOT_ACTIVATED, Fault
-from rtee.drivers.robotiq_kinds import RobotiqSettings, RobotiqStatus
+from rtee.drivers.robotiq_common import (
+    NOT_ACTIVATED,
+    Fault,
+    RobotiqCommand,
+    RobotiqOptions,
+    RobotiqStatus,
+)
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -28,17 +32,25 @@ from rtee.errors import (
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
+_POLL = 0.01
+"""Time between two looks at the status while the gripper moves by itself [s]."""
+
+_MISSED = 5
+"""Answers in a row that may be missing meanwhile: it may be busy, but not gone."""
+
 S = TypeVar("S", bound=RobotiqStatus)
+C = TypeVar("C", bound=RobotiqCommand)
 
 
-class RobotiqDriver(BlocksDriver, Generic[S]):
+class RobotiqDriver(BlocksDriver, Generic[S, C]):
     """A Robotiq gripper on Modbus.
 
-    It attaches to a gripper that is active without writing anything: the first write comes with the
-    first reference that differs from where the gripper is.
+    It attaches to an active gripper without writing anything: the first write comes with the first
+    reference that differs from where the gripper is.
 
     Attributes:
         MODEL: What it is called when another device answers.
+        EMULATOR: The name of its emulator.
         FAULTS: Its fault codes.
         HINT: What to do about a gripper that is not activated.
         COUNT: Registers of either block.
@@ -47,28 +59,26 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
     """
 
     MODEL: ClassVar[str]
+    EMULATOR: ClassVar[str]
     FAULTS: ClassVar[Mapping[int, Fault]]
     HINT: ClassVar[str]
     COUNT: ClassVar[int]
     RESET: ClassVar[Sequence[int]]
     ACTIVATE: ClassVar[Sequence[int]]
 
-    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqSettings) -> None:
+    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqOptions) -> None:
         super().__init__(spec, buses)
         self._settings = settings
-        self._status = self._told(())
+        self._status = self._decoded(())
+        self._sent: C | None = None
         self._home_asked = False
         self.capabilities = self._abilities(100.0)
 
     # --- what differs ------------------------------------------------------------------------
 
     @abstractmethod
-    def _told(self, block: Sequence[int]) -> S:
-        """Return what an input block says, an empty one nothing; raises `FrameError`."""
-
-    @abstractmethod
-    def _emulator(self) -> EmulatorFactory | None:
-        """Return what plays the gripper, if it is emulated."""
+    def _decoded(self, block: Sequence[int]) -> S:
+        """Return the status of an input block, the default of an empty one; raises `FrameError`."""
 
     @abstractmethod
     def _places(self) -> tuple[int, int, int]:
@@ -83,16 +93,12 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         """Return a status in SI units."""
 
     @abstractmethod
-    def _asked(self, reference: Reference) -> Sequence[int] | None:
-        """Return what to write for a reference, ``None`` while it asks for what is there."""
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+        """Return what to write for a reference, ``None`` while the gripper is there already."""
 
     @abstractmethod
     def _stopping(self) -> Sequence[int]:
         """Return what to write to stop, keeping all else."""
-
-    @abstractmethod
-    def _forget(self) -> None:
-        """Forget what was sent: what is there now is where to start from."""
 
     # --- life --------------------------------------------------------------------------------
 
@@ -107,29 +113,32 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         )
 
     async def configure(self) -> None:
-        """Open the line and see whether such a gripper answers; moves nothing."""
-        await self.close()
+        """Open the line and check that such a gripper answers; moves nothing."""
         settings = self._settings
-        self._bus = bus = await self.buses.modbus(
-            settings.port,
-            owner=owner_of(self.spec),
-            baudrate=settings.baudrate,
-            emulator=self._emulator(),
-        )
         output, source, function = self._places()
         # Where both blocks begin at the same place, function 23 cannot tell them apart.
         mixed = output == source and settings.exchange == "auto"
-        self._blocks = Blocks(
-            bus,
-            settings.unit,
-            output=output,
-            source=source,
-            count=self.COUNT,
-            deadline=PATIENT,
-            kind="separate" if mixed else settings.exchange,
-            function=function,
+        # Emulated, it is found active, as after an earlier run, unless it is to be homed.
+        found = {"activated": settings.home == "on_demand", **settings.emulator}
+        blocks = await self.connection.open(
+            self.buses.modbus(
+                settings.port,
+                owner=self.connection.owner,
+                baudrate=settings.baudrate,
+                emulator=emulator_of(self.spec, self.EMULATOR, emulator=found),
+            ),
+            lambda bus: Blocks(
+                bus,
+                settings.unit,
+                output=output,
+                source=source,
+                count=self.COUNT,
+                deadline=PATIENT,
+                kind="separate" if mixed else settings.exchange,
+                function=function,
+            ),
         )
-        best = self._blocks.best_rate(self.COUNT)
+        best = blocks.best_rate(self.COUNT)
         self.capabilities = self._abilities(best)
         await self._identify()
         self._pace(best)
@@ -153,7 +162,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
 
     async def activate(self) -> None:
         """Attach to an active gripper; activate an inactive one where that was asked for."""
-        with self._open().unhurried():
+        with self.connection.link.unhurried():
             status = self._status = await self._read()
         self._refuse(status)
         allowed = self._settings.home == "on_connect" or self._home_asked
@@ -163,7 +172,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
             await self._within("activating itself", self._activate)
         await self._prepare(allowed)
         self._home_asked = False
-        self._forget()
+        self._sent = None
         self._active = True
 
     async def _prepare(self, allowed: bool) -> None:
@@ -179,7 +188,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         """Do what moves the gripper by itself, in time; cancelling stops it."""
         self.doing = doing
         try:
-            with self._open().unhurried():
+            with self.connection.link.unhurried():
                 async with asyncio.timeout(self._settings.activation_timeout):
                     await steps()
         except BusTimeout:
@@ -205,14 +214,14 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
                 status = self._status = await self._read()
             except (BusTimeout, FrameError):
                 missed += 1
-                if missed > 5:
+                if missed > _MISSED:
                     raise
                 continue
             missed = 0
             if done(status):
                 return
             self._refuse(status)
-            await asyncio.sleep(0.01)
+            await asyncio.sleep(_POLL)
 
     async def examine(self) -> str:
         """Return whether it is not activated; raises the fault that it reports."""
@@ -232,31 +241,31 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         if self._active:
             self._refuse(status)
             if not status.ready:
-                # Where the last write found it so, it has begun to activate itself, which moves it.
+                # A write with rACT set has begun to activate it, which moves it.
                 await self._insist(self.RESET)
                 raise self._fault(NOT_ACTIVATED, "lost its activation; was its supply cut?")
         return self._measured(status, stamp)
 
     async def move(self, reference: Reference) -> None:
-        """Send positions, speeds and forces in one frame, and read what the gripper says to it."""
-        blocks = self._open()
-        registers = self._asked(reference)
+        """Send positions, speeds and forces in one frame, and read the status with it."""
+        blocks = self.connection.link
+        registers = self._registers_for(reference)
         if registers is None:
             return
         block = await blocks.exchange(registers)
-        self._status = self._told(block)
+        self._status = self._decoded(block)
         blocks.keep(block)
 
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
-        """Clear rGTO: the fingers stop where they are, and what they hold stays held."""
-        if self._blocks is not None and await self._insist(self._stopping()):
-            self._forget()
+        """Clear rGTO: the fingers stop where they are, and a grip is kept."""
+        if await self._insist(self._stopping()):
+            self._sent = None
 
     async def recover(self) -> None:
         """Clear a fault; where that costs the activation, the next `activate` may move."""
-        with self._open().unhurried():
+        with self.connection.link.unhurried():
             status = self._status = await self._read()
             fault = self.FAULTS.get(status.fault)
             if fault is not None and fault.major:
@@ -271,7 +280,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
         while self._status.fault or self._status.activated:
             if time.monotonic() > end:
                 raise self._fault(self._status.fault or NOT_ACTIVATED)
-            await asyncio.sleep(0.01)
+            await asyncio.sleep(_POLL)
             self._status = await self._read()
 
     def _refuse(self, status: S) -> None:
@@ -293,7 +302,7 @@ class RobotiqDriver(BlocksDriver, Generic[S]):
     # --- the wire ----------------------------------------------------------------------------
 
     async def _read(self) -> S:
-        return self._told(await self._open().read())
+        return self._decoded(await self.connection.link.read())
 
     async def _write(self, registers: Sequence[int]) -> None:
-        await self._open().write(registers, PATIENT)
+        await self.connection.link.write(registers, PATIENT)

@@ -1,40 +1,38 @@
-"""The best pose at which nothing else collides, nor on the way there."""
+"""Search for poses in which nothing else collides, neither there nor on the straight path there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from rtee.extract.collisions import Blocked, Watch
+from rtee.extract.collisions import Blocked, CollisionChecker
 from rtee.extract.constraints import CLOSE, CLOSER, NEAR, WEIGHT, Constraints
 from rtee.extract.descent import Minimum, Objective, Slope, descend
-from rtee.extract.goals import Goal
-from rtee.extract.grain import COARSE, MEDIUM
+from rtee.extract.goals import GoalFunction
 from rtee.extract.motion import Motion
 from rtee.extract.pairs import LinkPair
 from rtee.extract.polish import polish
-from rtee.extract.scene import Scene
-from rtee.extract.search import distinct
-from rtee.extract.space import Space, rounded
+from rtee.extract.resolution import COARSE, MEDIUM
+from rtee.extract.search import distinct, minima_on_line
 from rtee.hand.linalg import dot
-from rtee.types import FloatArray
+from rtee.types import FloatArray, from_rest
 
 _LITTLE: Final = 0.03
-"""A leap that gains less than this part of the value is the last one."""
+"""A recalibrated step that gains less than this part of the value is the last one."""
 
 _RADIUS: Final = 0.08
-"""How far a creep first goes in each coordinate, as a part of an actuator's range: about as far as
-the gaps of near links stay linear."""
+"""First radius of the trust region in each coordinate, as a part of an actuator's range: about as
+far as the gaps of near links stay linear."""
 
 _TIGHTER: Final = 0.4
 _WIDER: Final = 1.6
 """Factors of that radius after a step that failed, and after one that did not."""
 
 _SMALLEST: Final = 0.002
-"""Radius at which a creep ends; a fingertip then moves by a fraction of a millimetre."""
+"""Radius at which the trust region ends; a fingertip then moves by a fraction of a millimetre."""
 
 _EVALUATIONS: Final = 40
 """Most evaluations of a descent out of a collision."""
@@ -42,8 +40,8 @@ _EVALUATIONS: Final = 40
 _QUICK: Final = 25
 """Most evaluations of a descent that only keeps a start at a minimum."""
 
-_POLISH: Final = 11
-"""Evaluations of one step of a creep: its model is linear, and soon exhausted."""
+_TRUST_EVALUATIONS: Final = 11
+"""Evaluations of one step in the trust region: its model is linear, and soon exhausted."""
 
 _SAME: Final = 0.05
 """Starts that differ by less in every coordinate lead out of the same collisions."""
@@ -55,149 +53,146 @@ _POOL: Final = 4
 """Starts that are kept at minima while constraints are learned."""
 
 _SHORT: Final = 2e-3
-"""How far before a collision a pose goes back, as a part of the way: some 0.1 mm."""
+"""How far before a collision a pose is put back, as a part of the path: some 0.1 mm."""
+
+_BEFORE: Final = 1e-4
+"""The same for a single actuator, whose bounds lie as near: more than rounding moves them."""
 
 _FOLLOWED: Final = 1
-"""How many clear poses' ways are looked at in each round."""
+"""How many clear poses' paths are checked in each round."""
 
-_TOIL: Final = 300
-"""What one search may ask of meshes as given, in units of a question whether two touch."""
+_QUERY_BUDGET: Final = 300
+"""What one search may spend on meshes as given, in units of a query whether two touch (2 ms)."""
 
 _IMPROVED: Final = 2
 """How many of the clear poses that were found are improved."""
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class SearchBudget:
     """How much a search for clear poses tries.
 
     Attributes:
-        pool: How many good poses are kept in mind.
-        tries: How many poses are pushed out of their collisions.
-        rounds: How often one is pushed.
-        leaps: How often it is improved by its allowances.
-        creeps: How often it is improved within its walls.
-        ways: How often blocked ways are learned from.
-        more: How many poses more are pushed where none of them comes out.
+        pool: Good poses that serve as starts.
+        attempts: Poses that are pushed out of their collisions.
+        pushes: Descents to push one out.
+        recalibrations: Steps to improve one, each with newly measured allowances.
+        trust_steps: Steps to improve one in its trust region.
+        path_rounds: Rounds that learn from blocked paths.
+        extra_attempts: Further poses that are pushed where none of them comes out.
         settle: Whether poses are brought to minima of the goal before anything is learned.
     """
 
     pool: int = 10
-    tries: int = 2
-    rounds: int = 8
-    leaps: int = 8
-    creeps: int = 12
-    ways: int = 3
-    more: int = 0
+    attempts: int = 2
+    pushes: int = 8
+    recalibrations: int = 8
+    trust_steps: int = 12
+    path_rounds: int = 3
+    extra_attempts: int = 0
     settle: bool = True
 
 
 class ClearSearch:
     """Pushes poses out of the collisions that are not wanted.
 
-    The convex parts of two links stand in for the links: they overlap before the links collide, by
-    an allowance that is measured where the links first touch. Poses are improved under the
-    constraints known so far, with an exact penalty; then the pose is checked exactly, and what
-    collides there becomes a constraint, or a tighter one. A pose that is clear is refined: the
-    allowances are measured there, and it moves on as long as it gets better and stays clear.
+    Poses are improved under the constraints known so far, with an exact penalty; then the pose is
+    checked exactly, and what collides there becomes a constraint, or a tighter one (see
+    `Constraints`). A pose that is clear is refined: the allowances are measured there, and it moves
+    on as long as it gets better and stays clear.
     """
 
     def __init__(
         self,
-        scene: Scene,
+        function: GoalFunction,
         motion: Motion,
-        goal: Goal,
-        space: Space,
-        watch: Watch,
-        patience: Patience,
+        checker: CollisionChecker,
+        budget: SearchBudget,
     ) -> None:
         """Prepare a search.
 
         Args:
-            scene: The hand's links.
-            motion: Bounds on their motion.
-            goal: What to press together.
-            space: Where to search.
-            watch: The links that may not collide.
-            patience: How much to try.
+            function: What to press together, over the space to search.
+            motion: Bounds on the motion of the links.
+            checker: The links that may not collide.
+            budget: How much to try.
         """
-        self._scene = scene
+        self._function = function
+        self._scene, self._space = function.scene, function.space
         self._motion = motion
-        self._goal = goal
-        self._space = space
-        self._watch = watch
-        self._patience = patience
-        self._constraints = Constraints(scene, motion, goal, space, watch)
-        self._fresh: list[FloatArray] = []
-        self._limit = 0
+        self._checker = checker
+        self._budget = budget
+        self._constraints = Constraints(function, motion, checker)
+        self._uncalibrated: list[FloatArray] = []
+        self._cost_limit = 0
 
     @property
-    def _tired(self) -> bool:
-        """Whether meshes as given were asked so much that the search is to end."""
-        return self._scene.toil >= self._limit
+    def _out_of_budget(self) -> bool:
+        """Whether queries of meshes as given have cost so much that the search is to end."""
+        return self._scene.query_cost >= self._cost_limit
 
     def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return clear poses, the best one whose way is clear first, if there is any.
+        """Return clear poses, the best one whose path is clear first, if there is any.
 
         Args:
             starts: Coordinates ``(k,)`` of good poses, the best first.
 
         Returns:
-            Coordinates ``(k,)`` of clear poses; if no clear way was found, of poses behind
-            collisions on the way.
+            Coordinates ``(k,)`` of clear poses; if no clear path was found, of poses behind
+            collisions on the path.
         """
         free: list[FloatArray] = []
         behind: list[FloatArray] = []
-        self._limit = self._scene.toil + _TOIL
-        for _ in range(self._patience.ways):
-            if self._tired:
+        self._cost_limit = self._scene.query_cost + _QUERY_BUDGET
+        for _ in range(self._budget.path_rounds):
+            if self._out_of_budget:
                 break
-            found = self._explore(
-                starts, min(self._patience.tries, _FOLLOWED) if behind else self._patience.tries
-            )
+            attempts = self._budget.attempts
+            found = self._explore(starts, min(attempts, _FOLLOWED) if behind else attempts)
             for y in found[:_FOLLOWED]:
                 blocked = self._blocked(y)
                 if blocked is None:
                     free.append(y)
                     break
                 behind.append(y)
-                self._constraints.learn_way(blocked, y)
+                self._constraints.learn_path(blocked, y)
                 nearer = self._go_back(y, blocked)
                 if nearer is not None:
                     free.append(nearer)
             if not found or any(y is found[0] for y in free):
                 break
-        return [*sorted(free, key=self._value), *behind]
+        return [*sorted(free, key=self._function.value), *behind]
 
     def _go_back(self, y: FloatArray, blocked: Blocked) -> FloatArray | None:
-        """Return a pose with a clear way, from before a collision on the way to another one."""
-        for _ in range(self._patience.ways):
-            if self._tired:
+        """Return a pose with a clear path, from before a collision on the path to another one."""
+        for _ in range(self._budget.path_rounds):
+            if self._out_of_budget:
                 break
-            y = self._creep(self._before(y, blocked))
+            y = self._improve_in_trust_region(self._before(y, blocked))
             again = self._blocked(y)
             if again is None:
                 return y if self._touches(y) else None
-            self._constraints.learn_way(again, y)
+            self._constraints.learn_path(again, y)
             blocked = again
         return None
 
-    def _explore(self, starts: Sequence[FloatArray], tries: int) -> list[FloatArray]:
+    def _explore(self, starts: Sequence[FloatArray], attempts: int) -> list[FloatArray]:
         """Return clear poses, the best first.
 
         All starts are kept at minima of the goal under the constraints learned so far. The best of
         them is pushed out of its collisions, which teaches new constraints; and so on, until what
         was reached comes near the best of the starts.
         """
-        pool = list(starts[: self._patience.pool])
+        value = self._function.value
+        pool = list(starts[: self._budget.pool])
         tried: list[FloatArray] = []
         found: list[FloatArray] = []
-        best, enough = np.inf, _GOOD * min(map(self._value, pool), default=0.0)
-        for number in range(tries + self._patience.more):
-            if (found and number >= tries) or self._tired:
+        best, enough = np.inf, _GOOD * min(map(value, pool), default=0.0)
+        for number in range(attempts + self._budget.extra_attempts):
+            if (found and number >= attempts) or self._out_of_budget:
                 break
-            while self._fresh:
-                self._constraints.calibrate(self._fresh.pop())
+            while self._uncalibrated:
+                self._constraints.calibrate(self._uncalibrated.pop())
             minima = self._settled(pool)
             pool = [minimum.y for minimum in sorted(minima, key=lambda m: m.value)[:_POOL]]
             new = [
@@ -211,70 +206,72 @@ class ClearSearch:
             pose = self._push_out(new[0].y)
             if pose is not None and self._touches(pose):
                 found.append(pose)
-                best = min(best, self._value(pose))
-                self._fresh.append(pose)
-        found.sort(key=self._value)
+                best = min(best, value(pose))
+                self._uncalibrated.append(pose)
+        found.sort(key=value)
         better = [self._improved(y) for y in found[:_IMPROVED]]
-        return sorted([*better, *found[_IMPROVED:]], key=self._value)
+        return sorted([*better, *found[_IMPROVED:]], key=value)
 
     def _improved(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose near a clear one in which the tips touch."""
-        better = self._creep(self._leap(y))
-        if better is y or self._watch.nested(self._posture(better)) or not self._touches(better):
+        better = self._improve_in_trust_region(self._improve_recalibrated(y))
+        if better is y or self._checker.nested(self._function.stored(better)):
             return y
-        return better
+        return better if self._touches(better) else y
 
     def _settled(self, pool: Sequence[FloatArray]) -> list[Minimum]:
         """Return minima of the goal under the constraints that are reached from some poses."""
         if not self._constraints.learned:
-            if not self._patience.settle:
-                return [Minimum(y, self._value(y), 1) for y in pool]
+            if not self._budget.settle:
+                return [Minimum(y, self._function.value(y), 1) for y in pool]
             pool = pool[:_POOL]
-        return [self._descend(COARSE.point(y), _QUICK) for y in pool]
+        return [self._descend(COARSE.snap(y), _QUICK) for y in pool]
 
     def _push_out(self, start: FloatArray) -> FloatArray | None:
         """Return a clear pose reached from a good one.
 
-        Where the convex parts push a pose the wrong way out, the way to it is gone back to before
-        the links first touch that collide in it, and on from there, unless the tips are apart there
-        and stay apart.
+        Where the convex parts push a pose out in the wrong direction, it is put back on the path to
+        just before the links that collide in it first touch, and improved from there, unless the
+        tips are apart there and stay apart.
         """
         y, collided = start, list[LinkPair]()
-        for _ in range(self._patience.rounds):
-            hits = self._watch.near(self._posture(y)) or self._watch.nested(self._posture(y))
+        for _ in range(self._budget.pushes):
+            u = self._function.stored(y)
+            hits = self._checker.unnested(u) or self._checker.nested(u)
             collided = collided or hits
             if not hits:
                 return y
             for pair in hits:
                 self._constraints.learn(pair, y)
             y = self._descend(y, _EVALUATIONS).y
-            if not self._reached(y):
+            if not self._function.reached(y):
                 break
-        blocked = self._watch.first(self._motion.way(self._posture(start)), collided)
+        path = self._motion.path_to(self._function.stored(start))
+        blocked = self._checker.first_on(path, collided)
         if blocked is None:
             return None
         before = self._before(start, blocked)
-        return before if self._reached(before) else self._leap(before)
+        return before if self._function.reached(before) else self._improve_recalibrated(before)
 
     def _before(self, y: FloatArray, blocked: Blocked) -> FloatArray:
-        """Return the pose on the way just before a collision."""
+        """Return the pose on the path just before a collision."""
         share = max(0.0, blocked.at - _SHORT)
-        return MEDIUM.point(self._space.rest + share * (y - self._space.rest))
+        return MEDIUM.snap(from_rest(self._space.rest, y, share))
 
-    def _leap(self, y: FloatArray) -> FloatArray:
-        """Return a better clear pose, some way from a clear one.
+    def _improve_recalibrated(self, y: FloatArray) -> FloatArray:
+        """Return a better clear pose, possibly far from a clear one.
 
         The gaps at the pose tell how much more the convex parts may overlap; with these allowances
         the goal is improved, and the pose moves on as far as it stays clear.
         """
-        best = self._value(y)
-        for _ in range(0 if self._tired else self._patience.leaps):
+        best = self._function.value(y)
+        for _ in range(0 if self._out_of_budget else self._budget.recalibrations):
             self._constraints.calibrate(y)
             step = self._descend(y, _EVALUATIONS).y - y
             for share in (1.0, 0.5, 0.25, 0.125):
                 trial = y + share * step
-                value = self._value(trial)
-                if value < best - CLOSE and not self._watch.near(self._posture(trial)):
+                value = self._function.value(trial)
+                if value < best - CLOSE and not self._collides(trial):
                     break
             else:
                 return y
@@ -283,67 +280,71 @@ class ClearSearch:
                 return y
         return y
 
-    def _creep(self, y: FloatArray) -> FloatArray:
+    def _improve_in_trust_region(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose near a clear one.
 
         Near the pose the exact gaps of near links are linear functions of the coordinates. The goal
-        is improved within these walls and a radius that shrinks when the pose found is not clear.
+        is improved within these bounds and a radius that shrinks when the pose found is not clear.
         """
-        best, radius = self._value(y), _RADIUS
+        best, radius = self._function.value(y), _RADIUS
         concerned = self._constraints.concerned()
-        walls = self._walls(y, concerned)
+        gaps = self._linear_gaps(y, concerned.values())
         low, high = self._constraints.bounds
-        for _ in range(self._patience.creeps):
-            if self._tired:
+        for _ in range(self._budget.trust_steps):
+            if self._out_of_budget:
                 break
-            bounds = (np.maximum(low, y - radius), np.minimum(high, y + radius))
-            function = self._walled(y, walls)
-            trial = polish(function, y, evaluations=_POLISH, bounds=bounds, grain=MEDIUM).y
-            value = self._value(trial)
+            trial = polish(
+                self._above(gaps, y),
+                y,
+                evaluations=_TRUST_EVALUATIONS,
+                bounds=(np.maximum(low, y - radius), np.minimum(high, y + radius)),
+                resolution=MEDIUM,
+            ).y
+            value = self._function.value(trial)
             if value >= best - CLOSE:
                 radius *= _TIGHTER
+            elif hits := self._collides(trial):
+                radius *= _TIGHTER
+                new = {pair.links: pair for pair in hits if pair.links not in concerned}
+                concerned |= new
+                gaps += self._linear_gaps(y, new.values()) if new else []
             else:
-                hits = self._watch.near(self._posture(trial))
-                if hits:
-                    radius *= _TIGHTER
-                    new = {pair.links: pair for pair in hits if pair.links not in concerned}
-                    concerned |= new
-                    walls += self._walls(y, new) if new else []
-                else:
-                    y, best, radius = trial, value, radius * _WIDER
-                    walls = self._walls(y, concerned)
+                y, best, radius = trial, value, radius * _WIDER
+                gaps = self._linear_gaps(y, concerned.values())
             if radius < _SMALLEST:
                 break
         return y
 
-    def _walls(
-        self, y: FloatArray, concerned: dict[tuple[str, str], LinkPair]
+    def _linear_gaps(
+        self, y: FloatArray, pairs: Iterable[LinkPair]
     ) -> list[tuple[float, FloatArray]]:
-        """Return lower bounds on the gaps of near links at a clear pose, with their derivatives.
+        """Return the gaps of near links at a clear pose, with their derivatives.
 
-        A gap is what is left of a distance beyond the links' room. Where the convex parts are close
-        or overlap, the bounds are the exact gaps.
+        A gap is what is left of a distance beyond the links' margin. Where the convex parts are
+        close or overlap, it is that of the geometry as given.
         """
-        self._scene.place(self._posture(y))
-        walls = []
-        for pair in concerned.values():
-            room = self._watch.room(pair)
-            gap = self._scene.distance(pair) - room
+        self._scene.place(self._function.stored(y))
+        found = []
+        for pair in pairs:
+            margin = self._checker.margin(pair)
+            gap = self._scene.distance(pair) - margin
             if gap < CLOSER:
                 gap, rise = self._scene.exact_slope(pair, self._space)
-                walls.append((gap - room, rise))
+                found.append((gap - margin, rise))
             elif gap < NEAR:
-                walls.append((gap, self._scene.derivative(pair, self._space)))
-        return [(MEDIUM.value(gap), MEDIUM.derivative(rise) + 0.0) for gap, rise in walls]
+                found.append((gap, self._scene.derivative(pair, self._space)))
+        # Adding 0 turns -0.0 into 0.0, whose sign would otherwise be kept.
+        return [(MEDIUM.rounded_value(g), MEDIUM.rounded_slope(rise) + 0.0) for g, rise in found]
 
-    def _walled(self, at: FloatArray, walls: Sequence[tuple[float, FloatArray]]) -> Objective:
-        goal = self._constraints.penalised(ways_only=True)
+    def _above(self, gaps: Sequence[tuple[float, FloatArray]], at: FloatArray) -> Objective:
+        """Return the goal with a penalty where a linear gap falls below 0."""
+        goal = self._constraints.penalised(paths_only=True)
 
         def function(y: FloatArray) -> tuple[float, Slope]:
             value, rise_of_goal = goal(y)
             slope = rise_of_goal()
             step = y - at
-            for gap, rise in walls:
+            for gap, rise in gaps:
                 left = gap + dot(rise, step) - CLOSE
                 if left < 0.0:
                     value -= WEIGHT * left
@@ -352,24 +353,65 @@ class ClearSearch:
 
         return function
 
-    def _posture(self, y: FloatArray) -> FloatArray:
-        return rounded(self._scene.hand, self._space.posture(y))
+    def _collides(self, y: FloatArray) -> list[LinkPair]:
+        return self._checker.unnested(self._function.stored(y))
 
     def _blocked(self, y: FloatArray) -> Blocked | None:
-        return self._watch.along(self._posture(y))
+        return self._checker.blocked(self._function.stored(y))
 
     def _touches(self, y: FloatArray) -> bool:
-        self._scene.place(self._posture(y))
-        return self._goal.touching()
-
-    def _value(self, y: FloatArray) -> float:
-        self._scene.place(self._space.posture(y))
-        return self._goal.value()
-
-    def _reached(self, y: FloatArray) -> bool:
-        self._scene.place(self._space.posture(y))
-        return self._goal.reached()
+        return self._function.touching(self._function.stored(y))
 
     def _descend(self, y: FloatArray, evaluations: int) -> Minimum:
         function, bounds = self._constraints.penalised(), self._constraints.bounds
-        return descend(function, y, evaluations=evaluations, bounds=bounds, grain=MEDIUM)
+        return descend(function, y, evaluations=evaluations, bounds=bounds, resolution=MEDIUM)
+
+
+def touching_postures(function: GoalFunction, found: Iterable[FloatArray]) -> Iterator[FloatArray]:
+    """Yield those postures, rounded as they are stored, in which the tips touch as wanted.
+
+    Args:
+        function: What is wanted, over the space that was searched.
+        found: Coordinates ``(k,)`` in it.
+    """
+    return (u for u in map(function.stored, found) if function.touching(u))
+
+
+def clear_postures(
+    function: GoalFunction,
+    motion: Motion,
+    checker: CollisionChecker,
+    starts: Sequence[FloatArray],
+    budget: SearchBudget,
+) -> list[FloatArray]:
+    """Return postures as stored that touch as wanted and in which nothing else collides.
+
+    Args:
+        function: What is wanted, over the space to search.
+        motion: Bounds on the motion of the links.
+        checker: The links that may not collide.
+        starts: Coordinates ``(k,)`` of good postures, the best first.
+        budget: How much to try.
+    """
+    if function.space.size > 1:
+        found = ClearSearch(function, motion, checker, budget).run(starts)
+        return list(touching_postures(function, found))
+    low, high = _free_interval(function, motion, checker)
+    if high <= low:
+        return []
+    found = [minimum.y for minimum in minima_on_line(function, low, high)]
+    return list(touching_postures(function, found))
+
+
+def _free_interval(
+    function: GoalFunction, motion: Motion, checker: CollisionChecker
+) -> tuple[float, float]:
+    """Return the coordinates around rest up to the first collision, of a space of one actuator."""
+    space, ends = function.space, []
+    rest = float(space.rest[0])
+    for bound in (0.0, 1.0):
+        path = motion.path_to(space.posture(np.array([bound])))
+        blocked = checker.first_on(path, checker.pairs)
+        share = 1.0 if blocked is None else max(0.0, blocked.at - _BEFORE)
+        ends.append(from_rest(rest, bound, share))
+    return ends[0], ends[1]

@@ -1,4 +1,4 @@
-"""What else collides at a posture and on the straight way to it."""
+"""What else collides at a posture and on the straight path to it."""
 
 from __future__ import annotations
 
@@ -11,42 +11,44 @@ import numpy as np
 
 from rtee.actions.types import FARTHEST_CLEARANCE
 from rtee.extract.distance_queries import TOUCH
-from rtee.extract.grain import COARSE
-from rtee.extract.motion import Known, Motion, Way
+from rtee.extract.motion import DistanceBounds, Motion, StraightPath
 from rtee.extract.pairs import LinkPair
+from rtee.extract.resolution import COARSE
 from rtee.extract.scene import Scene
-from rtee.extract.spheres import Spheres
+from rtee.hand.linalg import norms, rotated
 from rtee.types import FloatArray
 
 STEP: Final = 0.001
-"""Between two exact checks on a way, near links move at most this far against each other [m]."""
+"""Between two exact checks on a path, near links move at most this far against each other [m]."""
 
 _FINE: Final = 0.0005
 """Step of the search for the first contact of two tips whose convex parts overlap [m]."""
 
 _MOST: Final = 4096
-"""Most steps on a way, however long it is."""
+"""Most steps on a path, so that no path takes longer than some seconds."""
 
 _COARSE_PARTS: Final = 16
-"""Into how many parts a way is halved for links whose convex parts overlap."""
-
 _PARTS: Final = 32
-"""Into how many parts a way is halved for other links."""
+"""Into how many parts a path is halved before it is checked exactly: for links whose convex parts
+overlap, where halving decides nothing, and for others."""
 
 _PLACE: Final = 2.0**-16
-"""Unit of the intensities checked on a way, so that last digits do not move them."""
+"""Unit of the intensities checked on a path, so that last digits do not move them; a fingertip
+moves some micrometres in it."""
 
 _FEW: Final = 12
-"""So few pairs of links are measured without looking at their spheres first."""
+"""So few pairs of links are measured without comparing their spheres first, which costs as much."""
 
 _SHARE: Final = 0.8
-"""Links that are near each other at rest may come to this part of their distance there."""
+"""Links that are near each other at rest may come to this part of their distance there: rounding
+the posture to be stored takes less than the rest of it."""
 
-CRAMPED: Final = 0.25
-"""Part of their room that links keep where the hand has no room for more."""
+REDUCED: Final = 0.25
+"""Part of their margin that links keep where no posture of a pinch allows for more."""
 
 _PLACES: Final = 65
-"""At how many intensities the clearance on a way is measured."""
+"""At how many intensities the clearance on a path is measured: a fingertip moves a few millimetres
+between two of them."""
 
 _SURE: Final = 1e-5
 """Links that are known to be farther apart do not touch, however distances are rounded [m]."""
@@ -54,7 +56,7 @@ _SURE: Final = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
-    """A collision on a way.
+    """A collision on a path.
 
     Attributes:
         pair: The links that collide.
@@ -74,8 +76,8 @@ class Collisions:
     Attributes:
         checked: The pairs of links that remain.
         at_rest: The pairs that touch at rest.
-        narrow: The pairs whose distance at rest leaves no room for the hand's clearance, with that
-            distance [m].
+        narrow: The pairs whose distance at rest is less than the hand's clearance allows for, with
+            that distance [m].
     """
 
     def __init__(self, scene: Scene, motion: Motion) -> None:
@@ -107,12 +109,12 @@ class Collisions:
         gaps = Spheres(scene, self.checked).gaps()
         near = [self.checked[c] for c in np.flatnonzero(gaps < wanted)]
         return {
-            pair.links: COARSE.value(scene.exact_distance(pair))
+            pair.links: COARSE.rounded_value(scene.exact_distance(pair))
             for pair in near
             if scene.nearer(pair, wanted)
         }
 
-    def room(self, pair: LinkPair) -> float:
+    def margin(self, pair: LinkPair) -> float:
         """Return the distance that two links keep from each other in a clear pose [m].
 
         The hand's clearance, or four fifths of what they have at rest where that is less.
@@ -121,8 +123,8 @@ class Collisions:
         gap = self.narrow.get(pair.links, self.narrow.get(pair.links[::-1]))
         return max(TOUCH, least if gap is None else min(least, _SHARE * gap))
 
-    def watch(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> Watch:
-        """Return a watch over the links that some actuators move against each other.
+    def checker(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> CollisionChecker:
+        """Return a checker of the links that some actuators move against each other.
 
         Args:
             actuators: The actuators that move; the others rest, where nothing collides.
@@ -135,14 +137,14 @@ class Collisions:
             if pair.actuators & moving and frozenset(pair.links) not in wanted
         ]
         nested = sum(pair.links in self._nested for pair in pairs)
-        rooms = [self.room(pair) for pair in pairs]
-        return Watch(self._scene, self._motion, pairs, rooms, nested)
+        margins = [self.margin(pair) for pair in pairs]
+        return CollisionChecker(self._scene, self._motion, pairs, margins, nested)
 
 
-class Watch:
+class CollisionChecker:
     """Checks the links that may not come near each other in one search.
 
-    Links collide here where they are nearer to each other than their room.
+    Two links collide where they are nearer to each other than their margin.
 
     Attributes:
         pairs: The pairs of links.
@@ -153,48 +155,48 @@ class Watch:
         scene: Scene,
         motion: Motion,
         pairs: Sequence[LinkPair],
-        rooms: Sequence[float],
+        margins: Sequence[float],
         nested: int,
     ) -> None:
-        """Watch some pairs of links.
+        """CollisionChecker some pairs of links.
 
         Args:
             scene: The hand's links.
             motion: Bounds on their motion.
             pairs: The pairs.
-            rooms: The distances that they are to keep [m].
+            margins: The distances that they are to keep [m].
             nested: How many of them, the last, are nested in each other.
         """
         self._scene = scene
         self._motion = motion
         self.pairs = tuple(pairs)
-        self._rooms = np.array(rooms)
-        self._room = {pair.number: room for pair, room in zip(pairs, rooms, strict=True)}
+        self._margins = np.array(margins)
+        self._margin_of = {pair.number: margin for pair, margin in zip(pairs, margins, strict=True)}
         self._nested = nested
         self._spheres = Spheres(scene, self.pairs)
-        self._known = Known(motion, self.pairs)
-        self._ways: dict[bytes, Blocked | None] = {}
+        self._known = DistanceBounds(motion, self.pairs)
+        self._paths: dict[bytes, Blocked | None] = {}
 
-    def room(self, pair: LinkPair) -> float:
-        """Return the distance that two watched links are to keep [m]."""
-        return self._room[pair.number]
+    def margin(self, pair: LinkPair) -> float:
+        """Return the distance that two links are to keep [m]."""
+        return self._margin_of[pair.number]
 
     @cached_property
-    def cramped(self) -> Watch:
-        """A watch over the same links that are to keep a quarter of the distances only."""
-        rooms = np.maximum(TOUCH, self._rooms * CRAMPED).tolist()
-        return Watch(self._scene, self._motion, self.pairs, rooms, self._nested)
+    def reduced(self) -> CollisionChecker:
+        """A checker of the same links with a quarter of the margins."""
+        margins = np.maximum(TOUCH, self._margins * REDUCED).tolist()
+        return CollisionChecker(self._scene, self._motion, self.pairs, margins, self._nested)
 
-    def clearance(self, u: FloatArray, *, way: bool) -> float:
-        """Return the least distance of the watched links at a posture [m], 5 mm at most.
+    def clearance(self, u: FloatArray, *, path: bool) -> float:
+        """Return the least distance of the links at a posture [m], 5 mm at most.
 
         Args:
             u: The posture ``(n,)``.
-            way: Look at the straight way from rest, too, at 65 places.
+            path: Measure on the straight path from rest, too, at 65 places.
         """
         scene, least = self._scene, FARTHEST_CLEARANCE
-        straight = self._motion.way(u)
-        for t in np.linspace(1.0, 0.0, _PLACES) if way else (1.0,):
+        straight = self._motion.path_to(u)
+        for t in np.linspace(1.0, 0.0, _PLACES) if path else (1.0,):
             scene.place(straight.at(float(t)))
             near = np.flatnonzero(self._known.least(scene.joints) < least)
             if len(near) > _FEW:
@@ -202,64 +204,66 @@ class Watch:
             gaps = [scene.at_least(self.pairs[c]) for c in near]
             self._known.learn(near, gaps, scene.joints)
             for c, gap in zip(near, gaps, strict=True):
-                # Whether meshes are that near is found sooner than how near they are.
+                # Whether meshes are that near is computed faster than how near they are.
                 if gap < least and scene.nearer(self.pairs[c], least):
                     least = min(least, scene.exact_distance(self.pairs[c]))
         return least
 
     def at(self, u: FloatArray) -> list[LinkPair]:
         """Return which links collide at a posture ``(n,)``."""
-        return self._touching(u, 0, len(self.pairs))
+        return self._colliding(u, 0, len(self.pairs))
 
-    def near(self, u: FloatArray) -> list[LinkPair]:
-        """Return which links collide at a posture, those left out that are nested at rest."""
-        return self._touching(u, 0, len(self.pairs) - self._nested)
+    def unnested(self, u: FloatArray) -> list[LinkPair]:
+        """Return which links collide at a posture, of those that are not nested at rest."""
+        return self._colliding(u, 0, len(self.pairs) - self._nested)
 
     def nested(self, u: FloatArray) -> list[LinkPair]:
         """Return which links collide at a posture, of those that are nested at rest."""
-        return self._touching(u, len(self.pairs) - self._nested, len(self.pairs))
+        return self._colliding(u, len(self.pairs) - self._nested, len(self.pairs))
 
-    def _touching(self, u: FloatArray, begin: int, end: int) -> list[LinkPair]:
+    def _colliding(self, u: FloatArray, begin: int, end: int) -> list[LinkPair]:
         scene = self._scene
         scene.place(u)
-        rooms = self._rooms + _SURE
-        near = begin + np.flatnonzero((self._known.least(scene.joints) <= rooms)[begin:end])
+        margins = self._margins + _SURE
+        near = begin + np.flatnonzero((self._known.least(scene.joints) <= margins)[begin:end])
         if len(near) > _FEW:
-            near = near[self._spheres.gaps()[near] <= rooms[near]]
+            near = near[self._spheres.gaps()[near] <= margins[near]]
         self._known.learn(near, [scene.at_least(self.pairs[c]) for c in near], scene.joints)
-        return [self.pairs[c] for c in near if scene.nearer(self.pairs[c], float(self._rooms[c]))]
+        return [self.pairs[c] for c in near if scene.nearer(self.pairs[c], float(self._margins[c]))]
 
-    def along(self, u: FloatArray) -> Blocked | None:
-        """Return where the straight way from rest to a posture is first blocked, if it is.
+    def blocked(self, u: FloatArray) -> Blocked | None:
+        """Return where the straight path from rest to a posture is first blocked, if it is.
 
         Links whose convex parts stay farther apart than they can move are free; for the others the
-        way is halved, again and again. What remains is checked exactly, so often that the links
+        path is halved, again and again. What remains is checked exactly, so often that the links
         move at most 2 mm against each other, where they are near, between two checks.
         """
         key = u.tobytes()
-        if key not in self._ways:
-            self._ways[key] = self.first(self._motion.way(u), self.pairs)
-        return self._ways[key]
+        if key not in self._paths:
+            self._paths[key] = self.first_on(self._motion.path_to(u), self.pairs)
+        return self._paths[key]
 
-    def first(self, way: Way, pairs: Sequence[LinkPair]) -> Blocked | None:
-        """Return where some watched links first collide on a way, ``None`` if they do not."""
+    def first_on(self, path: StraightPath, pairs: Sequence[LinkPair]) -> Blocked | None:
+        """Return where some links first collide on a path, ``None`` if they do not."""
         found: Blocked | None = None
-        for pair, ends in sorted(self._near(way, pairs), key=lambda run: run[1][0]):
+        for pair, ends in sorted(self._near_runs(path, pairs), key=lambda run: run[1][0]):
             if found is not None:
                 if ends[0] >= found.at:
                     break
                 ends = [*(t for t in ends if t < found.at), found.at]
-            at = self._first_in(pair, way, ends)
+            at = self._first_in(pair, path, ends)
             if at is not None and (found is None or at < found.at):
                 found = Blocked(pair, at)
         return found
 
-    def _near(self, way: Way, pairs: Sequence[LinkPair]) -> list[tuple[LinkPair, list[float]]]:
-        """Return the runs of the way on which a pair may touch, by the ends of their parts."""
-        speeds = [self._motion.speed(pair, way) for pair in pairs]
+    def _near_runs(
+        self, path: StraightPath, pairs: Sequence[LinkPair]
+    ) -> list[tuple[LinkPair, list[float]]]:
+        """Return the runs of the path on which a pair may touch, by the ends of their parts."""
+        speeds = [self._motion.speed(pair, path) for pair in pairs]
         gaps: list[dict[float, float]] = [{} for _ in pairs]
         left: list[list[tuple[float, float]]] = [[] for _ in pairs]
-        parts = {(0.0, 1.0): self._within_reach(way, pairs, speeds)}
+        parts = {(0.0, 1.0): self._within_reach(path, pairs, speeds)}
         while parts:
             asked: dict[float, set[int]] = {}
             for ends, columns in parts.items():
@@ -268,15 +272,16 @@ class Watch:
             for t, concerned in asked.items():
                 new = [c for c in concerned if t not in gaps[c]]
                 if new:
-                    self._scene.place(way.at(t))
+                    self._scene.place(path.at(t))
                 for c in new:
                     gaps[c][t] = self._scene.at_least(pairs[c])
             halves: dict[tuple[float, float], list[int]] = {}
             for (start, end), columns in parts.items():
                 middle = (start + end) / 2.0
                 for c in columns:
-                    room = self._room[pairs[c].number]
-                    here, there = gaps[c][start] - room, gaps[c][end] - room
+                    margin = self._margin_of[pairs[c].number]
+                    here, there = gaps[c][start] - margin, gaps[c][end] - margin
+                    # Links that come near each other anywhere between must cover both gaps.
                     if here + there > speeds[c] * (end - start):
                         continue
                     overlap = here <= 0.0 and there <= 0.0
@@ -289,36 +294,36 @@ class Watch:
         return [(pair, run) for pair, ends in zip(pairs, left, strict=True) for run in _runs(ends)]
 
     def _within_reach(
-        self, way: Way, pairs: Sequence[LinkPair], speeds: Sequence[float]
+        self, path: StraightPath, pairs: Sequence[LinkPair], speeds: Sequence[float]
     ) -> list[int]:
         """Return the numbers of the pairs whose spheres come near each other on some half."""
         spheres = self._spheres if pairs is self.pairs else Spheres(self._scene, pairs)
         bounds = []
         for t in (0.0, 0.5, 1.0):
-            self._scene.place(way.at(t))
+            self._scene.place(path.at(t))
             bounds.append(spheres.gaps())
         reach = np.array(speeds) / 2.0
-        reach += [2.0 * self._room[pair.number] for pair in pairs]
+        reach += [2.0 * self._margin_of[pair.number] for pair in pairs]
         near = (bounds[0] + bounds[1] <= reach) | (bounds[1] + bounds[2] <= reach)
         return [int(c) for c in np.flatnonzero(near)]
 
-    def _first_in(self, pair: LinkPair, way: Way, ends: Sequence[float]) -> float | None:
-        """Return where a pair first touches on a run of the way."""
-        travelled = self._motion.travelled(pair, way, ends)
+    def _first_in(self, pair: LinkPair, path: StraightPath, ends: Sequence[float]) -> float | None:
+        """Return where a pair first touches on a run of the path."""
+        travelled = self._motion.travelled(pair, path, ends)
         steps = min(max(1, int(np.ceil(travelled[-1] / STEP))), _MOST)
-        before, room = ends[0], self._room[pair.number]
+        before, margin = ends[0], self._margin_of[pair.number]
         for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:
             t = float(np.interp(goal, travelled, ends)) if travelled[-1] > 0.0 else ends[-1]
             t = min(ends[-1], round(t / _PLACE) * _PLACE)
-            self._scene.place(way.at(t))
-            if self._scene.nearer(pair, room):
-                return bisect(self._scene, pair, way, before, t, room)
+            self._scene.place(path.at(t))
+            if self._scene.nearer(pair, margin):
+                return bisect(self._scene, pair, path, before, t, margin)
             before = t
         return None
 
 
 def _runs(parts: list[tuple[float, float]]) -> list[list[float]]:
-    """Return the ends of parts of a way, joined where one follows another."""
+    """Return the ends of parts of a path, joined where one follows another."""
     runs: list[list[float]] = []
     for start, end in sorted(parts):
         if runs and runs[-1][-1] == start:
@@ -328,8 +333,8 @@ def _runs(parts: list[tuple[float, float]]) -> list[list[float]]:
     return runs
 
 
-def first_contact(scene: Scene, pair: LinkPair, way: Way, speed: float) -> float | None:
-    """Return where two links first touch on the way, ``None`` if they do not.
+def first_contact(scene: Scene, pair: LinkPair, path: StraightPath, speed: float) -> float | None:
+    """Return where two links first touch on the path, ``None`` if they do not.
 
     Conservative advancement (Mirtich, 1996) on the convex parts; where these overlap, exact checks
     at most half a millimetre of motion apart.
@@ -337,16 +342,16 @@ def first_contact(scene: Scene, pair: LinkPair, way: Way, speed: float) -> float
     Args:
         scene: The scene.
         pair: The links.
-        way: The way.
-        speed: Bound on the speed of the links against each other per unit of the way [m].
+        path: The path.
+        speed: Bound on the speed of the links against each other per unit of the path [m].
     """
     finest = max(_FINE / speed, 1.0 / _MOST) if speed > 0.0 else 1.0
     t = before = 0.0
     while True:
-        scene.place(way.at(t))
+        scene.place(path.at(t))
         gap = scene.at_least(pair)
         if gap <= 0.0 and scene.touching(pair):
-            return bisect(scene, pair, way, before, t, TOUCH)
+            return bisect(scene, pair, path, before, t, TOUCH)
         if t >= 1.0:
             return None
         before = t
@@ -356,7 +361,7 @@ def first_contact(scene: Scene, pair: LinkPair, way: Way, speed: float) -> float
 def bisect(
     scene: Scene,
     pair: LinkPair,
-    way: Way,
+    path: StraightPath,
     apart: float,
     touching: float,
     margin: float,
@@ -367,7 +372,7 @@ def bisect(
     Args:
         scene: The scene.
         pair: The links.
-        way: The way.
+        path: The path.
         apart: An intensity at which they do not touch; it may equal ``touching``.
         touching: A greater one at which they do.
         margin: The margin [m].
@@ -375,9 +380,50 @@ def bisect(
     """
     while touching - apart > precision:
         middle = (apart + touching) / 2.0
-        scene.place(way.at(middle))
+        scene.place(path.at(middle))
         if scene.nearer(pair, margin):
             touching = middle
         else:
             apart = middle
     return touching
+
+
+class Spheres:
+    """Lower bounds on the distances of pairs of links, all at once.
+
+    Every link lies in a sphere that moves with it.
+    """
+
+    def __init__(self, scene: Scene, pairs: Sequence[LinkPair]) -> None:
+        """Put spheres around the links of some pairs."""
+        self._scene = scene
+        links = list(dict.fromkeys(shapes for pair in pairs for shapes in pair.shapes))
+        spheres = [_sphere(scene, shapes) for shapes in links]
+        self._bodies = [scene.shapes[shapes[0]].body for shapes in links]
+        self._centres = np.array([centre for centre, _ in spheres]).reshape(-1, 3)
+        radii = np.array([radius for _, radius in spheres])
+        self._first = np.array([links.index(pair.shapes[0]) for pair in pairs], dtype=np.intp)
+        self._second = np.array([links.index(pair.shapes[1]) for pair in pairs], dtype=np.intp)
+        self._radii = radii[self._first] + radii[self._second] if pairs else np.zeros(0)
+
+    def gaps(self) -> FloatArray:
+        """Return the least distance of every pair at the posture of the scene ``(p,)`` [m]."""
+        rotations, translations = self._scene.bodies()
+        there = np.add.reduce(rotations[self._bodies] * self._centres[:, None, :], axis=2)
+        there += translations[self._bodies]
+        between = there[self._second] - there[self._first]
+        result: FloatArray = norms(between) - self._radii
+        return result
+
+
+def _sphere(scene: Scene, shapes: tuple[int, ...]) -> tuple[FloatArray, float]:
+    """Return a sphere around shapes of one body, in the body's frame: centre and radius [m]."""
+    corners = []
+    for i in shapes:
+        shape = scene.shapes[i]
+        corners.append(
+            rotated(shape.points, shape.placement.rotation) + shape.placement.translation
+        )
+    points = np.concatenate(corners)
+    centre: FloatArray = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    return centre, float(norms(points - centre).max())

@@ -1,4 +1,4 @@
-"""The transmission as the searches evaluate it: non-linear couplings from tables."""
+"""The transmission for the searches: non-linear couplings are interpolated in tables."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.space import widened_limits
-from rtee.hand.linalg import times
+from rtee.hand.linalg import matvec
 from rtee.hand.model import Hand
 from rtee.hand.transmission import Coupling, Linear
 from rtee.types import FloatArray
 
 _KNOTS: Final = 1025
+"""Knots of a table, which agrees with smooth couplings to 1e-8 rad."""
 
 
 class Couplings:
@@ -33,7 +34,7 @@ class Couplings:
 
     def joints(self, u: FloatArray) -> FloatArray:
         """Return joint positions ``(m,)`` at actuator positions ``(n,)`` [rad | m]."""
-        q: FloatArray = times(self._matrix, u) + self._offset
+        q: FloatArray = matvec(self._matrix, u) + self._offset
         for table in self._tables:
             q[table.rows] = table.at(float(u[table.actuator]))[0]
         return q

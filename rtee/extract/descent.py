@@ -8,15 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from rtee.extract.grain import COARSE, Grain
-from rtee.hand.linalg import dot, times
+from rtee.extract.resolution import COARSE, Resolution
+from rtee.hand.linalg import dot, matvec
 from rtee.types import FloatArray
 
 Slope = Callable[[], FloatArray]
 """Returns the derivative ``(k,)`` where a function was evaluated last.
 
-It is asked for before the next evaluation, or not at all: half of the steps that a line search
-tries are too long, and nobody needs the derivative there."""
+It is called before the next evaluation, or not at all: half of the steps that a line search tries
+are too long, and the derivative there is not needed."""
 
 Objective = Callable[[FloatArray], tuple[float, Slope]]
 """From coordinates in the unit box to the value and what returns its derivative."""
@@ -26,11 +26,22 @@ Bounds = tuple[FloatArray | float, FloatArray | float]
 
 _DECREASE: Final = 1e-4
 _CURVATURE: Final = 0.5
+"""Shares of the first slope in the two weak Wolfe conditions: the usual one, and less than the
+usual 0.9, as what lies behind a kink is worth little."""
+
 _FIRST_STEP: Final = 0.1
 _LONGEST_STEP: Final = 0.5
+"""Lengths of steps in the coordinate that moves farthest, as parts of an actuator's range: before
+anything is known of the curvature, and ever."""
+
+_FLAT: Final = 1e-10
+"""A derivative this small is zero [m]: far below the unit of every resolution."""
+
+_CURVED: Final = 1e-14
+"""Less curvature along a step than this is a rounding error [m]; the model is not updated by it."""
 
 _MOST_TRIALS: Final = 10
-"""Points that a line search tries; ten halvings of the longest step come to the coarse pitch."""
+"""Points that a line search tries; ten halvings of the longest step come to the coarse unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +65,14 @@ def descend(
     *,
     evaluations: int,
     bounds: Bounds = (0.0, 1.0),
-    grain: Grain = COARSE,
+    resolution: Resolution = COARSE,
     enough: float = -np.inf,
 ) -> Minimum:
     """Return a local minimum by projected BFGS.
 
     Quasi-Newton steps on the coordinates that are not held at a bound, with a line search for the
     weak Wolfe conditions. These suffice on functions with kinks, where the method converges though
-    the derivative jumps (Lewis and Overton, 2013). Where it stalls, it begins anew once with the
+    the derivative jumps (Lewis and Overton, 2013). Where it stalls, it restarts once from the
     identity.
 
     Args:
@@ -69,32 +80,33 @@ def descend(
         start: Coordinates ``(k,)``.
         evaluations: Most evaluations.
         bounds: Corners of the box.
-        grain: What coordinates, values and slopes are rounded to; a step that gains no more than
-            the unit of values ends the descent.
+        resolution: What coordinates, values and slopes are rounded to; a step that gains no more
+            than the unit of values ends the descent.
         enough: A value at which the descent ends.
     """
     low, high = np.zeros(len(start)) + bounds[0], np.zeros(len(start)) + bounds[1]
-    bounds = low, high = grain.inside((low, high))
-    y = within(grain.point(start), bounds)
-    value, slope = _measured(function, y, grain)
+    bounds = low, high = resolution.snap_box((low, high))
+    y = within(resolution.snap(start), bounds)
+    value, slope = _measured(function, y, resolution)
     count, fresh, restarted = 1, True, False
     inverse = np.eye(len(y))
     while count < evaluations and value > enough:
+        # A coordinate at a bound that would leave the box takes no part in this step.
         held = ((y <= low) & (slope > 0.0)) | ((y >= high) & (slope < 0.0))
         free = np.where(held, 0.0, slope)
-        if max(map(abs, free.tolist()), default=0.0) < 1e-10:
+        if max(map(abs, free.tolist()), default=0.0) < _FLAT:
             break
-        direction = np.where(held, 0.0, -times(inverse, free))
-        if dot(direction, free) >= 0.0:
+        direction = np.where(held, 0.0, -matvec(inverse, free))
+        if dot(direction, free) >= 0.0:  # no descent: the model is useless behind a kink
             direction, inverse, fresh = -free, np.eye(len(y)), True
         longest = max(map(abs, direction.tolist()))
         if fresh:
             direction *= _FIRST_STEP / longest
         elif longest > _LONGEST_STEP:
             direction *= _LONGEST_STEP / longest
-        found, used = _search_line(function, (y, value, free), direction, bounds, grain)
+        found, used = _search_line(function, (y, value, free), direction, bounds, resolution)
         count += used
-        if found is None or value - found[1] <= grain.depth:
+        if found is None or value - found[1] <= resolution.value:  # stalled
             if found is not None:
                 y, value, slope = found
             if restarted or fresh:
@@ -104,10 +116,13 @@ def descend(
         step, change = found[0] - y, found[2] - slope
         y, value, slope = found
         along = dot(step, change)
-        if along > 1e-14:
+        if along > _CURVED:
+            # Before the first update, the identity is scaled to the curvature that was met (Nocedal
+            # and Wright, Numerical Optimization, 2006, equation 6.20).
             if fresh:
                 inverse = np.eye(len(y)) * (along / dot(change, change))
-            bent = times(inverse, change) / along
+            # The BFGS update of the inverse, as a symmetric sum of two outer products.
+            bent = matvec(inverse, change) / along
             half = (0.5 * (dot(change, bent) + 1.0) / along) * step - bent
             update = step[:, None] * half
             inverse = inverse + (update + update.T)
@@ -115,9 +130,11 @@ def descend(
     return Minimum(y, value, count)
 
 
-def _measured(function: Objective, y: FloatArray, grain: Grain) -> tuple[float, FloatArray]:
+def _measured(
+    function: Objective, y: FloatArray, resolution: Resolution
+) -> tuple[float, FloatArray]:
     value, rise = function(y)
-    return grain.value(value), grain.derivative(rise())
+    return resolution.rounded_value(value), resolution.rounded_slope(rise())
 
 
 def within(y: FloatArray, bounds: Bounds) -> FloatArray:
@@ -130,7 +147,11 @@ _Point = tuple[FloatArray, float, FloatArray]
 
 
 def _search_line(
-    function: Objective, origin: _Point, direction: FloatArray, bounds: Bounds, grain: Grain
+    function: Objective,
+    origin: _Point,
+    direction: FloatArray,
+    bounds: Bounds,
+    resolution: Resolution,
 ) -> tuple[_Point | None, int]:
     """Return a point of sufficient decrease on the projected ray, if possible of flatter slope."""
     y, value, slope = origin
@@ -138,16 +159,16 @@ def _search_line(
     best: _Point | None = None
     steepness = dot(slope, direction)
     for count in range(_MOST_TRIALS):
-        there = grain.point(y + t * direction)
+        there = resolution.snap(y + t * direction)
         inside = within(there, bounds)
         if (inside == y).all():
             return best, count
         new, rise = function(inside)
-        new = grain.value(new)
+        new = resolution.rounded_value(new)
         if new > value + _DECREASE * dot(slope, inside - y):
             above = t
         else:
-            new_slope = grain.derivative(rise())
+            new_slope = resolution.rounded_slope(rise())
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)
             projected = there.tolist() != inside.tolist()

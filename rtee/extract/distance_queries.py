@@ -1,4 +1,4 @@
-"""Distances and contacts of the shapes of two links, the same whatever was asked before."""
+"""Distances and contacts of the shapes of two links, the same whatever was measured before."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ _FAILED: Final = -1e6
 """No hand is as deep in itself [m]: Coal's result where it did not find a depth."""
 
 _CLIMBED: Final = 32
-"""Coal climbs along the edges of hulls with more vertices, from where it looked last."""
+"""Coal climbs along the edges of hulls with more vertices, from where its last query ended."""
 
 _ENDLESS: Final = (coal.Cylinder, coal.BVHModelBase)
+"""Shapes of which no polytope of finitely many faces is exact."""
 
 _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
 _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
@@ -33,20 +34,20 @@ _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
 _place, _measure = pin.updateGeometryPlacements, pin.computeDistances
 
 
-class Forms:
-    """The shapes of two links in one of their forms: convex, a draft of that, or exact.
+class DistanceQueries:
+    """Distances and contacts of two links, of their shapes convex, as drafts of that, or as given.
 
-    All couples of them, one of the first link and one of the second, are answered by one call.
+    All couples of shapes, one of the first link and one of the second, are measured by one call.
     Coal can keep where its last search of a couple ended as a guess for the next one, which moves
     results in their last digits. Here every search begins from the same guess, so that results
     depend on the posture alone. Coal's own default does that for convex shapes; for meshes as given
-    it must be set anew each time.
+    it must be set again each time.
 
     Attributes:
         couples: Indices of the couples' shapes in the scene.
-        slack: How much nearer than their forms the convex parts of the links can be [m].
+        slack: How much nearer than the bodies that are measured the convex parts can be [m].
         remembers: Whether Coal keeps the last direction in which it looked for a vertex of a hull,
-            which moves the next result by some 10 nm; only forms that are new have none.
+            which moves the next result by some 10 nm; only new queries have none.
         results: Coal's last distance result of every couple.
     """
 
@@ -56,7 +57,7 @@ class Forms:
         shapes: Sequence[Shape],
         first: Sequence[int],
         second: Sequence[int],
-        forms: Mapping[int, coal.CollisionGeometry],
+        bodies: Mapping[int, coal.CollisionGeometry],
         *,
         draft: bool = False,
         slack: float = 0.0,
@@ -68,10 +69,10 @@ class Forms:
             shapes: All shapes.
             first: Indices of those of the first link.
             second: Indices of those of the second link.
-            forms: What stands for each of the shapes, by its index: its convex part, its draft, or
+            bodies: What stands for each of the shapes, by its index: its convex part, its draft, or
                 its geometry as given.
             draft: Measure for a search: depths of polytopes more precisely.
-            slack: How much nearer than their forms the convex parts of the links can be [m].
+            slack: How much nearer than the bodies the convex parts of the links can be [m].
         """
         self.slack = slack
         self.couples = tuple((i, j) for i in first for j in second)
@@ -80,10 +81,10 @@ class Forms:
         number = {}
         self._guided = self.remembers = False
         for i in (*first, *second):
-            shape, form = shapes[i], forms[i]
-            self._guided |= isinstance(form, coal.BVHModelBase)
-            self.remembers |= isinstance(form, coal.ConvexBase) and form.num_points > _CLIMBED
-            placed = pin.GeometryObject(str(i), shape.body, shape.placement, form)
+            shape, body = shapes[i], bodies[i]
+            self._guided |= isinstance(body, coal.BVHModelBase)
+            self.remembers |= isinstance(body, coal.ConvexBase) and body.num_points > _CLIMBED
+            placed = pin.GeometryObject(str(i), shape.body, shape.placement, body)
             number[i] = self._model.addGeometryObject(placed)
         for i, j in self.couples:
             self._model.addCollisionPair(pin.CollisionPair(number[i], number[j]))
@@ -97,7 +98,7 @@ class Forms:
             self._data.collisionRequests[k] = collision
         self._distances = list(self._data.distanceRequests)
         for request, (i, j) in zip(self._distances, self.couples, strict=True):
-            if draft and not any(isinstance(forms[n], _ENDLESS) for n in (i, j)):
+            if draft and not any(isinstance(bodies[n], _ENDLESS) for n in (i, j)):
                 request.epa_tolerance = _POLYTOPES
         self._collisions = list(self._data.collisionRequests)
         self.results: Any = list(self._data.distanceResults)
@@ -106,7 +107,7 @@ class Forms:
 
     @property
     def measures_meshes(self) -> bool:
-        """Whether any of the forms is a mesh as given, which takes long."""
+        """Whether any of the shapes is a mesh as given, which takes long."""
         return self._guided
 
     def least(self, stamp: int) -> tuple[float, int]:

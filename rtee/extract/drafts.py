@@ -1,4 +1,4 @@
-"""Simpler convex parts for the searches: hulls with fewer vertices, and only the outer ones."""
+"""Drafts of convex parts for the searches: hulls with fewer vertices, and only the outer ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import coal
 import numpy as np
 
 from rtee.hand.geometry import Shape, hull_of
-from rtee.hand.linalg import turned
+from rtee.hand.linalg import rotated
 from rtee.types import FloatArray
 
 SLACK: Final = 1e-4
@@ -26,15 +26,19 @@ _DIRECTIONS: Final = np.array(
 """Directions whose outermost vertices begin a draft: to a cube's faces, edges and corners."""
 
 _SIDES: Final = 16
-"""Sides of the prism that stands for a cylinder: up to 32 corners, Coal looks at each of them and
-keeps nothing from one question to the next."""
+"""Sides of the prism in place of a cylinder: up to 32 corners, Coal compares them all and keeps
+nothing from one query to the next."""
 
 _THICK: Final = 6.0
 """A prism of so few sides may lie this many times the slack within its cylinder; thicker cylinders
 get more sides."""
 
 _TURN: Final = 0.37
-"""How far that prism is turned about its axis, as a part of a side."""
+"""How far that prism is turned about its axis, as a part of a side: no simple fraction, so that
+its faces are parallel to few others."""
+
+_ROUNDED: Final = 2e-9
+"""How far rounding the corners to a nanometre moves them at most [m]."""
 
 _ROUNDS: Final = 12
 """Most rounds in which vertices are added; each halves what is missing, about."""
@@ -42,14 +46,14 @@ _ROUNDS: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What stands in for the convex part of a shape while a search explores.
+    """What replaces the convex part of a shape while a search explores.
 
     Attributes:
-        form: A convex shape within the convex part.
+        shape: A convex shape within the convex part.
         slack: How far the convex part reaches beyond it at most [m].
     """
 
-    form: coal.ShapeBase
+    shape: coal.ShapeBase
     slack: float
 
 
@@ -79,7 +83,7 @@ def _prism(radius: float, half: float) -> Draft:
     # Rounded to a nanometre, so that sines of another mathematical library give the same corners.
     ring = [(round(radius * math.cos(a), 9), round(radius * math.sin(a), 9)) for a in turns]
     corners = np.array([(x, y, z) for z in (-half, half) for x, y in ring])
-    return Draft(hull_of(corners), radius * flat + 2e-9)
+    return Draft(hull_of(corners), radius * flat + _ROUNDED)
 
 
 def _simplified(part: coal.ConvexBase) -> Draft:
@@ -117,21 +121,21 @@ def outer(
     """
     kept = list(link)
     for j in link:
-        form, holder = drafts[j].form, shapes[j].placement
-        if not isinstance(form, coal.ConvexBase):
+        body, holder = drafts[j].shape, shapes[j].placement
+        if not isinstance(body, coal.ConvexBase):
             continue
-        normals = np.array(form.normals())
-        levels = _along(np.array(form.points()), normals).max(axis=0)
+        normals = np.array(body.normals())
+        levels = _along(np.array(body.points()), normals).max(axis=0)
         for i in [i for i in kept if i != j]:
             shape = shapes[i]
-            corners = turned(shape.points, shape.placement.rotation) + shape.placement.translation
-            local = turned(corners - holder.translation, holder.rotation.T)
+            corners = rotated(shape.points, shape.placement.rotation) + shape.placement.translation
+            local = rotated(corners - holder.translation, holder.rotation.T)
             if (_along(local, normals) <= levels).all():
                 kept.remove(i)
     return tuple(kept)
 
 
-def least_width(shape: Shape, form: coal.ShapeBase) -> float:
+def least_width(shape: Shape, draft: coal.ShapeBase) -> float:
     """Return a lower bound on the width of a shape's convex part in any direction [m].
 
     The width of a polyhedron is least across a face and a vertex or across two edges; a third of
@@ -139,12 +143,12 @@ def least_width(shape: Shape, form: coal.ShapeBase) -> float:
 
     Args:
         shape: The shape.
-        form: Its draft, which is no wider.
+        draft: Its draft, which is no wider.
     """
     if not shape.is_mesh:
         low, high = shape.box
         return float((high - low).min()) / 2.0
-    heights = _along(np.array(form.points()), np.array(form.normals()))
+    heights = _along(np.array(draft.points()), np.array(draft.normals()))
     return float((heights.max(axis=0) - heights.min(axis=0)).min()) / 3.0
 
 

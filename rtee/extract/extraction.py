@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
 from rtee.actions.types import Primitive, PrimitiveKind
-from rtee.extract.evidence import Inspector, posture_of
-from rtee.extract.jobs import Progress, processors, spread
+from rtee.extract.evidence import Inspector, as_posture
+from rtee.extract.jobs import Progress, parallel_map, processors
 from rtee.extract.kinematic import kinematic_primitives
-from rtee.extract.multi import Pinches, find_multi
-from rtee.extract.pinch import Sight, pinch_search
-from rtee.extract.ranking import Found, Rank
-from rtee.hand.model import Hand
+from rtee.extract.multi import MultiSearch
+from rtee.extract.pinch import PinchProbe, pinch_search
+from rtee.extract.ranking import FoundPinch, Rank
+from rtee.hand.model import Finger, Hand
 from rtee.hand.resting import closed_rest
 
 _LARGE: Final = 5.0
@@ -69,63 +68,49 @@ def extract(
     return Extraction(tuple(primitives), time.perf_counter() - begun, _notes(inspector))
 
 
-_Look = tuple[int, int, Rank]
-_Finish = tuple[int, int, Rank, Sight]
-_Group = tuple[tuple[int, ...], Pinches, Rank]
-
-
-def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[Found]:
-    """Return all pinches: first who pinches at all, then how, and who else joins."""
+def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[FoundPinch]:
+    """Return all pinches: first which fingers pinch at all, then how, and which others join."""
     fingers = inspector.scene.hand.fingers
-    tipped = [i for i, finger in enumerate(fingers) if finger.tip]
-    looks: list[_Look] = [(i, j, rank) for i, j in combinations(tipped, 2)]
-    groups = [
-        group for size in range(len(tipped), 2, -1) for group in combinations(tipped, size)
-    ]  # those that take longest first
-    found = spread(partial(_look, inspector), looks, jobs, progress)
-    seen = [(i, j, sight) for (i, j, _), sight in zip(looks, found, strict=True) if sight]
+    tipped = [finger for finger in fingers if finger.tip]
+
+    def probed(pair: tuple[Finger, ...]) -> PinchProbe | None:
+        inspector.scene.forget()  # so that it does not matter which process does what
+        search = pinch_search(inspector, pair[0], pair[1], rank)
+        return None if search is None else search.probe()
+
+    pairs: list[tuple[Finger, ...]] = list(combinations(tipped, 2))
+    found = parallel_map(probed, pairs, jobs, progress)
+    probes = {pair: probe for pair, probe in zip(pairs, found, strict=True) if probe}
     tight = {
-        frozenset((fingers[i].name, fingers[j].name)): sight.explored
-        for i, j, sight in seen
-        if sight.kind is PrimitiveKind.PINCH_TIGHT
+        frozenset(finger.name for finger in pair): probe.explored
+        for pair, probe in probes.items()
+        if probe.kind is PrimitiveKind.PINCH_TIGHT
     }
-    tasks: list[_Finish | _Group] = [(group, tight, rank) for group in groups]
-    tasks += [(i, j, rank, sight) for i, j, sight in seen]  # short ones last: all end together
-    before = len(looks)
-    finished = spread(
-        partial(_finish, inspector),
-        tasks,
-        jobs,
-        lambda done, total: progress(before + done, before + total),
+
+    def finished(group: tuple[Finger, ...]) -> FoundPinch | None:
+        inspector.scene.forget()
+        if len(group) > 2:
+            return MultiSearch(inspector, group, tight, rank).run()
+        search = pinch_search(inspector, group[0], group[1], rank)
+        return None if search is None else search.finish(probes[group])
+
+    # Searches that take longest go first, so that all processes end at about the same time.
+    tasks: list[tuple[Finger, ...]]
+    tasks = [g for size in range(len(tipped), 2, -1) for g in combinations(tipped, size)]
+    tasks += probes
+    before = len(pairs)
+    pinches = parallel_map(
+        finished, tasks, jobs, lambda done, total: progress(before + done, before + total)
     )
-    return [one for one in finished if one is not None]
+    return [pinch for pinch in pinches if pinch is not None]
 
 
-def _look(inspector: Inspector, task: _Look) -> Sight | None:
-    inspector.scene.forget()  # which process does what does not matter
-    i, j, rank = task
-    fingers = inspector.scene.hand.fingers
-    search = pinch_search(inspector, fingers[i], fingers[j], rank)
-    return None if search is None else search.look()
-
-
-def _finish(inspector: Inspector, task: _Finish | _Group) -> Found | None:
-    inspector.scene.forget()
-    fingers = inspector.scene.hand.fingers
-    if len(task) == 4:
-        i, j, rank, sight = task
-        search = pinch_search(inspector, fingers[i], fingers[j], rank)
-        return None if search is None else search.finish(sight)
-    group, pinches, rank = task
-    return find_multi(inspector, tuple(fingers[i] for i in group), pinches, rank)
-
-
-def _primitive(hand: Hand, found: Found) -> Primitive:
+def _primitive(hand: Hand, found: FoundPinch) -> Primitive:
     involved = {name for finger in found.fingers for name in hand.finger(finger).actuators}
     return Primitive(
         found.kind,
         found.fingers,
-        tuple(posture_of(hand, candidate.u, involved) for candidate in found.candidates),
+        tuple(as_posture(hand, candidate.u, involved) for candidate in found.candidates),
         tuple(candidate.evidence for candidate in found.candidates),
         tips=len(found.fingers),
         fingers=found.fingers,

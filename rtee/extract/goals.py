@@ -1,4 +1,4 @@
-"""What a search presses together: two tips, or more of them."""
+"""What a search minimises: the distance of two tips, or of more of them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from typing import Final, Protocol
 from rtee.extract.descent import Slope
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
-from rtee.extract.space import Space
+from rtee.extract.space import Space, rounded
 from rtee.types import FloatArray
 
 _MARGIN: Final = 2e-4
-"""By how much the convex parts of linked tips are to overlap [m]."""
+"""By how much the convex parts of linked tips are to overlap [m], so that the tips themselves do
+meet, which lie within these."""
 
 _PULL: Final = 5.0
-"""How much more a gap between tips that should be linked counts than a depth."""
+"""How much more a gap between tips that should be linked counts than a depth: a tip rather meets
+the others than that two of them meet deeper."""
 
 
 class Goal(Protocol):
@@ -37,34 +39,50 @@ class Goal(Protocol):
         """Return whether the tips touch as wanted, in their geometry as given."""
 
 
-class Placed:
+class GoalFunction:
     """A goal as a function of the coordinates of a space.
 
     Attributes:
+        scene: The hand's links.
+        goal: The goal.
         space: The space.
     """
 
     def __init__(self, scene: Scene, goal: Goal, space: Space) -> None:
-        self._scene = scene
-        self._goal = goal
+        self.scene = scene
+        self.goal = goal
         self.space = space
 
     def __call__(self, y: FloatArray) -> tuple[float, Slope]:
         """Return the value [m] and its derivative ``(k,)`` at coordinates ``(k,)``."""
-        self._scene.place(self.space.posture(y))
-        return self._goal.slope(self.space)
+        self.scene.place(self.space.posture(y))
+        return self.goal.slope(self.space)
 
     def fine(self) -> AbstractContextManager[None]:
         """Measure on the full convex parts within this context."""
-        return self._scene.fine()
+        return self.scene.fine()
 
     def value(self, y: FloatArray) -> float:
         """Return the value [m] at coordinates ``(k,)``."""
-        self._scene.place(self.space.posture(y))
-        return self._goal.value()
+        self.scene.place(self.space.posture(y))
+        return self.goal.value()
+
+    def reached(self, y: FloatArray) -> bool:
+        """Return whether the convex parts of the tips overlap as wanted at coordinates ``(k,)``."""
+        self.scene.place(self.space.posture(y))
+        return self.goal.reached()
+
+    def touching(self, u: FloatArray) -> bool:
+        """Return whether the tips touch as wanted, as given, at a posture ``(n,)`` [rad | m]."""
+        self.scene.place(u)
+        return self.goal.touching()
+
+    def stored(self, y: FloatArray) -> FloatArray:
+        """Return the posture ``(n,)`` at coordinates ``(k,)``, rounded as it is stored."""
+        return rounded(self.scene.hand, self.space.posture(y))
 
 
-class Pinch:
+class PinchGoal:
     """Two tips: the signed distance of their convex parts."""
 
     def __init__(self, scene: Scene, tips: LinkPair) -> None:
@@ -89,7 +107,7 @@ class Pinch:
         return self._scene.touching(self._tips)
 
 
-class Gap(Pinch):
+class GapGoal(PinchGoal):
     """Two tips: the distance of their geometry as given, 0 where it touches."""
 
     def value(self) -> float:
@@ -102,7 +120,7 @@ class Gap(Pinch):
         return value, lambda: slope
 
 
-class Parting(Pinch):
+class SeparationGoal(PinchGoal):
     """Two tips to be moved apart: minus the signed distance of their convex parts."""
 
     def value(self) -> float:
@@ -114,13 +132,9 @@ class Parting(Pinch):
         value, rise = super().slope(space)
         return -value, lambda: -rise()
 
-    def reached(self) -> bool:
-        """Return whether the convex parts are apart."""
-        return self.value() < 0.0
-
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class TipEdge:
     """Two tips of several that can touch each other.
 
     Attributes:
@@ -132,68 +146,69 @@ class Link:
     tips: LinkPair
 
 
-class MultiPinch:
+class MultiPinchGoal:
     """Three tips or more, linked by contacts.
 
     The value is minus the sum of all depths, plus a pull on the gaps of the shortest spanning tree,
     so that the tips stay or become linked, plus a push on contacts with tips that take no part.
-    Most of these are never met; only those that were are measured and pushed.
+    Most of these never touch; only those that did are measured and pushed.
     """
 
     def __init__(
         self,
         scene: Scene,
         size: int,
-        links: Sequence[Link],
-        strangers: Sequence[LinkPair],
+        edges: Sequence[TipEdge],
+        bystanders: Sequence[LinkPair],
     ) -> None:
         """Prepare a goal.
 
         Args:
             scene: The hand's links.
             size: Number of tips.
-            links: The pairs of them that can touch.
-            strangers: Pairs of tips of which one takes no part or both.
+            edges: The pairs of them that can touch.
+            bystanders: Pairs of tips of which one takes no part or both.
         """
         self._scene = scene
         self._size = size
-        self._links = links
-        self._ends = [link.ends for link in links]
-        self._linked = [link.tips for link in links]
-        self._strangers = strangers
-        self._met: list[LinkPair] = []
+        self._edges = edges
+        self._ends = [edge.ends for edge in edges]
+        self._pairs = [edge.tips for edge in edges]
+        self._bystanders = bystanders
+        self._touched: list[LinkPair] = []
 
-    def meet(self) -> bool:
+    def learn_bystanders(self) -> bool:
         """Return whether tips that take no part overlap others for the first time."""
-        known = {pair.number for pair in self._met}
-        new = [pair for pair in self._strangers if pair.number not in known]
+        known = {pair.number for pair in self._touched}
+        new = [pair for pair in self._bystanders if pair.number not in known]
         new = [pair for pair in new if self._scene.distance(pair) < 0.0]
-        self._met += new
+        self._touched += new
         return bool(new)
 
     def value(self) -> float:
         """Return the value [m]."""
-        gaps = self._scene.distances(self._linked)
+        gaps = self._scene.distances(self._pairs)
         tree = spanning_tree(self._size, self._ends, gaps)
         value = sum(min(gap, 0.0) for gap in gaps)
         value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in tree)
-        for pair in self._met:
+        for pair in self._touched:
             value += _PULL * max(0.0, -self._scene.distance(pair))
         return value
 
     def slope(self, space: Space) -> tuple[float, Slope]:
         """Return the value [m] and its derivative ``(k,)``."""
         scene = self._scene
-        gaps = scene.distances(self._linked)
+        gaps = scene.distances(self._pairs)
         tree = set(spanning_tree(self._size, self._ends, gaps))
         value, terms = 0.0, []
-        for i, (link, gap) in enumerate(zip(self._links, gaps, strict=True)):
+        for i, (pair, gap) in enumerate(zip(self._pairs, gaps, strict=True)):
+            # Beyond the margin the pull ends, so that no pair is pressed for its own sake.
             pull = _PULL if i in tree and gap > -_MARGIN else 0.0
             weight = pull + (1.0 if gap < 0.0 else 0.0)
             if weight:
                 value += min(gap, 0.0) + pull * (gap + _MARGIN)
-                terms.append((link.tips, weight))
-        for pair in self._met:
+                terms.append((pair, weight))
+        for pair in self._touched:
             gap = scene.distance(pair)
             if gap < 0.0:
                 value -= _PULL * gap
@@ -202,14 +217,14 @@ class MultiPinch:
 
     def reached(self) -> bool:
         """Return whether the tips are linked by overlaps of their convex parts."""
-        overlaps = [x.ends for x in self._links if self._scene.distance(x.tips) <= 0.0]
+        overlaps = [edge.ends for edge in self._edges if self._scene.distance(edge.tips) <= 0.0]
         return linked(self._size, overlaps)
 
     def touching(self) -> bool:
         """Return whether exactly these tips touch, linked by contacts."""
-        contacts = [x.ends for x in self._links if self._scene.touching(x.tips)]
+        contacts = [edge.ends for edge in self._edges if self._scene.touching(edge.tips)]
         return linked(self._size, contacts) and not any(
-            self._scene.touching(pair) for pair in self._strangers
+            self._scene.touching(pair) for pair in self._bystanders
         )
 
 
@@ -241,7 +256,7 @@ def linked(size: int, edges: Sequence[tuple[int, int]]) -> bool:
     return len(spanning_tree(size, edges, [0.0] * len(edges))) == size - 1
 
 
-def trees(size: int, edges: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
+def spanning_trees(size: int, edges: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
     """Return all spanning trees as edges by number; for few nodes only."""
     return [
         chosen

@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.hand.geometry import Shape, hull_of
-from rtee.hand.linalg import norms, turned
-from rtee.hand.tessellation import halved
+from rtee.hand.linalg import norms, rotated
+from rtee.hand.tessellation import subdivided
 from rtee.types import FloatArray
 
 OUTER: Final = 0.5
@@ -25,6 +25,7 @@ _PARTS: Final = 64
 """Where a shape is larger than this many such edges, they are longer."""
 
 _HALVINGS: Final = 8
+"""How often the range of distances from the axis is halved: to less than a millimetre."""
 
 
 class ClippedShape(Shape):
@@ -69,7 +70,7 @@ class Jaw:
 
     def arms(self, points: FloatArray) -> FloatArray:
         """Return the distances of points ``(..., 3)`` in the shape's frame from the axis [m]."""
-        there = turned(points, self.pose.rotation) + self.pose.translation
+        there = rotated(points, self.pose.rotation) + self.pose.translation
         distances: FloatArray = norms(np.cross(there - self.origin, self.axis))
         return distances
 
@@ -96,7 +97,7 @@ class Jaw:
         whole = outside.all(axis=1)
         low, high = self.shape.box
         edge = max(_EDGE, float((high - low).max()) / _PARTS)
-        pieces = halved(vertices[faces[~whole]], edge)
+        pieces = subdivided(vertices[faces[~whole]], edge)
         kept = pieces[(self.arms(pieces) > limit).all(axis=1)]
         return np.concatenate([vertices[faces[whole]], kept])
 

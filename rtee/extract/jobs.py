@@ -33,7 +33,7 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def spread(
+def parallel_map(
     function: Callable[[Task], Result], tasks: Sequence[Task], jobs: int, progress: Progress
 ) -> list[Result]:
     """Return what a function makes of all tasks, in their order.

@@ -25,6 +25,7 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
         found.append(_flex(hand, PrimitiveKind.TIP_FLEX, name, own[-1:]))
     for name, own in several.items():
         sideways = abduction(hand, hand.finger(name))
+        # Where the innermost actuator swings the finger sideways, the next one bends it.
         first = next((a for a in own if a not in sideways), own[0])
         found.append(_flex(hand, PrimitiveKind.FING_FLEX, name, (first,)))
     found += [
@@ -35,21 +36,12 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
     return found
 
 
-def farthest_bound(hand: Hand, actuator: int) -> float:
-    """Return the limit farthest from rest, the upper one where both are equally far."""
+def bounds_by_distance(hand: Hand, actuator: int) -> tuple[float, float]:
+    """Return the limit farthest from rest and the other one; the upper first if equally far."""
     spec = hand.actuators[actuator]
-    return spec.upper if _upper_is_far(hand, actuator) else spec.lower
-
-
-def nearest_bound(hand: Hand, actuator: int) -> float:
-    """Return the other limit than `farthest_bound`."""
-    spec = hand.actuators[actuator]
-    return spec.lower if _upper_is_far(hand, actuator) else spec.upper
-
-
-def _upper_is_far(hand: Hand, actuator: int) -> bool:
-    spec = hand.actuators[actuator]
-    return spec.upper - spec.rest >= spec.rest - spec.lower
+    if spec.upper - spec.rest >= spec.rest - spec.lower:
+        return spec.upper, spec.lower
+    return spec.lower, spec.upper
 
 
 def _bounded(hand: Hand, finger: Finger) -> tuple[str, ...]:
@@ -67,16 +59,14 @@ def _posture(hand: Hand, targets: dict[str, float]) -> Posture:
 
 
 def _flex(hand: Hand, kind: PrimitiveKind, finger: str, actuators: tuple[str, ...]) -> Primitive:
-    targets = {name: farthest_bound(hand, hand.actuator_index(name)) for name in actuators}
+    targets = {name: bounds_by_distance(hand, hand.actuator_index(name))[0] for name in actuators}
     return Primitive(kind, (finger,), (_posture(hand, targets),), fingers=(finger,))
 
 
 def _single_joint(hand: Hand, actuator: int) -> Primitive:
     spec = hand.actuators[actuator]
-    postures = tuple(
-        _posture(hand, {spec.name: bound})
-        for bound in (farthest_bound(hand, actuator), nearest_bound(hand, actuator))
-    )
+    bounds = bounds_by_distance(hand, actuator)
+    postures = tuple(_posture(hand, {spec.name: bound}) for bound in bounds)
     return Primitive(
         PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS,
         (spec.name,),

@@ -1,4 +1,4 @@
-"""How far links can move against each other on a straight way of the actuators."""
+"""How far links can move against each other on a straight path of the actuators."""
 
 from __future__ import annotations
 
@@ -13,13 +13,19 @@ from numpy.typing import NDArray
 
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import dot, norm, norms, product, times, turned
+from rtee.hand.linalg import dot, matmul, matvec, norm, norms, rotated
 from rtee.types import FloatArray, JointKind, from_rest
 
 _STATIONS: Final = 33
+"""At how many places of a path non-linear couplings are evaluated; between two of them those of
+hands are nearly linear."""
+
+_SAFETY: Final = 1.5
+"""Factor on the steepest slope found there, which may be steeper in between."""
 
 _NEAR: Final = 0.005
-"""How near points must be for their motion to count [m]."""
+"""How near points must be for their motion to count [m]: farther ones cannot touch between two
+checks, which are a millimetre of motion apart."""
 
 _UPPER: Final = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=bool)
 """Whether the corners of a box are at its upper ends ``(8, 3)``."""
@@ -28,13 +34,13 @@ _sum = np.add.reduce
 
 
 @dataclass(frozen=True)
-class Way:
+class StraightPath:
     """The straight motion of the actuators from rest to a posture.
 
     Attributes:
         rest: Start ``(n,)`` [rad | m].
         goal: End ``(n,)`` [rad | m].
-        travel: Upper bound of what each joint travels per unit of the way ``(m,)`` [rad | m].
+        travel: Upper bound of what each joint travels per unit of the path ``(m,)`` [rad | m].
     """
 
     rest: FloatArray
@@ -62,16 +68,18 @@ class Motion:
         """Number of joints."""
         return len(self._scene.hand.joints)
 
-    def way(self, goal: FloatArray) -> Way:
-        """Return the straight way from rest to a posture."""
+    def path_to(self, goal: FloatArray) -> StraightPath:
+        """Return the straight path from rest to a posture."""
         hand = self._scene.hand
         if hand.transmission.linear:
-            travel = np.abs(times(hand.transmission.matrix, goal - hand.rest))
+            travel = np.abs(matvec(hand.transmission.matrix, goal - hand.rest))
         else:
-            stations = np.linspace(0.0, 1.0, _STATIONS)[:, None]
-            q = hand.transmission.joints(hand.rest + stations * (goal - hand.rest))
-            travel = 1.5 * np.abs(np.diff(q, axis=0)).max(axis=0) * (_STATIONS - 1)
-        return Way(hand.rest, goal, travel)
+            stations = np.linspace(0.0, 1.0, _STATIONS).tolist()
+            q = hand.transmission.joints(
+                np.array([from_rest(hand.rest, goal, t) for t in stations])
+            )
+            travel = _SAFETY * np.abs(np.diff(q, axis=0)).max(axis=0) * (_STATIONS - 1)
+        return StraightPath(hand.rest, goal, travel)
 
     def levers(self, pair: LinkPair) -> FloatArray:
         """Return how far two links can move against each other per unit of each joint ``(m,)``.
@@ -82,44 +90,46 @@ class Motion:
             self._bounds[pair.links] = self._bound(pair)
         return self._bounds[pair.links]
 
-    def speed(self, pair: LinkPair, way: Way) -> float:
-        """Return a bound on the speed of two links against each other per unit of the way [m]."""
-        return dot(self.levers(pair), way.travel)
+    def speed(self, pair: LinkPair, path: StraightPath) -> float:
+        """Return a bound on the speed of two links against each other per unit of the path [m]."""
+        return dot(self.levers(pair), path.travel)
 
-    def travelled(self, pair: LinkPair, way: Way, stations: Sequence[float]) -> FloatArray:
+    def travelled(
+        self, pair: LinkPair, path: StraightPath, stations: Sequence[float]
+    ) -> FloatArray:
         """Return how far two links have moved against each other where they are near.
 
         Near are the points of one link's bounding boxes that lie within the other one's, widened by
-        5 mm, at the one or the other end of a part of the way. Of the points of a box those move
+        5 mm, at the one or the other end of a part of the path. Of the points of a box those move
         farthest that are its corners.
 
         Args:
             pair: The links.
-            way: The way.
+            path: The path.
             stations: Intensities, increasing ``(s,)``.
 
         Returns:
             The sum of the greatest displacements up to each station ``(s,)`` [m].
         """
-        poses = [self._scene.relative_pose(pair, way.at(t)) for t in stations]
+        poses = [self._scene.relative_pose(pair, path.at(t)) for t in stations]
         there = _stacked(poses)
         back = _stacked([pose.inverse() for pose in poses])
         most = np.zeros(len(stations) - 1)
         for i in pair.shapes[0]:
             for j in pair.shapes[1]:
-                for fixed, moving, path in ((i, j, there), (j, i, back)):
-                    most = np.maximum(most, self._displacements(fixed, moving, path))
+                for fixed, moving, motion in ((i, j, there), (j, i, back)):
+                    most = np.maximum(most, self._displacements(fixed, moving, motion))
         return np.concatenate([[0.0], np.cumsum(most)])
 
     def _displacements(
-        self, fixed: int, moving: int, path: tuple[FloatArray, FloatArray]
+        self, fixed: int, moving: int, motion: tuple[FloatArray, FloatArray]
     ) -> FloatArray | float:
         """Return how far points of a shape that are near another one move between stations.
 
         Args:
             fixed: The other shape.
             moving: The shape.
-            path: Rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of the body of the shape in
+            motion: Rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of the body of the shape in
                 the body of the other one.
 
         Returns:
@@ -127,10 +137,10 @@ class Motion:
         """
         one, other = self._scene.shapes[moving], self._scene.shapes[fixed]
         outward = other.placement.rotation
-        rotations = product(product(outward.T, path[0]), one.placement.rotation)
-        positions = _sum(path[0] * one.placement.translation, axis=2) + path[1]
-        positions = product(positions - other.placement.translation, outward)
-        # The other shape's box, seen from the shape, in a box of its own.
+        rotations = matmul(matmul(outward.T, motion[0]), one.placement.rotation)
+        positions = _sum(motion[0] * one.placement.translation, axis=2) + motion[1]
+        positions = matmul(positions - other.placement.translation, outward)
+        # The bounding box of the other shape's box, in the frame of the shape.
         low, high = other.box
         centres = _sum(rotations * ((low + high) / 2.0 - positions)[:, :, None], axis=1)
         halves = _sum(np.abs(rotations) * ((high - low) / 2.0 + _NEAR)[:, None], axis=1)
@@ -143,7 +153,7 @@ class Motion:
         turns, steps = np.diff(rotations, axis=0), np.diff(positions, axis=0)[:, None]
         most = np.zeros(len(steps))
         for ends in (slice(None, -1), slice(1, None)):
-            moved = product(corners[ends], turns.transpose(0, 2, 1)) + steps
+            moved = matmul(corners[ends], turns.transpose(0, 2, 1)) + steps
             squares = _sum(moved * moved, axis=2).max(axis=1)
             most = np.maximum(most, np.where(near[ends], squares, 0.0))
         result: FloatArray = np.sqrt(most)
@@ -155,6 +165,7 @@ class Motion:
         levers = np.zeros(len(scene.hand.joints))
         for shapes, body in zip(pair.shapes, pair.bodies, strict=True):
             reach = max(self._radius[i] for i in shapes)
+            # From the link to the base, over all joints that carry the link.
             while body:
                 if pair.moved_by[body - 1] != 0.0:
                     joint = scene.hand.joints[body - 1]
@@ -180,12 +191,12 @@ class Motion:
         radii = []
         for shape in self._scene.shapes:
             placement = shape.placement
-            points = turned(shape.points, placement.rotation) + placement.translation
+            points = rotated(shape.points, placement.rotation) + placement.translation
             radii.append(float(norms(points).max()))
         return radii
 
 
-class Known:
+class DistanceBounds:
     """Lower bounds on the distances of some links, from what was measured at earlier postures.
 
     Two links come nearer to each other by no more than they can move.
@@ -205,6 +216,7 @@ class Known:
         Args:
             joints: Joint positions ``(m,)`` [rad | m].
         """
+        # A joint moves the links against each other by its travel times its longest lever at most.
         moved = np.abs(joints - self._joints)
         least: FloatArray = self._gaps - _sum(self._levers * moved, axis=1)
         return least

@@ -10,24 +10,23 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import PrimitiveKind
-from rtee.extract.collision_free import Patience
+from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
 from rtee.extract.evidence import Inspector
-from rtee.extract.goals import Link, MultiPinch, Placed, linked, trees
+from rtee.extract.goals import GoalFunction, MultiPinchGoal, TipEdge, linked, spanning_trees
 from rtee.extract.pairs import LinkPair
-from rtee.extract.postures import clear_postures, stored
-from rtee.extract.ranking import Candidate, Found, Rank, ranked
-from rtee.extract.recombination import Block
-from rtee.extract.search import FEW, MANY, SEVERAL, Minima, minima
+from rtee.extract.ranking import Candidate, FoundPinch, Rank, ranked
+from rtee.extract.search import FEW, MANY, SEVERAL, Block, Minima, minima
 from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
 
 _MOST_TREES: Final = 4
+"""From how many spanning trees starts are combined; the hands in ``config/`` have no more."""
 
-_PATIENCE: Final = Patience(
-    pool=3, tries=2, rounds=4, leaps=2, creeps=5, ways=2, more=0, settle=False
+_BUDGET: Final = SearchBudget(
+    pool=3, attempts=2, pushes=4, recalibrations=2, trust_steps=5, path_rounds=2, settle=False
 )
-"""Of several tips; they leave rest so far that more starts find nothing better."""
+"""For several tips, which leave rest so far that more starts find nothing better."""
 
 Pinches = Mapping[frozenset[str], FloatArray]
 """Of the fingers that pinch tightly, two by two, the deepest posture ``(n,)``."""
@@ -49,63 +48,60 @@ class MultiSearch:
     pinches: Pinches
     rank: Rank = "depth"
 
-    def run(self) -> Found | None:
+    def run(self) -> FoundPinch | None:
         """Return the multi-pinch, if there is one."""
-        links = self._links()
-        if not linked(len(self.fingers), [link.ends for link in links]):
+        scene, edges = self.inspector.scene, self._edges()
+        if not linked(len(self.fingers), [edge.ends for edge in edges]):
             return None
-        moving = frozenset().union(*(link.tips.actuators for link in links))
+        moving = frozenset().union(*(edge.tips.actuators for edge in edges))
         space = make_space(self._hand, sorted(moving), real_limits(self._hand))
-        strangers = self._strangers(moving)
-        goal = MultiPinch(self.inspector.scene, len(self.fingers), links, strangers)
-        found = self._minima(goal, space, links)
-        polished = [m.y for m in found.polished]
-        touching = next(stored(self.inspector, goal, space, polished), None)
+        goal = MultiPinchGoal(scene, len(self.fingers), edges, self._bystanders(moving))
+        found = self._minima(goal, space, edges)
+        function = GoalFunction(scene, goal, space)
+        touching = next(touching_postures(function, (m.y for m in found.polished)), None)
         if touching is None:
             return None
-        involved = {self._hand.actuator_index(n) for f in self.fingers for n in f.actuators}
-        watch = self.inspector.collisions.watch(
-            involved, [frozenset(link.tips.links) for link in links]
-        )
+        checker = self.inspector.checker(self.fingers, [edge.tips for edge in edges])
         names = tuple(finger.name for finger in self.fingers)
 
         def candidate(u: FloatArray) -> Candidate:
-            return self.inspector.multi_pinch(u, names, links, watch)
+            return self.inspector.multi_pinch(u, names, edges, checker)
 
         candidates = [candidate(touching)]
         if not candidates[0].usable:
-            explored = [m.y for m in found.explored]
-            clear = clear_postures(self.inspector, goal, space, watch, explored, _PATIENCE)
+            starts, motion = [m.y for m in found.explored], self.inspector.motion
+            clear = clear_postures(function, motion, checker, starts, _BUDGET)
             candidates += [candidate(u) for u in clear[:1]]
-        lower, upper = real_limits(self._hand)
-        extent = upper - lower
-        return Found(PrimitiveKind.MULTI_PINCH_TIGHT, names, ranked(candidates, self.rank, extent))
+        kind = PrimitiveKind.MULTI_PINCH_TIGHT
+        return FoundPinch(kind, names, ranked(self._hand, candidates, self.rank))
 
     @property
     def _hand(self) -> Hand:
         return self.inspector.scene.hand
 
-    def _minima(self, goal: MultiPinch, space: Space, links: Sequence[Link]) -> Minima:
-        """Return local minima; again where strangers are met."""
-        scene, warm, blocks = self.inspector.scene, self._warm(space, links), self._blocks(space)
+    def _minima(self, goal: MultiPinchGoal, space: Space, edges: Sequence[TipEdge]) -> Minima:
+        """Return local minima; again where tips that take no part touch."""
+        scene, warm, blocks = self.inspector.scene, self._warm(space, edges), self._blocks(space)
         effort = SEVERAL if space.size <= FEW else MANY
+        # Few tips are ever in the way; only those that were met are pushed away in the next round.
         while True:
-            found = minima(Placed(scene, goal, space), warm, effort, blocks)
-            met = False
+            found = minima(GoalFunction(scene, goal, space), warm, effort, blocks)
+            learned = False
             for minimum in (*found.explored, *found.polished):
                 scene.place(space.posture(minimum.y))
-                met |= goal.meet()
-            if not met:
+                learned |= goal.learn_bystanders()
+            if not learned:
                 return found
 
-    def _links(self) -> list[Link]:
+    def _edges(self) -> list[TipEdge]:
         scene, found = self.inspector.scene, []
         for (i, a), (j, b) in combinations(enumerate(self.fingers), 2):
             if frozenset((a.name, b.name)) in self.pinches:
-                found.append(Link((i, j), scene.tips[str(a.tip), str(b.tip)]))
+                found.append(TipEdge((i, j), scene.tips[str(a.tip), str(b.tip)]))
         return found
 
-    def _strangers(self, moving: frozenset[int]) -> list[LinkPair]:
+    def _bystanders(self, moving: frozenset[int]) -> list[LinkPair]:
+        """Return the pairs of tips that move, of which one or both take no part."""
         mine = {finger.tip for finger in self.fingers}
         return [
             pair
@@ -113,23 +109,23 @@ class MultiSearch:
             if not set(pair.links) <= mine and pair.actuators & moving
         ]
 
-    def _warm(self, space: Space, links: Sequence[Link]) -> list[FloatArray]:
+    def _warm(self, space: Space, edges: Sequence[TipEdge]) -> list[FloatArray]:
         """Return the pinches of pairs, and starts combined from those that link the fingers."""
+        ends = [edge.ends for edge in edges]
+        pinches = [self.pinches[frozenset(self.fingers[k].name for k in end)] for end in ends]
         starts = []
-        ends = [link.ends for link in links]
-        for tree in trees(len(self.fingers), ends)[:_MOST_TREES]:
+        for tree in spanning_trees(len(self.fingers), ends)[:_MOST_TREES]:
             values: list[list[float]] = [[] for _ in self._hand.actuators]
             for i in tree:
-                names = frozenset(self.fingers[k].name for k in ends[i])
-                for actuator in links[i].tips.actuators:
-                    values[actuator].append(float(self.pinches[names][actuator]))
+                for actuator in edges[i].tips.actuators:
+                    values[actuator].append(float(pinches[i][actuator]))
+            # An actuator that several pinches move goes to the mean of what they want.
             u = self._hand.rest.copy()
             for actuator, chosen in enumerate(values):
                 if chosen:
                     u[actuator] = np.mean(chosen)
-            starts.append(space.coordinates(u))
-        pinches = [self.pinches[frozenset(self.fingers[k].name for k in end)] for end in ends]
-        return [*starts, *(space.coordinates(u) for u in pinches)]
+            starts.append(u)
+        return [space.coordinates(u) for u in (*starts, *pinches)]
 
     def _blocks(self, space: Space) -> list[Block]:
         """Return the coordinates that belong to each finger, and those that belong to none."""
@@ -138,10 +134,3 @@ class MultiSearch:
         for coordinate, actuator in enumerate(space.index.tolist()):
             blocks.setdefault(owner.get(actuator), []).append(coordinate)
         return [np.array(block, dtype=np.intp) for block in blocks.values()]
-
-
-def find_multi(
-    inspector: Inspector, fingers: tuple[Finger, ...], pinches: Pinches, rank: Rank = "depth"
-) -> Found | None:
-    """Return the multi-pinch of some fingers, if there is one."""
-    return MultiSearch(inspector, fingers, pinches, rank).run()

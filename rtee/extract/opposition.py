@@ -12,22 +12,26 @@ import numpy as np
 from rtee.actions.types import Opposition
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import dot, norm, times
+from rtee.hand.linalg import dot, matvec, norm
 from rtee.types import FloatArray
 
 FRICTION: Final = 0.5
+"""Coefficient of friction: rubber on most surfaces has more, bare plastic less."""
 
 BALL: Final = 0.005
-"""Radius of the small ball [m]."""
+"""Radius of the small ball [m]: what two fingertips can hold and most hands can close on."""
 
 _STILL: Final = 1e-3
-"""A tip that moves less than this part of the other one stands still."""
+"""A tip that moves less than this part of the other one does not move."""
 
 _TOUCH: Final = 1e-6
 """A gap that counts as touching [m]."""
 
+_NO_SPEED: Final = 1e-9
+"""Speeds per unit of the path that are rounding errors [m]."""
+
 _FAR: Final = 1.0
-"""How far a tip is drawn back or on to meet the ball [m]."""
+"""How far a tip is drawn back or on to meet the ball [m]: beyond every hand."""
 
 
 def opposition(
@@ -35,9 +39,9 @@ def opposition(
 ) -> Opposition | None:
     """Return how well two tips oppose each other at the posture where the scene is placed.
 
-    The line of closing of a tip is the velocity of its contact point on the straight way from rest.
-    A tip that stands still closes by the other one's motion, reversed. The angle of a tip is that
-    between its line of closing and the contact normal that points out of it.
+    The line of closing of a tip is the velocity of its contact point on the straight path from
+    rest. A tip that does not move closes by the other one's motion, reversed. The angle of a tip is
+    that between its line of closing and the contact normal that points out of it.
 
     The small ball is put at the contact. Each tip is drawn back along its line of closing until it
     just touches the ball: there it would meet the ball when it closes. The grasp is in force
@@ -48,19 +52,21 @@ def opposition(
         scene: The scene, placed.
         tips: The tips.
         witness: Their contact, or where they are closest.
-        direction: The way from rest ``(n,)`` [rad | m].
+        direction: The path from rest ``(n,)`` [rad | m].
 
     Returns:
         The opposition, or ``None`` if the tips do not move against each other there.
     """
     closing = [
-        times(scene.point_jacobian(link, point), direction)
+        matvec(scene.point_jacobian(link, point), direction)
         for link, point in zip(tips.links, (witness.first, witness.second), strict=True)
     ]
     speeds = [norm(v) for v in closing]
-    if max(speeds) < 1e-9 or norm(closing[0] - closing[1]) < 1e-9:
+    if max(speeds) < _NO_SPEED or norm(closing[0] - closing[1]) < _NO_SPEED:
         return None
-    if not np.isfinite(speeds).all() or norm(witness.normal) < 0.5:
+    if (
+        not np.isfinite(speeds).all() or norm(witness.normal) < 0.5
+    ):  # no unit vector: none was found
         return None
     for i in (0, 1):
         if speeds[i] < _STILL * speeds[1 - i]:
@@ -101,6 +107,7 @@ def _meet(
     ball = coal.Sphere(BALL)
     gap, towards = _gap(scene, shapes, ball, centre)
     if gap > 0.0:
+        # Conservative advancement: moving by the gap never passes the first contact.
         drawn_back = 0.0
         while gap > _TOUCH:
             drawn_back -= gap
@@ -108,6 +115,7 @@ def _meet(
                 return None
             gap, towards = _gap(scene, shapes, ball, centre + drawn_back * line)
         return _on_ball(centre, towards)
+    # The tip overlaps the ball: it is drawn back until it leaves the ball, then bisected.
     low, high = 0.0, BALL
     while _gap(scene, shapes, ball, centre + high * line)[0] <= 0.0:
         low, high = high, 2.0 * high

@@ -7,30 +7,31 @@ from dataclasses import dataclass
 from typing import Final
 
 from rtee.actions.types import PrimitiveKind
-from rtee.extract.collision_free import Patience
-from rtee.extract.collisions import Watch
+from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
 from rtee.extract.descent import descend
 from rtee.extract.evidence import Inspector
-from rtee.extract.goals import Gap, Parting, Pinch, Placed
-from rtee.extract.grain import FINE
+from rtee.extract.goals import GapGoal, GoalFunction, PinchGoal, SeparationGoal
 from rtee.extract.pairs import LinkPair
-from rtee.extract.postures import clear_postures, stored
-from rtee.extract.ranking import Candidate, Found, Rank, ranked
-from rtee.extract.scene import Scene
+from rtee.extract.ranking import Candidate, FoundPinch, Rank, ranked
+from rtee.extract.resolution import FINE
 from rtee.extract.search import minima
-from rtee.extract.space import Space, make_space, real_limits, rounded, widened_limits
-from rtee.hand.model import Finger, Hand
+from rtee.extract.space import Space, make_space, real_limits, widened_limits
+from rtee.hand.model import Finger
 from rtee.types import FloatArray
 
 _TRIED: Final = 4
-_SEEKING: Final = 40
+"""From how many minima contact of the geometry as given is sought; the others are shallower."""
+
+_EVALUATIONS: Final = 40
+"""Most evaluations of such a descent, each of which measures meshes."""
+
 _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
 """How many postures are measured, and kept where they are distinct."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
-    """What a first look at two fingers showed.
+class PinchProbe:
+    """Whether and how two fingers pinch, before collisions with other links are considered.
 
     Attributes:
         kind: Tight or loose.
@@ -47,120 +48,111 @@ class Sight:
     explored: FloatArray
 
 
-@dataclass(frozen=True)
 class PinchSearch:
-    """Looks for the pinch of two fingers.
+    """Looks for the pinch of two fingers."""
 
-    Attributes:
-        inspector: Measures postures.
-        fingers: The two fingers.
-        tips: Their fingertips, in the same order.
-        rank: What makes one posture better than another.
-    """
+    def __init__(
+        self, inspector: Inspector, fingers: tuple[Finger, Finger], tips: LinkPair, rank: Rank
+    ) -> None:
+        """Prepare a search.
 
-    inspector: Inspector
-    fingers: tuple[Finger, Finger]
-    tips: LinkPair
-    rank: Rank = "depth"
+        Args:
+            inspector: Measures postures.
+            fingers: The two fingers.
+            tips: Their fingertips, in the same order.
+            rank: What makes one posture better than another.
+        """
+        self._inspector = inspector
+        self._scene, self._hand = inspector.scene, inspector.scene.hand
+        self._fingers = fingers
+        self._tips = tips
+        self._rank: Rank = rank
+        space = make_space(self._hand, sorted(tips.actuators), real_limits(self._hand))
+        self._pinch = GoalFunction(self._scene, PinchGoal(self._scene, tips), space)
 
-    def look(self) -> Sight | None:
-        """Return whether the fingers pinch and how, before anything else is looked at."""
-        space = self._space(real_limits(self._hand))
-        if self._touch(space, space.rest) and not self._can_part(space):
+    def probe(self) -> PinchProbe | None:
+        """Return whether the fingers pinch and how, before anything else is considered."""
+        pinch, space = self._pinch, self._pinch.space
+        if pinch.touching(space.posture(space.rest)) and not self._can_separate():
             return None
-        goal = Pinch(self._scene, self.tips)
-        found = minima(Placed(self._scene, goal, space))
-        contacts = self._contacts(space, [m.y for m in found.polished if m.value <= 0.0])
-        touching = tuple(stored(self.inspector, goal, space, contacts))
+        found = minima(pinch)
+        contacts = self._contacts(pinch, [m.y for m in found.polished if m.value <= 0.0])
+        touching = tuple(touching_postures(pinch, contacts))
         if touching:
             explored = tuple(m.y for m in found.explored if m.value <= 0.0)
             starts = explored or (space.coordinates(touching[0]),)
-            return Sight(PrimitiveKind.PINCH_TIGHT, starts, touching, space.posture(starts[0]))
+            return PinchProbe(PrimitiveKind.PINCH_TIGHT, starts, touching, space.posture(starts[0]))
         if self._could_meet():
-            closest = self._closest(space, [m.y for m in found.polished])
-            return Sight(PrimitiveKind.PINCH_LOOSE, (), (closest,), closest)
+            closest = self._closest([m.y for m in found.polished])
+            return PinchProbe(PrimitiveKind.PINCH_LOOSE, (), (closest,), closest)
         return None
 
-    def finish(self, sight: Sight) -> Found:
+    def finish(self, probe: PinchProbe) -> FoundPinch:
         """Return the pinch with its postures, ranked, and their evidence."""
-        watch = self._watch()
-        most = _MOST[self.rank]
-        best = self._candidate(sight.postures[0], watch)
-        candidates = [best]
-        if sight.kind is PrimitiveKind.PINCH_TIGHT and not best.usable:
-            space = self._space(real_limits(self._hand))
-            goal = Pinch(self._scene, self.tips)
-            clear = clear_postures(self.inspector, goal, space, watch, sight.minima, Patience())
-            candidates += [self._candidate(u, watch) for u in clear[: most - 1]]
-            if not any(candidate.room for candidate in candidates):
-                cramped, starts = watch.cramped, sight.minima
-                clear = clear_postures(self.inspector, goal, space, cramped, starts, Patience())
-                candidates += [self._candidate(u, watch) for u in clear[: most - 1]]
-        others = sight.postures[1 : most + 1 - len(candidates)]
-        candidates += [self._candidate(u, watch) for u in others]
-        names = tuple(finger.name for finger in self.fingers)
-        lower, upper = real_limits(self._hand)
-        return Found(sight.kind, names, ranked(candidates, self.rank, upper - lower))
+        inspector, most = self._inspector, _MOST[self._rank]
+        checker = inspector.checker(self._fingers, [self._tips])
 
-    @property
-    def _scene(self) -> Scene:
-        return self.inspector.scene
+        def candidates_of(postures: Sequence[FloatArray]) -> list[Candidate]:
+            return [inspector.pinch(u, self._tips, checker) for u in postures]
 
-    @property
-    def _hand(self) -> Hand:
-        return self.inspector.scene.hand
+        candidates = candidates_of(probe.postures[:1])
+        if probe.kind is PrimitiveKind.PINCH_TIGHT and not candidates[0].usable:
+            for applied in (checker, checker.reduced):
+                clear = clear_postures(
+                    self._pinch, inspector.motion, applied, probe.minima, SearchBudget()
+                )
+                candidates += candidates_of(clear[: most - 1])
+                if any(candidate.margin for candidate in candidates):
+                    break
+        candidates += candidates_of(probe.postures[1 : most + 1 - len(candidates)])
+        names = tuple(finger.name for finger in self._fingers)
+        return FoundPinch(probe.kind, names, ranked(self._hand, candidates, self._rank))
 
-    def _space(self, bounds: tuple[FloatArray, FloatArray]) -> Space:
-        return make_space(self._hand, sorted(self.tips.actuators), bounds)
+    def _can_separate(self) -> bool:
+        """Return whether the tips are apart anywhere; contact everywhere shows no pinch."""
+        space = self._pinch.space
+        apart = GoalFunction(self._scene, SeparationGoal(self._scene, self._tips), space)
+        found = minima(apart).polished[:_TRIED]
+        return any(not apart.touching(space.posture(m.y)) for m in found)
 
-    def _contacts(self, space: Space, deep: Sequence[FloatArray]) -> list[FloatArray]:
+    def _could_meet(self) -> bool:
+        """Return whether the tips would touch if the limits were wider."""
+        limits = widened_limits(self._hand)
+        wide = make_space(self._hand, sorted(self._tips.actuators), limits)
+        function = GoalFunction(self._scene, self._pinch.goal, wide)
+        deep = [m.y for m in minima(function).polished if m.value <= 0.0]
+        return bool(self._contacts(function, deep))
+
+    def _closest(self, found: Sequence[FloatArray]) -> FloatArray:
+        """Return the posture as stored at which the tips' geometry is closest."""
+        gap = self._gap(self._pinch.space)
+        ends = [_descended(gap, y) for y in found[:_TRIED]]
+        return gap.stored(min(ends, key=gap.value))
+
+    def _contacts(self, pinch: GoalFunction, deep: Sequence[FloatArray]) -> list[FloatArray]:
         """Return coordinates at which the tips touch exactly, the deepest first.
 
         Where only the convex parts overlap at the minima, the exact distance leads to a contact.
         """
-        found = [y for y in deep if self._touch(space, y)]
-        if found:
-            return found
-        sought = [self._seek(space, y) for y in deep[:_TRIED]]
-        return [y for y in sought if self._touch(space, y)]
 
-    def _touch(self, space: Space, y: FloatArray) -> bool:
-        self._scene.place(space.posture(y))
-        return self._scene.touching(self.tips)
+        def touching(found: Sequence[FloatArray]) -> list[FloatArray]:
+            return [y for y in found if pinch.touching(pinch.space.posture(y))]
 
-    def _seek(self, space: Space, start: FloatArray) -> FloatArray:
-        """Return where a descent of the exact distance ends."""
-        gap = Placed(self._scene, Gap(self._scene, self.tips), space)
-        return descend(gap, start, evaluations=_SEEKING, grain=FINE, enough=0.0).y
+        gap = self._gap(pinch.space)
+        return touching(deep) or touching([_descended(gap, y) for y in deep[:_TRIED]])
 
-    def _can_part(self, space: Space) -> bool:
-        """Return whether the tips are apart anywhere; contact everywhere shows no pinch."""
-        parting = Placed(self._scene, Parting(self._scene, self.tips), space)
-        return any(not self._touch(space, m.y) for m in minima(parting).polished[:_TRIED])
+    def _gap(self, space: Space) -> GoalFunction:
+        """Return the distance of the tips' geometry as given."""
+        return GoalFunction(self._scene, GapGoal(self._scene, self._tips), space)
 
-    def _could_meet(self) -> bool:
-        """Return whether the tips would touch if the limits were wider."""
-        wide = self._space(widened_limits(self._hand))
-        found = minima(Placed(self._scene, Pinch(self._scene, self.tips), wide))
-        return bool(self._contacts(wide, [m.y for m in found.polished if m.value <= 0.0]))
 
-    def _closest(self, space: Space, found: Sequence[FloatArray]) -> FloatArray:
-        """Return the posture as stored at which the tips' geometry is closest."""
-        ends = [self._seek(space, y) for y in found[:_TRIED]]
-        gap = Placed(self._scene, Gap(self._scene, self.tips), space)
-        return rounded(self._hand, space.posture(min(ends, key=gap.value)))
-
-    def _watch(self) -> Watch:
-        moving = {self._hand.actuator_index(n) for f in self.fingers for n in f.actuators}
-        return self.inspector.collisions.watch(moving, [frozenset(self.tips.links)])
-
-    def _candidate(self, u: FloatArray, watch: Watch) -> Candidate:
-        return self.inspector.pinch(u, self.tips, watch)
+def _descended(gap: GoalFunction, start: FloatArray) -> FloatArray:
+    return descend(gap, start, evaluations=_EVALUATIONS, resolution=FINE, enough=0.0).y
 
 
 def pinch_search(
     inspector: Inspector, first: Finger, second: Finger, rank: Rank
 ) -> PinchSearch | None:
-    """Return the search for the pinch of two fingers, ``None`` if their tips cannot move apart."""
+    """Return the search for the pinch of two fingers, ``None`` if their tips cannot separate."""
     tips = inspector.scene.tips.get((str(first.tip), str(second.tip)))
     return None if tips is None else PinchSearch(inspector, (first, second), tips, rank)

@@ -1,4 +1,4 @@
-"""The last millimetre of a descent: a proximal bundle method for kinks."""
+"""The end of a descent, on a kink: a proximal bundle method."""
 
 from __future__ import annotations
 
@@ -7,17 +7,30 @@ from typing import Final
 import numpy as np
 
 from rtee.extract.descent import Bounds, Minimum, Objective, within
-from rtee.extract.grain import FINE, Grain
-from rtee.hand.linalg import dot, product, row_times, times
+from rtee.extract.resolution import FINE, Resolution
+from rtee.hand.linalg import dot, matmul, matvec, vecmat
 from rtee.types import FloatArray
 
 _FIRST_STEP: Final = 0.3
+"""Length of the first step in the steepest coordinate, as a part of an actuator's range."""
+
 _SERIOUS: Final = 0.1
+"""A step that gains this part of what the model predicts is taken; others only refine the model."""
+
 _KEPT: Final = 14
+"""Most linear pieces: more than meet at a kink of a dozen actuators."""
+
 _ENOUGH: Final = 1e-6
+"""Where the model predicts less than this part of the value, the minimum is found."""
+
 _ROUNDING: Final = 1e-10
+"""Rounding errors of the model, relative to its largest number."""
+
 _SWEEPS: Final = 3
+"""How often each coordinate may be held or freed at the box before a step is taken as it is."""
+
 _TINY: Final = 1e-300
+"""In place of a zero divisor."""
 
 _sum = np.add.reduce
 
@@ -55,7 +68,7 @@ def polish(
     *,
     evaluations: int,
     bounds: Bounds = (0.0, 1.0),
-    grain: Grain = FINE,
+    resolution: Resolution = FINE,
 ) -> Minimum:
     """Return a local minimum of the maximum of smooth functions.
 
@@ -68,13 +81,13 @@ def polish(
         start: Coordinates in the box ``(k,)``.
         evaluations: Most evaluations.
         bounds: Corners of the box.
-        grain: What coordinates, values and slopes are rounded to.
+        resolution: What coordinates, values and slopes are rounded to.
     """
     box = tuple(np.broadcast_to(bound, start.shape) for bound in bounds)
-    low, high = grain.inside((box[0], box[1]))
-    y = within(grain.point(start), (low, high))
+    low, high = resolution.snap_box((box[0], box[1]))
+    y = within(resolution.snap(start), (low, high))
     value, rise = function(y)
-    value, slope = grain.value(value), grain.derivative(rise())
+    value, slope = resolution.rounded_value(value), resolution.rounded_slope(rise())
     pieces = _Pieces(y, value, slope)
     scale = float(np.abs(slope).max())
     if scale == 0.0:
@@ -82,14 +95,16 @@ def polish(
     reach = _FIRST_STEP / scale
     weights, held = np.ones(1), np.zeros(len(y))
     for count in range(2, evaluations + 1):
+        # The function is not convex: a piece above it here counts as one that touches it.
         errors, slopes = pieces.errors(y, value), pieces.slopes
         step, weights, held = _model_step(slopes, errors, (weights, held), y, reach, (low, high))
-        predicted = -float((times(slopes, step) - errors).max())
-        there = within(grain.point(y + step), (low, high))
-        if predicted < _ENOUGH * abs(value) + grain.depth or (there == y).all():
+        predicted = -float((matvec(slopes, step) - errors).max())
+        there = within(resolution.snap(y + step), (low, high))
+        if predicted < _ENOUGH * abs(value) + resolution.value or (there == y).all():
             return Minimum(y, value, count)
         new, rise = function(there)
-        new, new_slope = grain.value(new), grain.derivative(rise())
+        new, new_slope = resolution.rounded_value(new), resolution.rounded_slope(rise())
+        # The piece that the last step depended on least is forgotten.
         if len(weights) >= _KEPT:
             least = int(np.argmin(weights))
             pieces.drop(least)
@@ -97,8 +112,10 @@ def polish(
         pieces.add(there, new, new_slope)
         weights = np.append(weights, 0.0)
         if new <= value - _SERIOUS * predicted:
+            # As good as predicted: the model may be trusted farther.
             reach *= 2.0 if new <= value - 0.5 * predicted else 1.0
             y, value = there, new
+        # The new piece says nothing about the function at y: the step was too long.
         elif value - new - dot(new_slope, y - there) > 2.0 * predicted:
             reach *= 0.5
     return Minimum(y, value, evaluations)
@@ -124,9 +141,9 @@ def _model_step(
     for _ in range(_SWEEPS * len(y)):
         some = bool(held.any())
         free = np.where(held, 0.0, slopes) if some else slopes
-        linear = errors - times(slopes, fixed) if some else errors
-        weights = _simplex_minimum(reach * product(free, free.T), linear, weights)
-        step = fixed - reach * row_times(weights, free)
+        linear = errors - matvec(slopes, fixed) if some else errors
+        weights = _simplex_minimum(reach * matmul(free, free.T), linear, weights)
+        step = fixed - reach * vecmat(weights, free)
         there = y + step
         leaving = ~held & ((there < low) | (there > high))
         if leaving.any():
@@ -134,7 +151,8 @@ def _model_step(
         elif not some:
             break
         else:
-            pull = row_times(weights, slopes) + fixed / reach
+            # What is held is freed where the model's minimum lies inside after all.
+            pull = vecmat(weights, slopes) + fixed / reach
             freed = held & np.where(side < 0.0, pull < 0.0, pull > 0.0)
             if not freed.any():
                 break
@@ -168,6 +186,7 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
             for row, offset in zip(rows, offsets, strict=True)
         ]
         level, least = max(gradient[i] for i in face), min(gradient)
+        # Optimal where no weight outside the face has a smaller derivative than those on it.
         entering = gradient.index(least)
         if entering in face or least > level - _ROUNDING * (1.0 + abs(level)):
             break
@@ -217,7 +236,8 @@ def _on_face(
 def _solved(block: list[list[float]]) -> tuple[list[float], list[float]]:
     """Return the solutions of a small definite system with two right sides.
 
-    Gauss's elimination; for the few pieces that meet at a kink it is faster than a call of LAPACK.
+    Gaussian elimination: for the few pieces that meet at a kink it is faster than a call of LAPACK,
+    and gives the same digits on every processor.
 
     Args:
         block: The rows of the system, the right sides last; they are overwritten.

@@ -10,6 +10,8 @@ from typing import Final, Literal
 import numpy as np
 
 from rtee.actions.types import Evidence, PrimitiveKind
+from rtee.extract.space import real_limits
+from rtee.hand.model import Hand
 from rtee.types import FloatArray
 
 Rank = Literal["depth", "opposition"]
@@ -21,6 +23,7 @@ _AS_GOOD: Final = 0.01
 """But only if their depths or distances differ by no more than this part."""
 
 _DIGITS: Final = 5
+"""Decimals to which depths are compared: 10 µm, less than hands differ from their models."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +33,13 @@ class Candidate:
     Attributes:
         u: Actuator positions as stored ``(n,)`` [rad | m].
         evidence: The evidence.
-        room: Part of their room that other links keep in the posture and on the way to it: 1, a
-            quarter, or 0 where it is not clear.
+        margin: Part of their margins that other links keep in the posture and on the path to it:
+            1, a quarter, or 0 where it is not clear.
     """
 
     u: FloatArray
     evidence: Evidence
-    room: float
+    margin: float
 
     @property
     def gap(self) -> float:
@@ -45,12 +48,12 @@ class Candidate:
 
     @property
     def usable(self) -> bool:
-        """Whether all other links keep their full room, there and on the way."""
-        return self.room == 1.0
+        """Whether all other links keep their full margin, there and on the path."""
+        return self.margin == 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundPinch:
     """A pinch that was found.
 
     Attributes:
@@ -63,30 +66,24 @@ class Found:
     fingers: tuple[str, ...]
     candidates: tuple[Candidate, ...]
 
-    @property
-    def best(self) -> Candidate:
-        """The posture that is executed."""
-        return self.candidates[0]
 
-
-def ranked(
-    candidates: Sequence[Candidate], rank: Rank, extent: FloatArray
-) -> tuple[Candidate, ...]:
+def ranked(hand: Hand, candidates: Sequence[Candidate], rank: Rank) -> tuple[Candidate, ...]:
     """Return distinct candidates, the best first.
 
-    Those with a clear pose and a clear way come first, the ones whose other links keep their full
-    room before the rest, then those with a clear pose; among them the
-    deepest, or with rank ``opposition`` those in force closure and then the one whose worse angle
-    is least. Depths that differ by less than 10 µm are equal; then the better opposed comes first.
+    Those with a clear pose and a clear path come first, the ones whose other links keep their full
+    margin before the rest, then those with a clear pose; among them the deepest, or with rank
+    ``opposition`` those in force closure and then the one whose worse angle is least. Depths that
+    differ by less than 10 µm are equal; then the better opposed comes first.
 
     Args:
+        hand: The hand.
         candidates: The candidates.
         rank: What makes one better than another.
-        extent: Range of every actuator ``(n,)`` [rad | m].
     """
+    lower, upper = real_limits(hand)
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda c: _key(c, rank)):
-        if not any(_alike(candidate, other, extent) for other in kept):
+        if not any(_alike(candidate, other, upper - lower) for other in kept):
             kept.append(candidate)
     return tuple(kept)
 
@@ -99,7 +96,7 @@ def _alike(one: Candidate, other: Candidate, extent: FloatArray) -> bool:
 
 def _key(candidate: Candidate, rank: Rank) -> tuple[float, ...]:
     evidence = candidate.evidence
-    head = (-candidate.room, not evidence.clear)
+    head = (-candidate.margin, not evidence.clear)
     opposed = evidence.opposition
     opposition = (
         (True, math.inf) if opposed is None else (not opposed.force_closure, max(opposed.angles))

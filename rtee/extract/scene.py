@@ -1,4 +1,4 @@
-"""The hand as the searches see it: signed distances with gradients, and exact contact."""
+"""The hand's links in a posture: signed distances with gradients, and exact contact."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.extract.couplings import Couplings
-from rtee.extract.distance_queries import TOUCH, Forms
+from rtee.extract.distance_queries import TOUCH, DistanceQueries
 from rtee.extract.drafts import Draft, draft, least_width, outer
 from rtee.extract.hinge import Jaw, clip_jaws
 from rtee.extract.pairs import LinkPair, Witness
@@ -20,7 +20,7 @@ from rtee.extract.space import Space
 from rtee.extract.surface import encloses
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.kinematics import Kinematics
-from rtee.hand.linalg import norm, product, row_times, times
+from rtee.hand.linalg import matmul, matvec, norm, vecmat
 from rtee.hand.model import Hand
 from rtee.types import FloatArray, JointKind
 
@@ -28,17 +28,18 @@ _BATCH: Final = 3
 """From this many derivatives on it is faster to add them up before the last products."""
 
 _MOST_STACKS: Final = 1024
+"""Sets of pairs whose `LinkPair.moved_by` are kept stacked; a search has some dozens."""
 
 _COLLIDE: Final = 1
 _DISTANCE: Final = 6
-"""What a question about two meshes takes: whether they touch, and how far apart they are; about
-2 and 12 ms for meshes of some thousand triangles."""
+"""What a query of two meshes costs: whether they touch, and how far apart they are; about 2 and
+12 ms for meshes of some thousand triangles."""
 
 
 class Scene:
     """A hand's links at a posture.
 
-    `place` moves everything to a posture; what is asked afterwards is answered there.
+    `place` moves everything to a posture, at which all other methods measure.
 
     Distances and derivatives are those of drafts, which lie some 0.1 mm within the convex parts of
     cylinders and finely meshed links; `fine` measures the full ones. Contact, witnesses and
@@ -57,7 +58,8 @@ class Scene:
         pairs: All pairs of links that have geometry and move against each other, by names in the
             order of the URDF's tree.
         joints: Joint positions at the posture ``(m,)`` [rad | m].
-        toil: What was asked of meshes as given so far, in units of a question whether two touch.
+        query_cost: What queries of meshes as given have cost so far, in units of one whether two
+            touch.
         tips: The pairs of fingertips that actuators move against each other, in the fingers' order.
     """
 
@@ -83,12 +85,12 @@ class Scene:
         self._model = self.kinematics.model
         self._data = self.kinematics.data
         self._slope = self.couplings.slope(hand.rest)
-        self._rough: dict[int, Forms] = {}
-        self._convex: dict[int, Forms] = {}
-        self._exact: dict[int, Forms] = {}
+        self._rough: dict[int, DistanceQueries] = {}
+        self._convex: dict[int, DistanceQueries] = {}
+        self._exact: dict[int, DistanceQueries] = {}
         self._searched = self._rough
         self._drafts: dict[int, Draft] = {}
-        self.toil = 0
+        self.query_cost = 0
         self._widths: dict[int, float] = {}
         self._outers: dict[tuple[int, ...], tuple[int, ...]] = {}
         self._stacks: dict[tuple[tuple[int, bool], ...], FloatArray] = {}
@@ -107,6 +109,7 @@ class Scene:
         moved_by = support(bodies[1]) - support(bodies[0])
         moves = [self.hand.transmission.moves(j) for j in np.flatnonzero(moved_by).tolist()]
         actuators = frozenset(i for i in moves if i is not None)
+        # Pairs are known by number: a clipped pair has the names of the whole one.
         self._couples += 1
         return LinkPair(links, bodies, shapes, self._couples, moved_by, actuators)
 
@@ -135,7 +138,7 @@ class Scene:
         spec = self.hand.urdf.joints[self.hand.joints[moving - 1].name]
         origin, axis = (
             np.array(placement.translation),
-            times(placement.rotation, np.array(spec.axis)),
+            matvec(placement.rotation, np.array(spec.axis)),
         )
         first, second = (
             [Jaw(self.shapes[i], self.shape_pose(i).copy(), origin, axis) for i in tip]
@@ -170,17 +173,18 @@ class Scene:
 
     def distance(self, pair: LinkPair) -> float:
         """Return the signed distance of two links [m]."""
-        return (self._searched.get(pair.number) or self._searched_of(pair)).least(self._stamp)[0]
+        queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
+        return queries.least(self._stamp)[0]
 
     def at_least(self, pair: LinkPair) -> float:
         """Return a lower bound on the signed distance of two links' full convex parts [m]."""
-        forms = self._searched.get(pair.number) or self._searched_of(pair)
-        return forms.least(self._stamp)[0] - forms.slack
+        queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
+        return queries.least(self._stamp)[0] - queries.slack
 
     def distances(self, pairs: Sequence[LinkPair]) -> list[float]:
         """Return the signed distances of several pairs of links [m]."""
-        known, of, stamp = self._searched, self._searched_of, self._stamp
-        return [(known.get(pair.number) or of(pair)).least(stamp)[0] for pair in pairs]
+        known, stamp = self._searched, self._stamp
+        return [(known.get(p.number) or self._queries(p, known)).least(stamp)[0] for p in pairs]
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return the derivative of the distance of two links.
@@ -192,18 +196,10 @@ class Scene:
         Returns:
             The derivative by the coordinates of the space ``(k,)`` [m].
         """
-        forms = self._searched.get(pair.number) or self._searched_of(pair)
-        result = forms.results[forms.least(self._stamp)[1]]
+        queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
+        result = queries.results[queries.least(self._stamp)[1]]
         normal = -result.normal if pair.turned else result.normal
         return self._derivative(normal, result.getNearestPoint1(), pair, space)
-
-    def slope(self, pair: LinkPair, space: Space) -> tuple[float, FloatArray]:
-        """Return the signed distance of two links and its derivative.
-
-        Returns:
-            The distance [m] and its derivative by the coordinates of the space ``(k,)`` [m].
-        """
-        return self.distance(pair), self.derivative(pair, space)
 
     def gradient(self, terms: Sequence[tuple[LinkPair, float]], space: Space) -> FloatArray:
         """Return the derivative of a weighted sum of distances.
@@ -222,16 +218,16 @@ class Scene:
             return result
         rows, stamp, known = [], self._stamp, self._searched
         for pair, weight in terms:
-            forms = known.get(pair.number) or self._searched_of(pair)
-            found = forms.results[forms.least(stamp)[1]]
+            queries = known.get(pair.number) or self._queries(pair, known)
+            found = queries.results[queries.least(stamp)[1]]
             sign = -weight if pair.turned else weight
             x, y, z = found.normal.tolist()
             x, y, z = x * sign, y * sign, z * sign
             a, b, c = found.getNearestPoint1().tolist()
             rows.append((x, y, z, b * z - c * y, c * x - a * z, a * y - b * x))
-        torques = product(np.array(rows), self._jacobian())
+        torques = matmul(np.array(rows), self._jacobian())
         torques *= self._moved_by(tuple([(pair.number, pair.turned) for pair, _ in terms]), terms)
-        slope: FloatArray = row_times(torques.sum(axis=0), self._moved(space))
+        slope: FloatArray = vecmat(torques.sum(axis=0), self._moved(space))
         return slope
 
     def _moved_by(
@@ -246,9 +242,12 @@ class Scene:
         return known
 
     def exact_slope(self, pair: LinkPair, space: Space) -> tuple[float, FloatArray]:
-        """Return the distance of two links' geometry as given and its derivative, as `slope`.
+        """Return the distance of two links' geometry as given and its derivative.
 
         Both are 0 where they touch.
+
+        Returns:
+            The distance [m] and its derivative by the coordinates of the space ``(k,)`` [m].
         """
         if self.exact_distance(pair) == 0.0:
             return 0.0, np.zeros(space.size)
@@ -258,10 +257,12 @@ class Scene:
     def _derivative(
         self, normal: FloatArray, point: FloatArray, pair: LinkPair, space: Space
     ) -> FloatArray:
+        # n · (velocity of a point p) = n · v + (p x n) · w, so that one row times the joints'
+        # Jacobian is enough; either witness point will do, since they lie on one line along n.
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
-        result: FloatArray = row_times(row_times(row, self._jacobian()), self._levers(pair, space))
+        result: FloatArray = vecmat(vecmat(row, self._jacobian()), self._levers(pair, space))
         return result
 
     def _jacobian(self) -> FloatArray:
@@ -291,15 +292,15 @@ class Scene:
 
     def witness(self, pair: LinkPair) -> Witness:
         """Return where two links' convex parts are closest or deepest in each other."""
-        forms = self._convex_of(pair)
-        if forms.remembers:
-            forms = self._forms(pair, convex=True)
-        return _witness(pair, forms, self._stamp)
+        queries = self._queries(pair, self._convex)
+        if queries.remembers:
+            queries = self._undrafted(pair, convex=True)
+        return _witness(pair, queries, self._stamp)
 
     def forget(self) -> None:
-        """Measure from now on as if nothing had been measured before."""
+        """Drop what Coal remembers of earlier queries, which moves later results by some 10 nm."""
         for known in (self._rough, self._convex):
-            for number in [number for number, forms in known.items() if forms.remembers]:
+            for number in [number for number, queries in known.items() if queries.remembers]:
                 del known[number]
 
     def touching(self, pair: LinkPair, *, surfaces: bool = True) -> bool:
@@ -324,7 +325,7 @@ class Scene:
         """
         if self.at_least(pair) > margin:
             return False
-        convex = self._convex_of(pair)
+        convex = self._queries(pair, self._convex)
         if convex.least(self._stamp)[0] > margin:
             return False
         results = convex.results
@@ -356,10 +357,12 @@ class Scene:
         a, b = self.shapes[i], self.shapes[j]
         if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
             return True
-        self.toil += _COLLIDE
-        if surfaces and self._exact_of(pair).collide(k, self._stamp, margin):
+        self.query_cost += _COLLIDE
+        if surfaces and self._queries(pair, self._exact).collide(k, self._stamp, margin):
             return True
-        overlap = -self._convex_of(pair).results[k].min_distance
+        # One mesh may lie within the other, whose surface it does not meet. It would overlap by its
+        # whole width then, so that few pairs need the expensive test.
+        overlap = -self._queries(pair, self._convex).results[k].min_distance
         if overlap < min(self._width(i), self._width(j)):
             return False
         to_a = self.shape_pose(i).actInv(self.shape_pose(j))
@@ -367,15 +370,15 @@ class Scene:
 
     def exact_distance(self, pair: LinkPair) -> float:
         """Return the distance of two links' geometry as given, 0 where they touch [m]."""
-        exact = self._exact_of(pair)
+        exact = self._queries(pair, self._exact)
         if exact.measures_meshes:
-            self.toil += _DISTANCE
+            self.query_cost += _DISTANCE
         least = exact.least(self._stamp)[0]
         return 0.0 if self.touching(pair, surfaces=least <= TOUCH) else max(0.0, least)
 
     def exact_witness(self, pair: LinkPair) -> Witness:
         """Return where two links that do not touch are closest, in their geometry as given."""
-        found = _witness(pair, self._exact_of(pair), self._stamp)
+        found = _witness(pair, self._queries(pair, self._exact), self._stamp)
         gap = found.second - found.first
         length = norm(gap)
         return found if length == 0.0 else replace(found, normal=gap / length)
@@ -383,8 +386,8 @@ class Scene:
     def point_jacobian(self, link: str, point: FloatArray) -> FloatArray:
         """Return the Jacobian ``(3, n)`` of a point of a link by the actuators, base frame [m]."""
         jacobian = self._jacobian() * self.kinematics.support(self.kinematics.body(link))
-        jacobian = jacobian[:3] - product(pin.skew(point), jacobian[3:])
-        result: FloatArray = product(jacobian, self._slope)
+        jacobian = jacobian[:3] - matmul(pin.skew(point), jacobian[3:])
+        result: FloatArray = matmul(jacobian, self._slope)
         return result
 
     def bodies(self) -> tuple[FloatArray, FloatArray]:
@@ -433,48 +436,37 @@ class Scene:
     def _width(self, shape: int) -> float:
         """Return a lower bound on the width of a shape's convex part [m]."""
         if shape not in self._widths:
-            self._widths[shape] = least_width(self.shapes[shape], self._draft(shape).form)
+            self._widths[shape] = least_width(self.shapes[shape], self._draft(shape).shape)
         return self._widths[shape]
 
-    def _searched_of(self, pair: LinkPair) -> Forms:
-        if self._searched is self._convex:
-            return self._convex_of(pair)
-        forms = self._rough[pair.number] = self._drafted(pair)
-        return forms
+    def _queries(self, pair: LinkPair, known: dict[int, DistanceQueries]) -> DistanceQueries:
+        """Return the queries of two links from one of the three sets; new ones if it has none."""
+        queries = known.get(pair.number)
+        if queries is None:
+            made = self._drafted(pair) if known is self._rough else None
+            queries = made or self._undrafted(pair, convex=known is self._convex)
+            known[pair.number] = queries
+        return queries
 
-    def _drafted(self, pair: LinkPair) -> Forms:
-        """Return the forms of two links that searches measure."""
+    def _drafted(self, pair: LinkPair) -> DistanceQueries:
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
         ours, theirs = self._outer(first), self._outer(second)
         slack = max(self._draft(i).slack for i in ours)
         slack += max(self._draft(i).slack for i in theirs)
-        forms = {i: self._draft(i).form for i in (*ours, *theirs)}
+        bodies = {i: self._draft(i).shape for i in (*ours, *theirs)}
         robot = self._model, self._data
-        return Forms(robot, self.shapes, ours, theirs, forms, draft=True, slack=slack)
+        return DistanceQueries(robot, self.shapes, ours, theirs, bodies, draft=True, slack=slack)
 
-    def _convex_of(self, pair: LinkPair) -> Forms:
-        forms = self._convex.get(pair.number)
-        if forms is None:
-            forms = self._convex[pair.number] = self._forms(pair, convex=True)
-        return forms
-
-    def _exact_of(self, pair: LinkPair) -> Forms:
-        forms = self._exact.get(pair.number)
-        if forms is None:
-            forms = self._exact[pair.number] = self._forms(pair, convex=False)
-        return forms
-
-    def _forms(self, pair: LinkPair, *, convex: bool) -> Forms:
+    def _undrafted(self, pair: LinkPair, *, convex: bool) -> DistanceQueries:
         first, second = pair.shapes[::-1] if pair.turned else pair.shapes
-        forms = {
-            i: self.shapes[i].convex if convex else self.shapes[i].exact for i in (*first, *second)
-        }
-        return Forms((self._model, self._data), self.shapes, first, second, forms)
+        shapes = {i: self.shapes[i] for i in (*first, *second)}
+        bodies = {i: shape.convex if convex else shape.exact for i, shape in shapes.items()}
+        return DistanceQueries((self._model, self._data), self.shapes, first, second, bodies)
 
 
-def _witness(pair: LinkPair, forms: Forms, stamp: int) -> Witness:
-    least, k = forms.least(stamp)
-    result = forms.results[k]
+def _witness(pair: LinkPair, queries: DistanceQueries, stamp: int) -> Witness:
+    least, k = queries.least(stamp)
+    result = queries.results[k]
     points = [np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())]
     normal = np.array(result.normal)
     if pair.turned:

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtee.extract.descent import Minimum, descend
-from rtee.extract.goals import Placed
-from rtee.extract.grain import COARSE, FINE, MEDIUM
+from rtee.extract.goals import GoalFunction
 from rtee.extract.polish import polish
-from rtee.extract.recombination import Block, elsewhere, recombined
+from rtee.extract.resolution import COARSE, FINE, MEDIUM
 from rtee.extract.space import Space
 from rtee.hand.halton import halton
 from rtee.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class SearchEffort:
     """How much a search tries.
 
     Attributes:
@@ -27,10 +28,10 @@ class Effort:
         starts: How many of them, the best, a descent starts from.
         quick: Most evaluations of these descents.
         rounds: How often starts are put together from minima that were found.
-        parents: From how many minima, the deepest.
+        parents: How many minima, the deepest, these are put together from.
         children: How many of these starts, the best, a descent is tried from.
         places: At how many places a finger is tried at the deepest minimum, the others as they are.
-        moved: From how many of these poses, the best, a descent is tried.
+        moved: How many of these poses, the best, a descent is tried from.
         kept: How many of their ends, distinct ones, are polished.
         polish: Most evaluations of the polishing of one.
         again: How often the deepest end is polished again where that did not suffice.
@@ -49,9 +50,9 @@ class Effort:
     again: int = 3
 
 
-PAIR: Final = Effort()
-SEVERAL: Final = Effort(screened=32, starts=3, rounds=2, places=16, kept=2, again=1)
-MANY: Final = Effort(screened=32, starts=3, quick=90, rounds=2, places=16, kept=2, polish=40)
+PAIR: Final = SearchEffort()
+SEVERAL: Final = SearchEffort(screened=32, starts=3, rounds=2, places=16, kept=2, again=1)
+MANY: Final = SearchEffort(screened=32, starts=3, quick=90, rounds=2, places=16, kept=2, polish=40)
 """Of several tips that more than `FEW` actuators move."""
 
 FEW: Final = 9
@@ -64,13 +65,20 @@ _LITTLE: Final = 0.002
 """A polish that gains less than this part of the value is the last one."""
 
 _LAST: Final = 8
-"""Evaluations of the last polish, on the full convex parts and with the finest grain."""
+"""Evaluations of the last polish, on the full convex parts and with the finest resolution."""
+
+_ALIKE: Final = 2
+"""Decimals to which starts put together from minima are compared: 1 % of a range."""
 
 _LINE: Final = 257
 """Points of the grid over a single actuator; minima of the hands in the tests are wider."""
 
 _LINE_PRECISION: Final = 1e-8
 """Where golden sections end, as a part of the range; postures are stored to 1e-6."""
+
+
+Block = NDArray[np.intp]
+"""Numbers of coordinates that go together: those of a finger, or those that move several."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +96,9 @@ class Minima:
 
 
 def minima(
-    function: Placed,
+    function: GoalFunction,
     warm: Sequence[FloatArray] = (),
-    effort: Effort = PAIR,
+    effort: SearchEffort = PAIR,
     blocks: Sequence[Block] = (),
 ) -> Minima:
     """Return distinct local minima.
@@ -107,7 +115,7 @@ def minima(
         here = [Minimum(y, function.value(y), 1)]
         return Minima(here, here)
     if space.size == 1:
-        line = on_a_line(function)
+        line = minima_on_line(function)
         return Minima(line, line)
     starts = [*warm, *_screened(function, effort)]
     first = [descend(function, y, evaluations=effort.quick) for y in starts]
@@ -117,7 +125,7 @@ def minima(
         best = _best(function, new, effort.children)
         first += [descend(function, y, evaluations=effort.quick) for y in best]
     if effort.places:
-        new = elsewhere(distinct(first)[0], blocks, effort.places)
+        new = moved_blocks(distinct(first)[0], blocks, effort.places)
         best = _best(function, new, effort.moved)
         first += [descend(function, y, evaluations=effort.quick) for y in best]
     deep = distinct(first)[: effort.kept]
@@ -132,23 +140,23 @@ def minima(
             break
     deepest = min(done, key=lambda m: m.value)
     with function.fine():
-        done.append(polish(function, deepest.y, evaluations=_LAST, grain=FINE))
+        done.append(polish(function, deepest.y, evaluations=_LAST, resolution=FINE))
     return Minima(distinct([*done, *first]), distinct(first))
 
 
-def _polished(function: Placed, minimum: Minimum, evaluations: int) -> Minimum:
-    return polish(function, minimum.y, evaluations=evaluations, grain=MEDIUM)
+def _polished(function: GoalFunction, minimum: Minimum, evaluations: int) -> Minimum:
+    return polish(function, minimum.y, evaluations=evaluations, resolution=MEDIUM)
 
 
-def _screened(function: Placed, effort: Effort) -> list[FloatArray]:
+def _screened(function: GoalFunction, effort: SearchEffort) -> list[FloatArray]:
     """Return the best of the points of the low-discrepancy sequence and the landmarks."""
     points = halton(function.space.size, max(effort.screened, effort.starts))
     return _best(function, [*points, *_landmarks(function.space)], effort.starts)
 
 
-def _best(function: Placed, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
+def _best(function: GoalFunction, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
     """Return those points at which the function is least, the best first."""
-    values = [COARSE.value(function.value(y)) for y in points]
+    values = [COARSE.rounded_value(function.value(y)) for y in points]
     return [points[i] for i in np.argsort(values, kind="stable")[:count]]
 
 
@@ -167,7 +175,61 @@ def distinct(found: Sequence[Minimum]) -> list[Minimum]:
     return kept
 
 
-def on_a_line(function: Placed, low: float = 0.0, high: float = 1.0) -> list[Minimum]:
+def recombined(
+    found: Sequence[Minimum], blocks: Sequence[Block], seen: set[bytes]
+) -> list[FloatArray]:
+    """Return poses in which one block of coordinates is another minimum's.
+
+    What is pressed together is a sum, and each of its terms depends on few coordinates: those of
+    two fingers and what moves all of them. So minima of the sum are often made of parts that were
+    found apart from each other.
+
+    Args:
+        found: Minima.
+        blocks: Which coordinates go together; each finger's, and the others.
+        seen: What was returned before, roughly: not returned again, and added to.
+
+    Returns:
+        Coordinates ``(k,)``.
+    """
+    new = []
+    for one, other in permutations(found, 2):
+        for block in blocks:
+            if np.abs(one.y[block] - other.y[block]).max() < _SAME:
+                continue
+            y = one.y.copy()
+            y[block] = other.y[block]
+            key = y.round(_ALIKE).tobytes()
+            if key not in seen:
+                seen.add(key)
+                new.append(y)
+    return new
+
+
+def moved_blocks(minimum: Minimum, blocks: Sequence[Block], places: int) -> list[FloatArray]:
+    """Return poses in which one block of coordinates is elsewhere than at a minimum.
+
+    A descent moves all fingers at once and stops at the first kink that none can leave alone; a
+    finger's own coordinates are so few that a few points cover them.
+
+    Args:
+        minimum: The minimum.
+        blocks: Which coordinates go together; each finger's, and the others.
+        places: Points of the low-discrepancy sequence for each block.
+
+    Returns:
+        Coordinates ``(k,)``.
+    """
+    new = []
+    for block in blocks:
+        for place in halton(len(block), places):
+            y = minimum.y.copy()
+            y[block] = place
+            new.append(y)
+    return new
+
+
+def minima_on_line(function: GoalFunction, low: float = 0.0, high: float = 1.0) -> list[Minimum]:
     """Return all local minima over one coordinate, by a fine grid and golden sections.
 
     Args:
@@ -187,7 +249,9 @@ def on_a_line(function: Placed, low: float = 0.0, high: float = 1.0) -> list[Min
     return sorted(found, key=lambda m: m.value)
 
 
-def _golden(function: Placed, bracket: tuple[float, float], at: float, least: float) -> Minimum:
+def _golden(
+    function: GoalFunction, bracket: tuple[float, float], at: float, least: float
+) -> Minimum:
     """Return the minimum in a bracket; Kiefer (1953)."""
     low, high = bracket
     ratio = (np.sqrt(5.0) - 1.0) / 2.0

@@ -7,7 +7,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rtee.hand.geometry import Shape
-from rtee.hand.linalg import norms, times
+from rtee.hand.linalg import matvec, norms
 from rtee.types import FloatArray
 
 _sum = np.add.reduce
@@ -32,7 +32,7 @@ def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
     if (point < low).any() or (point > high).any():
         return False
     normals, levels = outer.faces
-    if (times(normals, point) > levels).any():
+    if (matvec(normals, point) > levels).any():
         return False
     return winding_number(point, *outer.triangles) > 0.5
 

@@ -1,4 +1,4 @@
-"""The GUI: finds a running hand, shows it, says it plainly when it goes, and goes on."""
+"""The GUI: finds a running hand, shows it, reports when it goes, and looks for the next one."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from rtee.gui.session import Session
 from rtee.remote.client import connect
 from rtee.remote.find import hands_running
 
-_LOOK_AGAIN = 0.5
+_POLL_PERIOD = 0.5
+"""Time between two searches for running hands [s]: soon enough for whoever just started one."""
 
-# What stands in the same group as the banner stays in sight when the panel is scrolled.
+# Keeps the group that contains the banner in sight when the panel is scrolled.
 _STICKY: Final = """<style>
 .mantine-ScrollArea-content div[style*="overflow: hidden"]:has(.rtee-top) {
   overflow: clip !important; }
@@ -32,7 +33,7 @@ _STICKY: Final = """<style>
 
 
 def _first(errors: BaseExceptionGroup[RteeError] | None) -> str:
-    """Return what the first of several errors says."""
+    """Return the message of the first of several errors."""
     found: BaseException | None = errors
     while isinstance(found, BaseExceptionGroup):
         found = found.exceptions[0]
@@ -40,12 +41,12 @@ def _first(errors: BaseExceptionGroup[RteeError] | None) -> str:
 
 
 class App:
-    """Serves one browser page; any number of windows may look at it.
+    """Serves one browser page, in any number of windows.
 
     Attributes:
         server: The browser's server.
-        session: The hand that is shown, if one is.
-        said: What the banner says.
+        session: The session with the hand that is shown, if there is one.
+        said: Text of the banner.
     """
 
     def __init__(self, server: viser.ViserServer, hand: str | None, endpoint: str | None) -> None:
@@ -53,8 +54,8 @@ class App:
 
         Args:
             server: The browser's server.
-            hand: The hand to show; ``None``: the one chosen in the page, at first any.
-            endpoint: Where it is, if not on this computer.
+            hand: The hand to show; ``None`` for the one chosen in the page, at first any.
+            endpoint: Its address, if it is not on this computer.
         """
         self.server = server
         self.session: Session | None = None
@@ -107,7 +108,7 @@ class App:
     async def _keep_offering(self) -> None:
         while True:
             self._offer()
-            await anyio.sleep(_LOOK_AGAIN)
+            await anyio.sleep(_POLL_PERIOD)
 
     async def _keep_showing(self) -> None:
         while True:
@@ -117,15 +118,15 @@ class App:
                     await self._show()
                 except NoHand as error:
                     self._say(f"Not connected: {error}", BAD)
-                except BaseExceptionGroup as errors:
+                except BaseExceptionGroup as errors:  # from the task group of the session
                     known, others = errors.split(RteeError)
                     if others is not None:
                         raise
                     self._say(f"Not connected: {_first(known)}", BAD)
                 except RteeError as error:
                     self._say(f"Cannot show the hand: {error}", BAD)
-            if not leave.cancelled_caught:
-                await anyio.sleep(_LOOK_AGAIN)
+            if not leave.cancelled_caught:  # another hand was chosen: show it now
+                await anyio.sleep(_POLL_PERIOD)
 
     @contextlib.contextmanager
     def _scope(self) -> Iterator[anyio.CancelScope]:
@@ -159,7 +160,7 @@ class App:
             finally:
                 self.session = None
                 session.remove()
-                # Closing the window, or choosing another hand, is no way of dying.
+                # Ending the GUI or choosing another hand does not count as losing a client.
                 with anyio.CancelScope(shield=True):
                     await remote.leave()
 
@@ -174,12 +175,12 @@ async def serve(
     """Serve the GUI until cancelled.
 
     Args:
-        hand: The hand to show; ``None``: any that runs.
+        hand: The hand to show; ``None`` for any that runs.
         host: Address to listen on.
-        port: Port to listen on; the next free one if it is taken.
-        endpoint: Where the hand is, if not on this computer.
+        port: Port to listen on; the next free one if it is in use.
+        endpoint: Address of the hand, if it is not on this computer.
     """
-    with contextlib.redirect_stdout(io.StringIO()):  # it has a banner of its own
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
         server = viser.ViserServer(host=host, port=port, verbose=False)
     print(f"rtee: GUI at http://{host}:{server.get_port()}", flush=True)  # noqa: T201
     try:

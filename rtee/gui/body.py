@@ -1,4 +1,4 @@
-"""A hand as a tree of frames in the browser's scene; moving a joint turns one frame."""
+"""A hand as a tree of frames in the browser's scene; a moving joint changes one frame."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from rtee.hand.urdf import Urdf, UrdfGeometry, UrdfJoint
 from rtee.types import FloatArray
 
 _UNSEEN = 1e-4
+"""Motion of a joint that cannot be seen on the screen [rad | m], and so is not sent."""
 
 
 class HandBody:
@@ -42,10 +43,10 @@ class HandBody:
             scene: The browser's scene.
             root: Name of the root frame.
             hand: The hand.
-            triangles: Where the triangles of links with mesh shapes come from.
+            triangles: Returns the triangles of links with meshes.
             colours: Colour per link.
             opacity: Opacity of a ghost; ``None`` for a solid body.
-            visible: Whether it is shown at once.
+            visible: Whether it is visible at first.
         """
         self.root = root
         self._scene = scene
@@ -73,7 +74,7 @@ class HandBody:
                     place, show_axes=False, wxyz=quaternion(joint.rpy), position=joint.xyz
                 )
                 if joint.moving:
-                    place = f"{place}/q"
+                    place = f"{place}/q"  # the frame that moves, below the fixed one of the joint
                     frame = self._scene.add_frame(place, show_axes=False)
                     frames[joint.name] = (frame, np.array(joint.axis), joint.kind == "prismatic")
                 pending.append((joint.child, place))
@@ -119,7 +120,7 @@ class HandBody:
 
     @property
     def visible(self) -> bool:
-        """Whether it is shown."""
+        """Whether it is visible."""
         return bool(self._frame.visible)
 
     @visible.setter
@@ -128,13 +129,13 @@ class HandBody:
             self._frame.visible = shown
 
     def moved(self, position: FloatArray) -> list[int]:
-        """Return which joints would be seen to move to positions ``(m,)`` [rad | m]."""
+        """Return which joints would visibly move to positions ``(m,)`` [rad | m]."""
         seen = np.isfinite(position) & ~(np.abs(position - self._last) < _UNSEEN)
         found: list[int] = np.flatnonzero(seen).tolist()
         return found
 
     def set_joints(self, position: FloatArray) -> None:
-        """Move to joint positions ``(m,)`` [rad | m] in the hand's order; what rests isn't sent."""
+        """Move to joint positions ``(m,)`` [rad | m]; joints that do not move are not sent."""
         for index in self.moved(position):
             frame, axis, slides = self._moving[index]
             value = self._last[index] = float(position[index])
@@ -152,5 +153,5 @@ class HandBody:
             handle.color = colour
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove it from the scene."""
         self._frame.remove()

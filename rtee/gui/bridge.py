@@ -1,4 +1,4 @@
-"""Clicks come from the browser's threads; the hand's client lives in an event loop of its own."""
+"""Carries clicks from the browser's threads into the event loop of the hand's client."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ log = logging.getLogger(__name__)
 Work = Callable[[], Awaitable[object]]
 
 _SECONDS: Final = 6.0
+"""Time for which a notification is shown [s]: enough to read two lines."""
 
 
 class Bridge:
@@ -26,19 +27,20 @@ class Bridge:
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
-        """Remember the running event loop; call it from there."""
+        """Use the running event loop; must be called there."""
         self.server = server
         self._loop = asyncio.get_running_loop()
         self._working: set[asyncio.Task[None]] = set()
 
     def call(self, work: Work) -> None:
-        """Do something in the event loop; may be called from any thread."""
+        """Run something in the event loop; may be called from any thread."""
         self._loop.call_soon_threadsafe(self._start, work)
 
     def clicked(self, work: Work) -> Callable[[object], Coroutine[None, None, None]]:
-        """Return a callback for a control that does something in the event loop.
+        """Return a callback for a control that runs something in the event loop.
 
-        The browser's server calls it at once, where it would have a thread call a plain function.
+        It is a coroutine function, which the browser's server calls at once; a plain function it
+        would have called by a thread.
         """
 
         async def follow(_: object) -> None:
@@ -48,7 +50,7 @@ class Bridge:
 
     def _start(self, work: Work) -> None:
         task = asyncio.ensure_future(self._guarded(work))
-        self._working.add(task)
+        self._working.add(task)  # the event loop itself keeps only a weak reference
         task.add_done_callback(self._working.discard)
 
     async def _guarded(self, work: Work) -> None:
@@ -59,12 +61,12 @@ class Bridge:
         except OSError as error:
             self.notify("Failed", str(error), "red")
         except Exception as error:
-            log.exception("a click could not be followed")
+            log.exception("a click failed")
             self.notify("Failed", f"{type(error).__name__}: {error}", "red")
 
     @property
     def watched(self) -> bool:
-        """Whether anybody has the page open."""
+        """Whether the page is open in any window."""
         return bool(self.server.get_clients())
 
     def notify(self, title: str, text: str, colour: Any = "blue") -> None:
@@ -73,7 +75,7 @@ class Bridge:
             client.add_notification(title, text, color=colour, auto_close_seconds=_SECONDS)
 
     async def close(self) -> None:
-        """Cancel what is under way."""
+        """Cancel whatever is still running."""
         working = list(self._working)
         for task in working:
             task.cancel()

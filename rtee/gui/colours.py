@@ -1,4 +1,4 @@
-"""Colours as the browser's scene takes them; those of the fingers are the project's."""
+"""Colours for the browser's scene; those of the fingers are the same as in reports and plots."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REFERENCE: Final[Colour] = (120, 120, 130)
 PREVIEW: Final = rgb("#56b4e9")
 CONTACT: Final = rgb("#d55e00")
 STRAINED: Final[Colour] = (75, 0, 20)
-"""A finger at its effort limit: dark, so that it is seen with any colour vision."""
+"""A finger at its effort limit: dark, to be visible with any colour vision."""
 
 STOP: Final[Colour] = (201, 42, 42)
 BAR: Final = rgb("#0072b2")
@@ -30,7 +30,7 @@ BAR: Final = rgb("#0072b2")
 GOOD: Final = "#00795c"
 WARN: Final = "#a35200"
 BAD: Final = "#c92a2a"
-"""Colours of words; they are never all that tells one from the other."""
+"""Colours of words; the meaning never depends on the colour alone."""
 
 _RAMP: Final[tuple[Colour, ...]] = (
     (68, 1, 84),
@@ -42,12 +42,12 @@ _RAMP: Final[tuple[Colour, ...]] = (
 
 
 def line_colour(index: int) -> str:
-    """Return the colour ``#rrggbb`` of the line at an index; used again after the seventh."""
+    """Return the colour ``#rrggbb`` of the line at an index; they repeat after the seventh."""
     return colours.PALETTE[index % len(colours.PALETTE)]
 
 
 def line_dash(index: int) -> tuple[int, ...]:
-    """Return the dashes that tell lines of the same colour apart; none for the first seven."""
+    """Return the dashes that distinguish lines of the same colour; none for the first seven."""
     return ((), (8, 3), (2, 3), (8, 3, 2, 3))[index // len(colours.PALETTE) % 4]
 
 

@@ -1,4 +1,4 @@
-"""What the plots show: the newest states, in memory that does not grow."""
+"""The data of the plots: the newest states, in memory that does not grow."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ from typing import Final, Protocol
 import numpy as np
 
 from rtee.messages.state import State
+from rtee.sample import MEASURED
 from rtee.types import FloatArray
 
-QUANTITIES: Final = ("position", "velocity", "effort", "current", "temperature")
-"""Measured per actuator; besides there are ``reference`` positions."""
+QUANTITIES: Final = tuple(MEASURED)
+"""Quantities measured per actuator; ``reference`` positions come in addition."""
 
 JOINT_QUANTITIES: Final = ("joint_position", "joint_velocity")
-"""What follows from that for all joints."""
+"""Quantities of all joints, computed from those of the actuators."""
 
 LONGEST: Final = 60.0
 """Longest time that can be shown [s]."""
 
 POINTS: Final = 400
-"""A line has at most this many points; it is not much wider on the screen."""
+"""Most points of a line; it is not much wider on the screen [pixels]."""
 
 
 class Source(Protocol):
-    """Where plots take their lines from."""
+    """Source of the lines of the plots."""
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
         """Return times relative to now [s] and the columns of a quantity, thinned for display."""
@@ -38,8 +39,8 @@ class History:
         """Make room for the longest time that is shown.
 
         Args:
-            actuators: How many there are.
-            joints: How many there are.
+            actuators: Number of actuators.
+            joints: Number of joints.
             rate: States per second [Hz].
         """
         self._capacity = int(LONGEST * rate)
@@ -47,13 +48,14 @@ class History:
         sizes = dict.fromkeys((*QUANTITIES, "reference"), actuators)
         sizes |= dict.fromkeys(JOINT_QUANTITIES, joints)
         self._values = {
+            # Half the memory, and far finer than a pixel.
             name: np.full((self._capacity, size), np.nan, dtype=np.float32)
             for name, size in sizes.items()
         }
         self._count = 0
 
     def add(self, state: State, joint_velocity: FloatArray) -> None:
-        """Take a state, and the velocities of the joints that follow from it [rad/s | m/s]."""
+        """Add a state and the velocities of the joints that follow from it [rad/s | m/s]."""
         row = self._count % self._capacity
         self._time[row] = state.stamp
         for name in QUANTITIES:
@@ -72,7 +74,7 @@ class History:
         time = self._time[numbers % self._capacity]
         now = time[-1]
         numbers = numbers[time >= now - length]
-        # Whole multiples of the step since the start keep the picture from flickering.
+        # Points at multiples of the step, counted from the start, keep the picture from flickering.
         step = max(1, -(-len(numbers) // POINTS))
         rows = numbers[numbers % step == 0] % self._capacity
         values = self._values[name][rows].astype(np.float64)
@@ -80,11 +82,11 @@ class History:
 
 
 def nice_range(lines: Sequence[FloatArray], least: float) -> tuple[float, float]:
-    """Return a range for an axis that holds all lines and changes seldom while they do.
+    """Return a range for an axis that contains all lines and rarely changes as they move.
 
     Args:
-        lines: Values, ``NaN`` where there are none.
-        least: The smallest length of the range.
+        lines: Values; ``NaN`` where there are none.
+        least: Shortest length of the range.
     """
     known = [line[np.isfinite(line)] for line in lines]
     values = np.concatenate(known) if known else np.zeros(0)

@@ -1,4 +1,4 @@
-"""The model of a running hand: from its folder here, or as the hand describes itself."""
+"""The model of a running hand: from its folder on this computer, or from its description."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def _fingers(info: HandInfo) -> tuple[Finger, ...]:
 
 
 def from_info(info: HandInfo) -> Hand:
-    """Return the model of a hand on another computer, from its own description.
+    """Return the model of a hand on another computer, from its description.
 
     Raises:
-        ModelError: if the description cannot be used, for example when its meshes are not here.
+        ModelError: if the description cannot be used, for example because its meshes are missing.
     """
     with tempfile.TemporaryDirectory(prefix="rtee-") as folder:
         path = Path(folder) / "hand.urdf"
@@ -47,10 +47,11 @@ def from_info(info: HandInfo) -> Hand:
 
 
 async def model_of(remote: RemoteHand) -> Hand:
-    """Return the model of a running hand: the one configured here if it fits, else its own."""
+    """Return the model of a running hand: the one configured here if it fits, else the hand's."""
     info = await remote.info()
     try:
         hand = load_hand(remote.name)
     except RteeError:
         return from_info(info)
+    # Another version of the hand may be configured here.
     return hand if hand.actuator_names == info.actuator_names else from_info(info)

@@ -1,4 +1,4 @@
-"""A recording as the GUI shows it: the state at any time, and the lines up to it."""
+"""A recording in the GUI: its state at any time, and the lines of the plots up to it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rtee.errors import LogError
 from rtee.gui.history import JOINT_QUANTITIES, POINTS
 from rtee.hand.model import Hand
 from rtee.log import Recording, Span, read
-from rtee.messages.state import State
+from rtee.messages.state import ACTUATOR_COLUMNS, State
 from rtee.types import FloatArray
 
 _OUTCOMES = {"reached": "#009e73", "grasped": "#009e73", "aborted": "#d55e00"}
@@ -20,18 +20,18 @@ _OTHER = "#e69f00"
 
 
 class Playback:
-    """A recording and where in it we are.
+    """A recording and the time shown.
 
     Attributes:
         recording: The recording.
-        time: Where in it [s].
+        time: The time shown, since the start of the recording [s].
     """
 
     def __init__(self, recording: Recording, hand: Hand) -> None:
         """Prepare a recording of a hand.
 
         Raises:
-            LogError: if it is of another hand, or nothing was measured in it.
+            LogError: if it is of another hand, or contains no measurements.
         """
         self.recording = recording
         self._hand = hand
@@ -60,7 +60,7 @@ class Playback:
 
     @property
     def marks(self) -> list[tuple[float, str]]:
-        """When what was marked by users [s]."""
+        """Times [s] and texts of the marks set by users."""
         return [(entry.t, entry.value.text) for entry in self.recording.marks]
 
     @staticmethod
@@ -68,7 +68,7 @@ class Playback:
         return max(0, int(np.searchsorted(t, time, side="right")) - 1)
 
     def state(self) -> State:
-        """Return the state at the present time."""
+        """Return the state at the time shown."""
         states, sent, joints = (
             self.recording.actuator_states,
             self.recording.reference,
@@ -91,13 +91,7 @@ class Playback:
             stamp=float(states.time[row]),
             wall_ns=int(states.wall[row]),
             names=self._hand.actuator_names,
-            position=position,
-            velocity=states.velocity[row, order],
-            effort=states.effort[row, order],
-            current=states.current[row, order],
-            temperature=states.temperature[row, order],
-            grasped=states.grasped[row, order],
-            fresh=states.fresh[row, order],
+            **{name: getattr(states, name)[row, order] for name in ACTUATOR_COLUMNS},
             reference_position=reference[0],
             reference_velocity=reference[1],
             reference_effort=reference[2],
@@ -110,7 +104,7 @@ class Playback:
         )
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
-        """Return times relative to the present [s] and the columns of a quantity, thinned."""
+        """Return times relative to the time shown [s] and the columns of a quantity, thinned."""
         states = self.recording.actuator_states
         end = self._row(states.t, self.time) + 1
         start = int(np.searchsorted(states.t, self.time - length))
@@ -139,7 +133,7 @@ class Playback:
 
 
 def open_playback(path: Path, hand: Hand) -> Playback:
-    """Read a recording; blocks for as long as that takes.
+    """Read a recording; blocks while reading.
 
     Raises:
         LogError: if it cannot be read, or is of another hand.
@@ -158,7 +152,7 @@ def _bar(span: Span, duration: float, top: int, height: int) -> str:
 
 
 def timeline(playback: Playback) -> str:
-    """Return a picture of the recording: spans of actions, inner actions, marks, where we are."""
+    """Return a picture (SVG) of the recording: actions, inner actions, marks, the time shown."""
     duration = playback.duration
     shapes = []
     for span in playback.recording.spans:

@@ -28,17 +28,18 @@ Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
 """A point [m] and a unit normal in the base frame."""
 
 _GHOST = 0.35
+"""Opacity of a ghost: the hand stays visible through it."""
 
 
 class HandScene:
-    """What the browser shows of the hand.
+    """The hand in the 3D view.
 
     Attributes:
         hand: The hand shown.
     """
 
     def __init__(self, server: viser.ViserServer, hand: Hand) -> None:
-        """Put a hand into the scene and aim the camera at it."""
+        """Add a hand to the scene and aim the camera at it."""
         self.hand = hand
         self._server = server
         scene = server.scene
@@ -47,7 +48,7 @@ class HandScene:
         ghost = dict.fromkeys(hand.urdf.links, REFERENCE)
         wish = dict.fromkeys(hand.urdf.links, PREVIEW)
         scene.set_up_direction("+z")
-        # Shadows cost a tablet, or a computer without a graphics card, most of its frames.
+        # Shadows would take most of the frame rate without a graphics card.
         scene.configure_default_lights(cast_shadow=False)
         self._body = HandBody(scene, "/hand", hand, self._triangles, self._colours)
         self._reference = HandBody(
@@ -65,7 +66,7 @@ class HandScene:
         self._size = self._aim()
 
     def _aim(self) -> float:
-        """Aim the camera; returns the hand's size [m]."""
+        """Aim the camera at the hand, and return the hand's size [m]."""
         points = []
         for name, link in self.hand.urdf.links.items():
             if link.collisions:
@@ -73,7 +74,7 @@ class HandScene:
                 points.append(self._triangles(name)[0] @ pose[:3, :3].T + pose[:3, 3])
         cloud = np.concatenate(points) if points else np.zeros((1, 3))
         low, high = cloud.min(axis=0), cloud.max(axis=0)
-        size = max(float(np.linalg.norm(high - low)), 0.05)
+        size = max(float(np.linalg.norm(high - low)), 0.05)  # a model may have no shapes
         middle = 0.5 * (low + high)
         camera = self._server.initial_camera
         camera.look_at = tuple(middle)
@@ -103,7 +104,7 @@ class HandScene:
         self._ghost(self._reference, actuators)
 
     def show_preview(self, actuators: FloatArray | None) -> None:
-        """Show where an action would lead, actuator positions ``(n,)``; ``None`` hides it."""
+        """Show the target of an action, actuator positions ``(n,)``; ``None`` hides it."""
         self._ghost(self._preview, actuators)
 
     def _ghost(self, body: HandBody, actuators: FloatArray | None) -> None:
@@ -114,9 +115,10 @@ class HandScene:
         body.visible = True
 
     def show_effort(self, share: Mapping[str, float]) -> None:
-        """Darken fingers by their effort as a share of its limit, by finger name."""
+        """Darken fingers by their effort, given by finger name as a share of its limit."""
         for finger in self.hand.fingers:
             strength = share.get(finger.name, 0.0)
+            # In ten steps, because each change of colour is sent to the browser.
             strength = 0.0 if not math.isfinite(strength) else round(min(abs(strength), 1.0), 1)
             if strength == self._strained.get(finger.name, 0.0):
                 continue
@@ -152,7 +154,7 @@ class HandScene:
             )
 
     def show_pressure(self, share: Mapping[str, float]) -> None:
-        """Show pressures per finger, as a share of the largest, by spheres at the tips."""
+        """Show pressures by spheres at the tips, given by finger name as a share of the largest."""
         for finger in self.hand.fingers:
             handle = self._pressures.get(finger.name)
             if finger.tip is None or (handle is None and finger.name not in share):
@@ -177,7 +179,7 @@ class HandScene:
                 handle.position = tuple(pose[:3, 3])
 
     def remove(self) -> None:
-        """Take everything of this hand out of the scene."""
+        """Remove everything of this hand from the scene."""
         self.show_contacts(())
         for handle in self._pressures.values():
             handle.remove()

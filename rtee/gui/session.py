@@ -1,4 +1,4 @@
-"""One hand in the GUI: its panels, and the streams that keep them in step."""
+"""One hand in the GUI: its panels, and the streams that update them."""
 
 from __future__ import annotations
 
@@ -35,13 +35,29 @@ from rtee.remote.client import RemoteHand
 from rtee.types import Event, FloatArray, from_rest
 
 _STATE_RATE = 100.0
+"""States received per second [Hz]: enough for smooth lines in the plots."""
+
 _SCENE_PERIOD = 1 / 30
+"""Time between two updates of the 3D view [s]: as fluent as a film."""
+
 _UNWATCHED_PERIOD = 0.25
+"""The same while no window is open [s]: only the history of the plots is filled."""
+
 _UNWATCHED_STEP = 5
+"""Of this many states one goes into the history while no window is open."""
+
 _PLOT_PERIOD = 1 / 8
+"""Time between two updates of the plots [s]: each takes the browser some milliseconds."""
+
 _TABLE_PERIOD = 1 / 4
+"""Time between two updates of the tables [s]: numbers that change faster cannot be read."""
+
 _STATUS_PERIOD = 0.5
+"""Time between two requests for the status [s]."""
+
 _PANEL_WIDTH = 330
+"""Width of the panel with plots and tables [pixels]: a third of a small laptop's screen."""
+
 _COLOURS = {"info": "blue", "warning": "orange", "error": "red"}
 
 
@@ -54,10 +70,10 @@ class Session:
         """Build the panels.
 
         Args:
-            bridge: Carries clicks.
+            bridge: Carries clicks into the event loop.
             remote: The running hand.
             hand: Its model.
-            top: Where what must always be in sight goes.
+            top: The folder that always stays in sight.
         """
         self._bridge = bridge
         self._remote = remote
@@ -132,12 +148,14 @@ class Session:
         return actions
 
     async def run(self) -> None:
-        """Keep everything in step.
+        """Update all panels until the hand goes.
 
         Raises:
             NoHand: when the hand goes.
         """
-        events = self._remote.events()  # before the actions are asked for: no change is missed
+        events = (
+            self._remote.events()
+        )  # subscribed first, so that no change of the actions is missed
         await self._refresh()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._follow_events, events)
@@ -172,20 +190,20 @@ class Session:
             await anyio.sleep(_STATUS_PERIOD)
 
     async def _follow_states(self) -> None:
-        """Draw what has come since, in one go: 30 times a second while anybody looks."""
+        """Draw the states received meanwhile, 30 times a second while a window is open."""
         most = round(_STATE_RATE * LONGEST)
         async with self._remote.collected_states(_STATE_RATE, most) as states:
             while True:
                 watched = self._bridge.watched
                 await anyio.sleep(_SCENE_PERIOD if watched else _UNWATCHED_PERIOD)
                 for state in states.drain(1 if watched else _UNWATCHED_STEP):
-                    self._take(state)
+                    self._receive(state)
                 if watched:
                     with self._bridge.server.atomic():
                         self._draw(time.monotonic())
 
-    def _take(self, state: State) -> None:
-        if state.joint_names != self._hand.joint_names:
+    def _receive(self, state: State) -> None:
+        if state.joint_names != self._hand.joint_names:  # the model here has another order
             state = self._in_order(state)
         self._state = state
         speeds = self._hand.transmission.velocities(state.position, state.velocity)
@@ -213,7 +231,7 @@ class Session:
         self._scene.show_reference(state.reference_position if self._ghost.value else None)
         self._scene.show_effort(self._efforts(state) if self._strain.value else {})
         pressure = self._pressures(state) if self._press.value else {}
-        if pressure or self._pressed:
+        if pressure or self._pressed:  # once more after the last contact, to hide the spheres
             self._pressed = bool(pressure)
             self._scene.show_pressure(pressure)
             self._scene.place_pressures(state.position)
@@ -238,12 +256,12 @@ class Session:
         for name, values in state.channels.items():
             if name.endswith(("/pressure", "/contact_force")) and len(values) % len(fingers) == 0:
                 by_finger = np.nan_to_num(values).reshape(len(fingers), -1).max(axis=1)
-                most = max(float(by_finger.max()), 1.0)
+                most = max(float(by_finger.max()), 1.0)  # weak pressures stay pale
                 return {f: float(v) / most for f, v in zip(fingers, by_finger, strict=True)}
         return {}
 
     def remove(self) -> None:
-        """Take everything of the hand out of the browser."""
+        """Remove everything of the hand from the browser."""
         self._scene.remove()
         self._header.remove()
         self._actions.remove()

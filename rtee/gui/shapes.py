@@ -1,4 +1,4 @@
-"""The collision shapes of links as triangles for the screen, read without Coal where possible."""
+"""The collision shapes of links as triangles, read without Coal where possible."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def link_triangles(hand: Hand) -> LinkTriangles:
     """Return a function that gives the triangles of a link's collision shapes.
 
     Raises:
-        MissingExtra: A mesh is of a format that Coal alone reads, which is not installed.
-        ModelError: There and when the function is called: a mesh is missing or cannot be read.
+        MissingExtra: A mesh has a format that only Coal reads, which is not installed.
+        ModelError: Here or when the function is called, if a mesh is missing or cannot be read.
     """
     shapes = (shape for link in hand.urdf.links.values() for shape in link.collisions)
     formats = {Path(shape.mesh).suffix.lower() for shape in shapes if shape.kind == "mesh"}
@@ -61,9 +61,10 @@ def _of_shape(hand: Hand, shape: UrdfGeometry) -> Triangles:
         return cylinder(shape.radius, shape.length)
     path = check_mesh(shape, hand.urdf, hand.package_dirs)
     try:
+        # Unprocessed: merging vertices takes seconds and does not show.
         mesh = trimesh.load_mesh(str(path), process=False)
         points, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    except Exception as error:  # each reader of trimesh fails in ways of its own
+    except Exception as error:  # each reader of trimesh raises its own exceptions
         raise _refusal(hand, shape, f"cannot be read: {error}") from error
     if not len(faces):
         raise _refusal(hand, shape, "has no triangles")

@@ -1,4 +1,4 @@
-"""What trials in simulation found about actions: which objects each of them held."""
+"""Results of trials in simulation: which objects each action held."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _CELL = "padding:0 0.5em 0 0;text-align:left;vertical-align:top"
 
 @dataclass(frozen=True)
 class Tried:
-    """What trials found.
+    """Results of trials.
 
     Attributes:
         results: The results by action.
-        outdated: They were made with other files of the hand than it has now.
+        outdated: Whether the files of the hand have changed since.
     """
 
     results: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
@@ -36,10 +36,10 @@ def key_of(action: Action) -> Key:
 
 
 def tried_in(text: str) -> Tried:
-    """Return the results that the text of a hand's file of trials holds, by action.
+    """Return the results in the text of a hand's file of trials, by action.
 
     Raises:
-        ConfigError: if the text is something else.
+        ConfigError: if the text is not such a file.
     """
     found: dict[Key, list[TrialResult]] = {}
     for result in parse_results(text, Path(FILE_NAME)).values():
@@ -49,14 +49,14 @@ def tried_in(text: str) -> Tried:
 
 
 def line(results: Sequence[TrialResult], *, outdated: bool = False) -> str:
-    """Return what trials of an action came to: ``held 7 of 12 objects``."""
+    """Return the summary of an action's trials: ``held 7 of 12 objects``."""
     held = sum(result.held for result in results)
     words = f"held {held} of {len(results)} object{'s' if len(results) != 1 else ''}"
     return f"{words}, with other files of this hand" if outdated else words
 
 
 def table(results: Sequence[TrialResult]) -> str:
-    """Return an HTML table of the objects with a sign, and why one was lost."""
+    """Return an HTML table of the objects, whether each was held, and why not."""
     rows = "".join(
         f'<tr><td style="{_CELL};white-space:nowrap">{"●" if result.held else "○"} '
         f'{escape(result.trial.object)}</td><td style="{_CELL}">'

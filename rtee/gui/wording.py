@@ -1,14 +1,24 @@
-"""How things are said in the GUI: results, uses of actions, small print."""
+"""Texts of the GUI: results, uses of actions, small print, short names, units, choices."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Sequence
+from typing import Final
+
+import viser
+
 from rtee.actions.types import ActionReference
 from rtee.gui.colours import BAD, GOOD, WARN
+from rtee.hand.names import common_prefix
+from rtee.sample import MEASURED
 from rtee.types import Result
+
+NOTHING: Final = "–"
+"""Shown by a dropdown that has nothing to choose from."""
 
 
 def said(result: Result) -> tuple[str, str]:
-    """Return how a goal ended, in words, and the colour that goes with it."""
+    """Return how a goal ended, in words, and the colour of these words."""
     if result.grasped:
         return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}", GOOD
     if result.reached:
@@ -33,3 +43,23 @@ def described(use: ActionReference) -> str:
 def small(html: str) -> str:
     """Return HTML in small print."""
     return f'<div style="font-size:0.8em;padding:0 0.75em">{html}</div>'
+
+
+def short_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names without their `common_prefix`: ``left_hand_Pinky`` becomes ``Pinky``."""
+    prefix = common_prefix(names)
+    return tuple(name.removeprefix(prefix) for name in names)
+
+
+def units(quantity: str, kinds: Collection[str]) -> str:
+    """Return the unit of a quantity of actuators or joints of some kinds."""
+    return MEASURED[quantity].unit_for(kinds)
+
+
+def offer(dropdown: viser.GuiDropdownHandle[str], names: Iterable[str]) -> None:
+    """Set the choices of a dropdown; the chosen one stays chosen if it is among them."""
+    options = tuple(names) or (NOTHING,)
+    if tuple(dropdown.options) != options:
+        chosen = dropdown.value
+        dropdown.options = options
+        dropdown.value = chosen if chosen in options else options[0]

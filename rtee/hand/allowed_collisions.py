@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
-import coal
 import numpy as np
-import pinocchio as pin
 
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.halton import halton
@@ -25,7 +23,7 @@ _CONFIGURATIONS: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
-class TouchingPair:
+class AllowedCollision:
     """Two links that need not be checked for collision.
 
     Attributes:
@@ -39,7 +37,7 @@ class TouchingPair:
     reason: str
 
 
-def touching_pairs(hand: Hand) -> tuple[TouchingPair, ...]:
+def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
     """Find the pairs of links whose contact says nothing about a posture.
 
     Adjacent links are joined by one moving joint. The others are compared on the exact geometry at
@@ -49,20 +47,20 @@ def touching_pairs(hand: Hand) -> tuple[TouchingPair, ...]:
     Raises:
         ModelError: A mesh cannot be read.
     """
-    checker = _Checker(hand)
-    tips = {finger.tip for finger in hand.fingers}
+    geometry = HandGeometry(hand)
+    kinematics = geometry.kinematics
+    parents, tips = kinematics.model.parents, {finger.tip for finger in hand.fingers}
+    at_rest, spread = kinematics.placements(hand.rest), _spread(hand)
     pairs = []
-    for link1, link2 in combinations(checker.links, 2):
-        relation = checker.relation(link1, link2)
-        if relation == "joined":
-            pairs.append(TouchingPair(link1, link2, ADJACENT))
-        elif (
-            relation == "apart"
-            and not {link1, link2} <= tips
-            and checker.at(hand.rest, link1, link2)
-        ):
-            always = all(checker.at(u, link1, link2) for u in _spread(hand))
-            pairs.append(TouchingPair(link1, link2, ALWAYS if always else AT_REST))
+    for links in combinations(dict.fromkeys(shape.link for shape in geometry.shapes), 2):
+        first, second = (kinematics.body(link) for link in links)
+        if first == second:
+            continue
+        if parents[first] == second or parents[second] == first:
+            pairs.append(AllowedCollision(*links, ADJACENT))
+        elif not tips.issuperset(links) and geometry.touching(links, at_rest):
+            always = all(geometry.touching(links, kinematics.placements(u)) for u in spread)
+            pairs.append(AllowedCollision(*links, ALWAYS if always else AT_REST))
     return tuple(pairs)
 
 
@@ -72,53 +70,9 @@ def touch_at_rest(hand: Hand) -> Callable[[str, str], bool]:
     Raises:
         ModelError: A mesh cannot be read.
     """
-    checker = _Checker(hand)
-    return lambda link1, link2: checker.at(hand.rest, link1, link2)
-
-
-class _Checker:
-    """Exact contact of links at a posture."""
-
-    def __init__(self, hand: Hand) -> None:
-        self.hand = hand
-        self.geometry = HandGeometry(hand)
-        self.kinematics = self.geometry.kinematics
-        self.links = tuple(dict.fromkeys(shape.link for shape in self.geometry.shapes))
-        self.request = coal.CollisionRequest()
-
-    def relation(self, link1: str, link2: str) -> str:
-        """Return whether links are ``fixed`` together, ``joined`` by one joint, or ``apart``."""
-        first, second = self.kinematics.body(link1), self.kinematics.body(link2)
-        if first == second:
-            return "fixed"
-        parents = self.kinematics.model.parents
-        return "joined" if parents[first] == second or parents[second] == first else "apart"
-
-    def at(self, u: FloatArray, link1: str, link2: str) -> bool:
-        """Return whether two links touch at a posture."""
-        poses = self.kinematics.placements(u)
-        return any(
-            self._touch(i, j, poses[link1], poses[link2])
-            for i in self.geometry.of_link(link1)
-            for j in self.geometry.of_link(link2)
-        )
-
-    def _touch(self, i: int, j: int, pose1: FloatArray, pose2: FloatArray) -> bool:
-        first, second = self.geometry.shapes[i], self.geometry.shapes[j]
-        result = coal.CollisionResult()
-        coal.collide(
-            first.exact,
-            _transform(pin.SE3(pose1) * first.in_link),
-            second.exact,
-            _transform(pin.SE3(pose2) * second.in_link),
-            self.request,
-            result,
-        )
-        return bool(result.isCollision())
-
-
-def _transform(pose: pin.SE3) -> coal.Transform3s:
-    return coal.Transform3s(pose.rotation, pose.translation)
+    geometry = HandGeometry(hand)
+    poses = geometry.kinematics.placements(hand.rest)
+    return lambda link1, link2: geometry.touching((link1, link2), poses)
 
 
 def _spread(hand: Hand) -> list[FloatArray]:

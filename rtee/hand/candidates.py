@@ -18,7 +18,7 @@ _SPRUNG: Final = re.compile(r"spring|passive|complian|elastic|flexure|underactua
 """What people call joints without a motor."""
 
 _SPRINGS: Final = ("springStiffness", "springReference", "spring_stiffness", "spring_reference")
-"""Elements and attributes by which a simulator is told of a spring."""
+"""Elements and attributes that describe a spring to a simulator."""
 
 _PLAY: Final = 0.25
 """A joint that turns less than this from end to end [rad] is hardly worth a motor: 14 degrees."""
@@ -75,7 +75,7 @@ def passive_candidates(hand: Hand) -> tuple[Candidate, ...]:
 
 
 def _springs(hand: Hand, root: Element) -> dict[str, str]:
-    told = {
+    sprung = {
         element.attributes.get("reference", "")
         for element in root.all("gazebo")
         if any(child.tag in _SPRINGS for child in element.children)
@@ -83,10 +83,10 @@ def _springs(hand: Hand, root: Element) -> dict[str, str]:
     for element in root.all("joint"):
         dynamics = element.first("dynamics")
         if dynamics is not None and any(key in dynamics.attributes for key in _SPRINGS):
-            told.add(element.attributes.get("name", ""))
+            sprung.add(element.attributes.get("name", ""))
     found = {}
     for spec in hand.actuators:
-        if spec.name in told:
+        if spec.name in sprung:
             found[spec.name] = "has a spring for the simulator"
         elif _SPRUNG.search(spec.name):
             found[spec.name] = "is called like a joint without a motor"
@@ -186,7 +186,7 @@ def carriers(hand: Hand) -> tuple[str, ...]:
     """Return the actuators that move all fingers as one body, as those of a wrist, in order.
 
     All that such an actuator moves on the way to any fingertip lies where all the ways are one.
-    There are none where no other actuator would be left, or with fewer than two fingers.
+    None are returned where no other actuator would be left, or with fewer than two fingers.
     """
     tips = [finger.tip for finger in hand.fingers if finger.tip]
     if len(tips) < 2:

@@ -1,7 +1,8 @@
-"""Which hands there are, and where."""
+"""Which hands there are, where, and whether their files have changed."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,8 +18,8 @@ FILE_NAME: Final = "hand.yaml"
 def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     """Return the folders that hold hands, those that take precedence first.
 
-    They are ``extra``, the user's (see `own_dirs`), the ones that came with rtee, and at last the
-    folder one works in, where nothing takes the place of a hand known elsewhere.
+    They are ``extra``, the user's (see `own_dirs`), the ones that came with rtee, and last the
+    working directory, in which nothing replaces a hand known elsewhere.
     """
     package = Path(__file__).resolve().parents[1]
     candidates = [*(Path(folder) for folder in extra), *own_dirs(), package / "_config"]
@@ -77,3 +78,16 @@ def _all(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
     for folder in folders:
         for file in sorted(folder.glob(f"*/{FILE_NAME}")):
             yield file.parent.name, file.parent
+
+
+def fingerprint(folder: Path) -> str:
+    """Return a word of 16 characters that changes with the hand's model, configuration or actions.
+
+    Args:
+        folder: The hand's folder.
+    """
+    digest = hashlib.sha256()
+    files = [*folder.glob("*.urdf"), *folder.glob("*.srdf"), *folder.glob("hand.yaml")]
+    for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
+        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:16]

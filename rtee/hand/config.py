@@ -2,37 +2,56 @@
 
 from __future__ import annotations
 
-import types
+import dataclasses
 import typing
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.config_schema import (
     ActuatorLimits,
-    Device,
-    LimitsSection,
-    Log,
-    Loop,
-    Profile,
-    RealTime,
-    Remote,
-    Safety,
+    DefaultLimits,
+    DeviceSection,
+    LogSection,
+    LoopSection,
+    ProfileSettings,
+    RealtimeSettings,
+    RemoteSettings,
+    SafetySettings,
     Section,
-    Thermal,
+    ThermalSettings,
 )
 from rtee.hand.model import CLEARANCE
 from rtee.hand.names import check_name
 from rtee.hand.yamlfile import YamlDocument, read_yaml
 from rtee.types import FORMER_NAMES
 
+_CONFIG = typing.cast("ConfigDict", {**Section.__pydantic_config__, "frozen": True})
 
-class HandConfig(Section):
+
+class LimitsSection(BaseModel):
+    """Limits by actuator, and those of all others under ``defaults``."""
+
+    model_config = _CONFIG | ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, ActuatorLimits] = Field(init=False)
+
+    defaults: DefaultLimits = DefaultLimits()
+    """Limits of all actuators that have none of their own here."""
+
+    @property
+    def actuators(self) -> dict[str, ActuatorLimits]:
+        """The limits by actuator."""
+        return dict(self.__pydantic_extra__ or {})
+
+
+class HandConfig(BaseModel):
     """A hand."""
+
+    model_config = _CONFIG
 
     name: str
     """Its name: letters, digits, ``_``, ``-`` and ``.``; the same as its folder's."""
@@ -55,23 +74,23 @@ class HandConfig(Section):
     clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE
     """Distance that clear poses and the ways to them keep from all links that they are not to touch
     [m]; links that have hardly more at rest keep four fifths of what they have there."""
-    profile: Profile = Profile()
+    profile: ProfileSettings = ProfileSettings()
     """How references move between set-points."""
-    loop: Loop = Loop()
+    loop: LoopSection = LoopSection()
     """The control loop."""
-    realtime: RealTime = RealTime()
+    realtime: RealtimeSettings = RealtimeSettings()
     """What the operating system is asked for."""
-    safety: Safety = Safety()
+    safety: SafetySettings = SafetySettings()
     """What the hand does when something ends or breaks."""
-    thermal: Thermal = Thermal()
+    thermal: ThermalSettings = ThermalSettings()
     """Temperatures of actuators."""
-    log: Log = Log()
+    log: LogSection = LogSection()
     """Recordings."""
-    remote: Remote = Remote()
+    remote: RemoteSettings = RemoteSettings()
     """The hand on the network."""
     driver: Literal["kinematic", "devices"] = "kinematic"
     """What ``rtee run`` drives by default: a kinematic stand-in, or the ``devices``."""
-    devices: dict[str, Device] = Field(default={})
+    devices: dict[str, DeviceSection] = Field(default={})
     """The devices by name."""
 
     @field_validator("name")
@@ -81,7 +100,7 @@ class HandConfig(Section):
 
     @field_validator("devices")
     @classmethod
-    def _allowed_devices(cls, value: dict[str, Device]) -> dict[str, Device]:
+    def _allowed_devices(cls, value: dict[str, DeviceSection]) -> dict[str, DeviceSection]:
         for name in value:
             check_name(name, "device")
         return value
@@ -126,37 +145,46 @@ def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError
     location, error = found[0]
     reasons = [e["msg"] for place, e in found if place == location]  # several for a union
     message = " or ".join(
-        reason.removeprefix("Value error, ").removeprefix("Input ") for reason in reasons
+        reason.removeprefix("Value error, ").removeprefix("Input ").replace(" tuple", " list")
+        for reason in reasons
     )
+    value = repr(error["input"])[:80]
     match error["type"]:
-        case "extra_forbidden" if location[-1] in FORMER_NAMES:
+        case "extra_forbidden" | "unexpected_keyword_argument" if location[-1] in FORMER_NAMES:
             return document.error(location, f"is called '{FORMER_NAMES[str(location[-1])]}' now")
         case "literal_error" if error["input"] in FORMER_NAMES:
             former = error["input"]
             return document.error(location, f"'{former}' is called '{FORMER_NAMES[former]}' now")
-        case "extra_forbidden":
+        case "extra_forbidden" | "unexpected_keyword_argument":
             hint = suggestion(str(location[-1]), _keys(location[:-1]))
             return document.error(location, f"unknown key; {hint}")
         case "missing":
             return document.error(location, "is missing")
+        case "dataclass_type" | "model_type":
+            message = f"should be a mapping, such as {{name: value}}, not {value}"
+            return document.error(location, message)
+        case "path_type":
+            return document.error(location, f"should be a valid string, not {value}")
         case "value_error" | "assertion_error":
             return document.error(location, message)
         case _:
-            value = repr(error["input"])
-            return document.error(location, f"{message}, not {value[:80]}")
+            return document.error(location, f"{message}, not {value}")
 
 
 def _keys(location: Sequence[str | int]) -> list[str]:
     """Return the keys that are allowed at a location."""
-    model: Any = HandConfig
+    kind: Any = HandConfig
     for part in location:
-        if isinstance(model, type) and issubclass(model, BaseModel):
-            known = model.model_fields.get(str(part))
-            model = known.annotation if known else ActuatorLimits
-        else:
-            model = typing.get_args(model)[-1]
-        if isinstance(model, types.UnionType):
-            model = typing.get_args(model)[0]
-    if isinstance(model, type) and issubclass(model, BaseModel):
-        return list(model.model_fields)
-    return []
+        fields = _fields(kind)
+        kind = fields.get(str(part), ActuatorLimits) if fields else typing.get_args(kind)[-1]
+    return list(_fields(kind))
+
+
+def _fields(kind: Any) -> dict[str, Any]:
+    """Return the fields of a section with their types; none if it is no section."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return {name: field.annotation for name, field in kind.model_fields.items()}
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+    return {}

@@ -1,25 +1,93 @@
-"""The sections of ``hand.yaml``."""
+"""The sections of ``hand.yaml``: their settings, with defaults, bounds and what they mean.
+
+They are plain dataclasses, which the loop, the recorder and the server are given as they are.
+`rtee.hand.config` checks with pydantic what is read from a file; the bounds are written so that it
+knows them, and nothing here imports it: loops run without.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from annotated_types import Ge, Gt, Interval
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Reaction = Literal["hold", "stop", "open", "disable"]
+MIN_RATE = 1.0
+"""Slowest rate of the loop [Hz]: below it, its one-second statistics would see no tick."""
+
+MAX_RATE = 2000.0
+"""Fastest rate of the loop [Hz]: an exchange of one tick must fit into its period."""
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+Fraction = Annotated[float, Interval(ge=0, le=1)]
 
 
-class Section(BaseModel):
+class Section:
     """A part of hand.yaml: unknown keys and numbers that are none are refused."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    __slots__ = ()
+    __pydantic_config__: ClassVar[dict[str, Any]] = {
+        "extra": "forbid",
+        "strict": True,
+        "allow_inf_nan": False,
+        "use_attribute_docstrings": True,
+    }
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Callable[[Any], Any]) -> Any:
+        return _Converted().__get_pydantic_core_schema__(source, handler)
 
 
+class _Converted:
+    """Has pydantic convert what YAML cannot express, though it is strict about all the rest.
+
+    A mapping becomes a section, a list a tuple, and a text a path.
+    """
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        return {**handler(source), "strict": False}
+
+
+Names = Annotated[tuple[str, ...], _Converted()]
+
+
+class Word(StrEnum):
+    """A word out of a few; in hand.yaml it is given as a text."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Callable[[Any], Any]) -> Any:
+        words = {"type": "literal", "expected": [word.value for word in cls]}
+        made = {"type": "no-info", "function": cls}
+        return {"type": "function-after", "schema": words, "function": made}
+
+
+class ProfileKind(Word):
+    """How the reference gets from one set-point to the next."""
+
+    JERK_LIMITED = "jerk_limited"
+    S_CURVE = "s_curve"
+    FILTER = "filter"
+    STEP = "step"
+
+
+class Behaviour(Word):
+    """What the hand does when nobody drives it any more."""
+
+    HOLD = "hold"
+    """Keep the measured posture, powered."""
+    STOP = "stop"
+    """Stop the devices' motion now, powered."""
+    OPEN = "open"
+    """Go to the rest posture, then hold."""
+    DISABLE = "disable"
+    """Take the drive power away, so that the actuators are limp."""
+
+
+@dataclass(frozen=True, slots=True)
 class DefaultLimits(Section):
     """Limits of all actuators that have none of their own here."""
 
@@ -33,6 +101,7 @@ class DefaultLimits(Section):
     """Effort limit [N·m | N]; lowers the URDF's where that is higher."""
 
 
+@dataclass(frozen=True, slots=True)
 class ActuatorLimits(DefaultLimits):
     """Limits of one actuator; they may only tighten the URDF's."""
 
@@ -42,25 +111,11 @@ class ActuatorLimits(DefaultLimits):
     """Upper position limit [rad | m]."""
 
 
-class LimitsSection(Section):
-    """Limits by actuator, and those of all others under ``defaults``."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, ActuatorLimits] = Field(init=False)
-
-    defaults: DefaultLimits = DefaultLimits()
-    """Limits of all actuators that have none of their own here."""
-
-    @property
-    def actuators(self) -> dict[str, ActuatorLimits]:
-        """The limits by actuator."""
-        return dict(self.__pydantic_extra__ or {})
-
-
-class Profile(Section):
+@dataclass(frozen=True, slots=True)
+class ProfileSettings(Section):
     """How references move between set-points."""
 
-    kind: Literal["jerk_limited", "s_curve", "filter", "step"] = "jerk_limited"
+    kind: ProfileKind = ProfileKind.JERK_LIMITED
     """``jerk_limited``: within velocity, acceleration and jerk limits, all actuators arriving
     together, by ruckig; ``s_curve``: the same without ruckig, and what ``jerk_limited`` means where
     that is not installed; ``filter``: critically damped second order after a
@@ -69,7 +124,8 @@ class Profile(Section):
     """Bandwidth of ``filter`` [Hz]."""
 
 
-class Stall(Section):
+@dataclass(frozen=True, slots=True)
+class StallSettings(Section):
     """When an actuator counts as stalled."""
 
     time: Positive = 0.25
@@ -78,7 +134,8 @@ class Stall(Section):
     """Share of the velocity limit."""
 
 
-class Grasp(Section):
+@dataclass(frozen=True, slots=True)
+class GraspSettings(Section):
     """When a finger counts as holding something, and how hard it then holds."""
 
     effort: Fraction = 0.2
@@ -91,46 +148,49 @@ class Grasp(Section):
     """Force at a fingertip above which it touches [N], where a device measures it."""
 
 
-class Loop(Section):
+@dataclass(frozen=True, slots=True)
+class LoopSection(Section):
     """The control loop."""
 
-    rate: Annotated[float, Field(ge=1, le=2000)] = 1000.0
+    rate: Annotated[float, Interval(ge=MIN_RATE, le=MAX_RATE)] = 1000.0
     """Rate of the loop [Hz]."""
     goal_timeout: Positive = 10.0
     """Longest time a goal may take [s]."""
-    stall: Stall = Stall()
+    stall: StallSettings = StallSettings()
     """When an actuator counts as stalled."""
-    grasp: Grasp = Grasp()
+    grasp: GraspSettings = GraspSettings()
     """When a finger counts as holding something."""
 
 
-class RealTime(Section):
+@dataclass(frozen=True, slots=True)
+class RealtimeSettings(Section):
     """What the operating system is asked for."""
 
     enabled: bool = False
     """Ask for real-time scheduling (SCHED_FIFO)."""
-    priority: Annotated[int, Field(ge=1, le=99)] = 80
+    priority: Annotated[int, Interval(ge=1, le=99)] = 80
     """Its priority."""
-    cpus: list[Annotated[int, Field(ge=0)]] = []
+    cpus: Annotated[tuple[Annotated[int, Ge(0)], ...], _Converted()] = ()
     """Processors the loop may run on; empty for all."""
     lock_memory: bool = True
     """Keep the process's memory from being swapped out."""
-    helper_priority: Annotated[int, Field(ge=0, le=98)] = 0
+    helper_priority: Annotated[int, Interval(ge=0, le=98)] = 0
     """Real-time priority of the recorder's and the network's threads, for which the loop has to
     wait when other programs keep them from running; 0 leaves them ordinary."""
 
 
-class Safety(Section):
+@dataclass(frozen=True, slots=True)
+class SafetySettings(Section):
     """What the hand does when something ends or breaks."""
 
-    on_exit: Reaction = "hold"
+    on_exit: Behaviour = Behaviour.HOLD
     """When the loop ends: ``hold`` the pose, ``stop`` motion, ``open`` the hand, ``disable``
     the drives (limp)."""
-    on_client_lost: Reaction = "hold"
+    on_client_lost: Behaviour = Behaviour.HOLD
     """When the client that holds the hand has died."""
-    on_link_lost: Reaction = "hold"
+    on_link_lost: Behaviour = Behaviour.HOLD
     """When a device does not answer any more, for the others."""
-    on_error: Reaction = "stop"
+    on_error: Behaviour = Behaviour.STOP
     """When the loop itself fails."""
     max_step: Positive | None = None
     """Largest change of a reference within one tick [rad | m]; unless given, what the velocity
@@ -140,7 +200,8 @@ class Safety(Section):
     devices can be; ``rtee recover`` wakes it. Unless given, it stays powered."""
 
 
-class Thermal(Section):
+@dataclass(frozen=True, slots=True)
+class ThermalSettings(Section):
     """Temperatures of actuators [°C]."""
 
     warn: float = 60.0
@@ -149,7 +210,7 @@ class Thermal(Section):
     """From here on the effort limit falls, to nothing at ``disable``."""
     disable: float = 80.0
     """From here on the actuator's device is disabled."""
-    nominal_current: dict[str, Positive] = {}
+    nominal_current: Mapping[str, Positive] = field(default_factory=dict)
     """Current by actuator that it may be given for ever [A]; ``defaults``: of all others. Where no
     temperature is measured, it is estimated from the measured current."""
     time_constant: Positive = 30.0
@@ -157,22 +218,22 @@ class Thermal(Section):
     ambient: float = 25.0
     """Temperature of the surroundings, where estimates begin; below ``warn``."""
 
-    @model_validator(mode="after")
-    def _rising(self) -> Self:
+    def __post_init__(self) -> None:
+        """Check that the temperatures rise."""
         if self.nominal_current and not self.ambient < self.warn:
             raise ValueError("should rise: ambient < warn")
         if not self.warn <= self.derate <= self.disable:
             raise ValueError("should rise: warn <= derate <= disable")
-        return self
 
 
-class Log(Section):
+@dataclass(frozen=True, slots=True)
+class LogSection(Section):
     """Recordings."""
 
+    directory: Annotated[Path, _Converted()] = Path("logs")
+    """Folder of the recordings, relative to the working directory."""
     enabled: bool = True
     """Record everything while the hand runs."""
-    directory: str = "logs"
-    """Folder of the recordings, relative to the working directory."""
     max_file_size: Positive = 1e9
     """A new file is begun beyond this size [bytes]."""
     max_file_time: Positive = 3600.0
@@ -182,7 +243,7 @@ class Log(Section):
     flight_recorder: NotNegative = 60.0
     """This much is kept in memory, recording or not, and written when something fails [s];
     0: nothing."""
-    decimation: Annotated[int, Field(ge=1)] = 1
+    decimation: Annotated[int, Ge(1)] = 1
     """Record every n-th tick; only recordings of every tick can be computed anew."""
     tf_rate: NotNegative = 50.0
     """Rate of the links' transforms on ``/tf``, from which Foxglove and RViz show the moving hand
@@ -191,29 +252,31 @@ class Log(Section):
     """Attach the hand's meshes to recordings and put them into ``/robot_description``."""
 
 
-class Remote(Section):
+@dataclass(frozen=True, slots=True)
+class RemoteSettings(Section):
     """The hand on the network."""
 
-    listen: list[str] = []
+    listen: Names = ()
     """Zenoh endpoints to listen on, such as ``tcp/192.168.1.10:7447``; empty: this machine only."""
-    connect: list[str] = []
+    connect: Names = ()
     """Zenoh endpoints to connect to."""
     state_rate: Positive = 100.0
     """Rate at which states are published [Hz]."""
 
 
-class Device(Section):
+@dataclass(frozen=True, slots=True)
+class DeviceSection(Section):
     """A physical thing on a bus."""
 
     driver: str
     """Name of the driver, or ``module:Class`` for one of your own."""
-    actuators: Literal["all"] | list[str] = "all"
+    actuators: Literal["all"] | Names = "all"
     """The actuators it drives."""
-    every: Annotated[int, Field(ge=1)] | None = None
+    every: Annotated[int, Ge(1)] | None = None
     """Exchange with it every n ticks; unless given, as often as its bus allows."""
     deadline: Positive | None = None
     """Longest time one exchange may take [s]."""
     reconnect: Literal["inactive", "active"] = "inactive"
     """What it comes back as after it was lost: ``inactive`` waits for ``rtee recover``."""
-    options: dict[str, Any] = {}
+    options: Mapping[str, Any] = field(default_factory=dict)
     """The driver's own options."""

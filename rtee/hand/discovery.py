@@ -1,13 +1,16 @@
-"""Fingers found from the URDF's tree, each with the reason why it is one."""
+"""The fingers of a hand with their actuators: those its SRDF names, or else found from its tree."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from rtee.hand.chains import Chain
-from rtee.hand.names import safe_name
+from rtee.errors import ModelError
+from rtee.hand.chains import Chain, fingers_of
+from rtee.hand.model import Finger
+from rtee.hand.names import check_name, safe_name, shared_length
+from rtee.hand.srdf import Srdf
 from rtee.hand.urdf import Urdf
 
 WORDS: Final = ("thumb", "index", "middle", "ring", "little", "pinky")
@@ -22,6 +25,93 @@ _PREFIX: Final = re.compile(
 
 _NUMBER: Final = re.compile(r"(?<![a-z0-9])f(?:inger)?_?([0-9]+)")
 """``finger_1``, ``finger1``, ``f1``."""
+
+
+def make_fingers(
+    urdf: Urdf, srdf: Srdf | None, movers: Mapping[str, str]
+) -> tuple[tuple[Finger, ...], list[str]]:
+    """Return the fingers that the SRDF names, or else those found from the tree.
+
+    Args:
+        urdf: The hand's URDF.
+        srdf: Its SRDF, if it has one.
+        movers: The actuator that moves a joint, by joint; joints that nothing moves are missing.
+
+    Returns:
+        The fingers, and what was noticed, one sentence each.
+
+    Raises:
+        ModelError: Two fingers share a fingertip, or a group of fingers is not well defined.
+        ConfigError: A finger's name is not allowed.
+    """
+    chains, notes = fingers_of(srdf, urdf) if srdf else (), []
+    if not chains:
+        chains = discover_fingers(urdf, frozenset(movers))
+        notes.append(
+            "no SRDF was given; the fingers were found from the tree"
+            if srdf is None
+            else "the SRDF names no finger; the fingers were found from the tree"
+        )
+    tips = _tips(chains, urdf, srdf)
+    notes += [
+        f"finger '{name}' has no collision geometry: no pinches for it"
+        for name, tip in tips.items()
+        if tip is None
+    ]
+    moving = {
+        chain.name: _moving(urdf, tips[chain.name] or chain.links[-1], movers) for chain in chains
+    }
+    fingers = tuple(
+        Finger(
+            name=chain.name,
+            base=chain.links[0],
+            tip=tips[chain.name],
+            links=chain.links,
+            actuators=moving[chain.name],
+            own=_own(chain.name, moving),
+            reason=chain.reason,
+        )
+        for chain in chains
+    )
+    return fingers, notes
+
+
+def _tips(chains: Sequence[Chain], urdf: Urdf, srdf: Srdf | None) -> dict[str, str | None]:
+    path = urdf.path if srdf is None else srdf.path
+    owner: dict[str, str] = {}
+    tips: dict[str, str | None] = {}
+    for chain in chains:
+        line = chain.line or None
+        check_name(chain.name, "finger", path, line)
+        tip = tips[chain.name] = chain.tip(urdf)
+        if tip is not None and owner.setdefault(tip, chain.name) != chain.name:
+            raise ModelError(
+                f"fingers '{owner[tip]}' and '{chain.name}' have the same fingertip '{tip}'",
+                path=path,
+                line=line,
+            )
+    return tips
+
+
+def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the actuators that move a link, nearest the root first.
+
+    An actuator comes where its own joint is on the path to the link, or else where the first joint
+    that follows it is.
+    """
+    place: dict[str, int] = {}
+    for position, joint in enumerate(urdf.path_to(link)):
+        actuator = movers.get(joint.name)
+        if actuator == joint.name:
+            place[actuator] = position
+        elif actuator is not None:
+            place.setdefault(actuator, position)
+    return tuple(sorted(place, key=place.__getitem__))
+
+
+def _own(name: str, moving: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    shared = {a for other, actuators in moving.items() if other != name for a in actuators}
+    return tuple(actuator for actuator in moving[name] if actuator not in shared)
 
 
 def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
@@ -56,6 +146,7 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
 
 def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
     """Return the last links with geometry of the branches that move, one per rigid body."""
+    # A finger ends where nothing solid follows; ends on one rigid body are one finger.
     solid = {name for name, link in urdf.links.items() if link.collisions}
     followed: set[str] = set()
     for link in solid:
@@ -109,6 +200,7 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
     Returns:
         Per finger its name, and where it comes from.
     """
+    # A name that only some fingers have says nothing about the others.
     called = [_called(end, ends, urdf) for end in ends]
     names = [name for name, _ in filter(None, called)]
     if len(names) == len(set(names)) == len(ends):
@@ -138,22 +230,11 @@ def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None
 def _distinct_parts(names: Sequence[str]) -> Iterable[str]:
     """Return what is left of names without the parts that all begin or end with."""
     parts = [name.split("_") for name in names]
-    head = _common(parts)
-    tail = _common([part[head:][::-1] for part in parts])
+    head = shared_length(parts)
+    tail = shared_length([part[head:][::-1] for part in parts])
     for name, part in zip(names, parts, strict=True):
         kept = "_".join(part[head : len(part) - tail])
         yield kept if kept and not kept.isdigit() else f"finger_{kept}" if kept else name
-
-
-def _common(parts: Sequence[Sequence[str]]) -> int:
-    if len(parts) < 2:
-        return 0
-    count = 0
-    for column in zip(*parts, strict=False):
-        if len(set(column)) > 1:
-            break
-        count += 1
-    return count
 
 
 def _unique(names: Sequence[str]) -> list[str]:

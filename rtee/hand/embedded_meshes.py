@@ -1,4 +1,4 @@
-"""The meshes of a hand as data, to be carried along where the files themselves are not."""
+"""The meshes of a hand as data, to be embedded where the files themselves are not available."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rtee.hand.names import safe_name
 from rtee.hand.urdf import Urdf, UrdfGeometry
 
 FOLDER: Final = "meshes"
-"""Folder in the names of carried meshes."""
+"""Folder in the names of embedded meshes."""
 
 LARGEST: Final = 48_000_000
 """All meshes together may take this much as text in a description, each as often as it is named
@@ -41,11 +41,11 @@ _MESH = re.compile(r"""(<(?:\w+:)?mesh\b[^<>]*?\bfilename\s*=\s*)(["'])(.*?)\2""
 
 
 @dataclass(frozen=True, slots=True)
-class CarriedMesh:
+class EmbeddedMesh:
     """A mesh as data.
 
     Attributes:
-        name: A name of its own, such as ``meshes/palm.stl``.
+        name: A unique name, such as ``meshes/palm.stl``.
         path: The file it was read from, absolute.
         data: Its content.
     """
@@ -68,25 +68,25 @@ class CarriedMesh:
 
 
 @dataclass(frozen=True, slots=True)
-class CarriedMeshes:
+class EmbeddedMeshes:
     """The meshes of a hand.
 
     Attributes:
         meshes: Address in the URDF to the mesh; two addresses may lead to the same one.
-        left_out: Address in the URDF to why its mesh is not carried.
+        left_out: Address in the URDF to why its mesh is not embedded.
     """
 
-    meshes: Mapping[str, CarriedMesh]
+    meshes: Mapping[str, EmbeddedMesh]
     left_out: Mapping[str, str]
 
     @property
-    def files(self) -> dict[str, CarriedMesh]:
+    def files(self) -> dict[str, EmbeddedMesh]:
         """The meshes by their names, each once."""
         return {mesh.name: mesh for mesh in self.meshes.values()}
 
 
-def carried_meshes(hand: Hand, largest: int = LARGEST) -> CarriedMeshes:
-    """Read the meshes of a hand, those that are seen first.
+def embed_meshes(hand: Hand, largest: int = LARGEST) -> EmbeddedMeshes:
+    """Read the meshes of a hand, the visible ones first.
 
     Args:
         hand: The hand.
@@ -94,9 +94,9 @@ def carried_meshes(hand: Hand, largest: int = LARGEST) -> CarriedMeshes:
             is left out.
     """
     times = Counter(shape.mesh for shape in _shapes(hand.urdf))
-    meshes: dict[str, CarriedMesh] = {}
+    meshes: dict[str, EmbeddedMesh] = {}
     left_out: dict[str, str] = {}
-    by_path: dict[Path, CarriedMesh] = {}
+    by_path: dict[Path, EmbeddedMesh] = {}
     names: set[str] = set()
     room = float(largest)
     for address in times:
@@ -105,7 +105,8 @@ def carried_meshes(hand: Hand, largest: int = LARGEST) -> CarriedMeshes:
             mesh = by_path.get(path)
             if mesh is None:
                 data = read_bytes(path, "mesh", ModelError)
-                mesh = CarriedMesh(_name(path, names), path, data)
+                mesh = EmbeddedMesh(_name(path, names), path, data)
+            # A description holds a mesh once for every address that names it.
             size = _AS_TEXT * times[address] * len(mesh.data)
             if size > room:
                 left_out[address] = f"the meshes take more than {largest / 1e6:g} MB"
@@ -116,7 +117,7 @@ def carried_meshes(hand: Hand, largest: int = LARGEST) -> CarriedMeshes:
             left_out[address] = str(error)
             continue
         meshes[address] = mesh
-    return CarriedMeshes(meshes, left_out)
+    return EmbeddedMeshes(meshes, left_out)
 
 
 def _shapes(urdf: Urdf) -> Iterator[UrdfGeometry]:
@@ -126,7 +127,7 @@ def _shapes(urdf: Urdf) -> Iterator[UrdfGeometry]:
 
 
 def _name(path: Path, taken: set[str]) -> str:
-    """Return a name that no other mesh has, and take it."""
+    """Return a name that no other mesh has, and reserve it."""
     stem, suffix = safe_name(path.stem, "mesh"), path.suffix.lower()
     number = 1
     name = f"{FOLDER}/{stem}{suffix}"
@@ -137,7 +138,7 @@ def _name(path: Path, taken: set[str]) -> str:
     return name
 
 
-def with_addresses(text: str, addresses: Mapping[str, str]) -> str:
+def with_mesh_addresses(text: str, addresses: Mapping[str, str]) -> str:
     """Return the text of a URDF with other addresses of meshes.
 
     Args:

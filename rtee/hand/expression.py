@@ -123,7 +123,7 @@ def _as_python(text: str) -> str:
     if len(text) > MAX_LENGTH:
         raise ExpressionError(f"the expression is longer than {MAX_LENGTH} characters")
     words: list[str] = []
-    opened: list[str] = []  # what stands before each open parenthesis
+    opened: list[str] = []  # what comes before each open parenthesis
     previous, value_follows = "", True
     for match in _TOKEN.finditer(text.rstrip()):
         number, name, symbol = match.groups(default="")
@@ -251,8 +251,28 @@ def _number(value: float) -> _Node:
     return _Node(lambda _x: value, lambda _x: (value, 0.0), {0: _finite(value)})
 
 
-def _made(parts: list[_Node], value: _Function, dual: Callable[[float], Dual]) -> _Node:
-    """Return a node made of parts; a number if these don't depend on ``x``."""
+def _combined(
+    parts: list[_Node],
+    value_of: Callable[[list[float]], float],
+    slope_of: Callable[[list[float], list[float]], float],
+) -> _Node:
+    """Return a node made of parts; a number if these don't depend on ``x``.
+
+    Args:
+        parts: The parts.
+        value_of: Its value from those of the parts.
+        slope_of: Its derivative from the values and the derivatives of the parts.
+    """
+    values, duals = [part.value for part in parts], [part.dual for part in parts]
+
+    def value(x: float) -> float:
+        return value_of([value(x) for value in values])
+
+    def dual(x: float) -> Dual:
+        found = [dual(x) for dual in duals]
+        a, da = [a for a, _ in found], [da for _, da in found]
+        return value_of(a), slope_of(a, da)
+
     if not all(part.constant for part in parts):
         return _Node(value, dual)
     try:
@@ -294,13 +314,7 @@ def _sum(parts: list[_Node]) -> _Node:
             for power, factor in terms.items():
                 total[power] = total.get(power, 0.0) + factor
         return _polynomial(total)
-    values, duals = [part.value for part in parts], [part.dual for part in parts]
-
-    def dual(x: float) -> Dual:
-        found = [dual(x) for dual in duals]
-        return math.fsum([a for a, _ in found]), math.fsum([da for _, da in found])
-
-    return _made(parts, lambda x: math.fsum([value(x) for value in values]), dual)
+    return _combined(parts, math.fsum, lambda _, da: math.fsum(da))
 
 
 def _product(parts: list[_Node]) -> _Node:
@@ -308,93 +322,60 @@ def _product(parts: list[_Node]) -> _Node:
     if len(monomials) == len(parts):
         power = sum(power for terms in monomials for power in terms)
         return _polynomial({power: math.prod(f for terms in monomials for f in terms.values())})
-    values, duals = [part.value for part in parts], [part.dual for part in parts]
+    return _combined(parts, math.prod, _product_slope)
 
-    def value_of(x: float) -> float:
-        product = 1.0
-        for value in values:
-            product *= value(x)
-        return product
 
-    def dual(x: float) -> Dual:
-        product, slope = 1.0, 0.0
-        for dual in duals:
-            a, da = dual(x)
-            slope = slope * a + product * da
-            product *= a
-        return product, slope
-
-    return _made(parts, value_of, dual)
+def _product_slope(a: list[float], da: list[float]) -> float:
+    product, slope = 1.0, 0.0
+    for value, change in zip(a, da, strict=True):
+        slope = slope * value + product * change
+        product *= value
+    return slope
 
 
 def _negated(part: _Node) -> _Node:
     if part.terms is not None:
         return _polynomial({power: -factor for power, factor in part.terms.items()})
-    inner, inner_dual, _ = part
-
-    def dual(x: float) -> Dual:
-        a, da = inner_dual(x)
-        return -a, -da
-
-    return _made([part], lambda x: -inner(x), dual)
+    return _combined([part], lambda a: -a[0], lambda _, da: -da[0])
 
 
 def _inverted(part: _Node) -> _Node:
-    inner, inner_dual, _ = part
-
-    def dual(x: float) -> Dual:
-        a, da = inner_dual(x)
-        return 1.0 / a, -da / (a * a)
-
-    return _made([part], lambda x: 1.0 / inner(x), dual)
+    return _combined([part], lambda a: 1.0 / a[0], lambda a, da: -da[0] / (a[0] * a[0]))
 
 
 def _power(base: _Node, exponent: _Node) -> _Node:
     if exponent.constant:
         return _constant_power(base, exponent.value(0.0))
-    (base_value, base_dual, _), (exponent_value, exponent_dual, _) = base, exponent
+    return _combined([base, exponent], lambda a: math.pow(*a), _power_slope)
 
-    def dual(x: float) -> Dual:
-        a, da = base_dual(x)
-        b, db = exponent_dual(x)
-        value = math.pow(a, b)
-        slope = value * math.log(a) * db if db else 0.0
-        if da:
-            slope += b * math.pow(a, b - 1.0) * da
-        return value, slope
 
-    return _Node(lambda x: math.pow(base_value(x), exponent_value(x)), dual)
+def _power_slope(a: list[float], da: list[float]) -> float:
+    base, exponent = a
+    slope = math.pow(base, exponent) * math.log(base) * da[1] if da[1] else 0.0
+    # Where the base does not change, its power may still have no finite slope: 0 to a half.
+    return slope + exponent * math.pow(base, exponent - 1.0) * da[0] if da[0] else slope
 
 
 def _constant_power(base: _Node, power: float) -> _Node:
     if base.terms == {1: 1.0} and power.is_integer() and 0 <= power <= MAX_POWER:
         return _polynomial({int(power): 1.0})
-    inner, inner_dual, _ = base
 
-    def dual(x: float) -> Dual:
-        a, da = inner_dual(x)
-        slope = power * math.pow(a, power - 1.0) if power else 0.0
-        return math.pow(a, power), slope * da
+    def slope(a: list[float], da: list[float]) -> float:
+        return (power * math.pow(a[0], power - 1.0) if power else 0.0) * da[0]
 
-    return _made([base], lambda x: math.pow(inner(x), power), dual)
+    return _combined([base], lambda a: math.pow(a[0], power), slope)
 
 
 def _applied(value: _Function, derivative: _Function, part: _Node) -> _Node:
     """Return a function of a part."""
-    inner, inner_dual, _ = part
-
-    def dual(x: float) -> Dual:
-        a, da = inner_dual(x)
-        return value(a), derivative(a) * da
-
-    return _made([part], lambda x: value(inner(x)), dual)
+    return _combined([part], lambda a: value(a[0]), lambda a, da: derivative(a[0]) * da[0])
 
 
-def _choice(choose: Callable[[list[Any]], Any], parts: list[_Node]) -> _Node:
+def _choice(choose: Callable[[Any], Any], parts: list[_Node]) -> _Node:
     """Return the least or greatest part, with its derivative."""
-    values, duals = [part.value for part in parts], [part.dual for part in parts]
-    return _made(
-        parts,
-        lambda x: choose([value(x) for value in values]),
-        lambda x: choose([dual(x) for dual in duals]),
-    )
+
+    def slope(a: list[float], da: list[float]) -> float:
+        chosen: Dual = choose(zip(a, da, strict=True))
+        return chosen[1]
+
+    return _combined(parts, choose, slope)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Final
 from rtee.errors import ConfigError, UserError
 
 MAX_SIZE: Final = 64_000_000
+"""Largest file that is read [bytes]: more than any mesh or model of a hand takes."""
 
 
 def write_atomically(path: Path | str, data: str | bytes) -> None:
@@ -48,6 +50,7 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
+        # Renaming is atomic; what could fail for lack of space or rights has happened before.
         folders = {place.parent for place in staged}
         for target in list(staged):
             os.replace(staged[target], target)
@@ -117,6 +120,31 @@ def new_folder(path: Path | str) -> Iterator[Path]:
         raise
 
 
+@contextlib.contextmanager
+def new_tree(target: Path) -> Iterator[Path]:
+    """Make a folder whole or not at all: it is filled under another name inside the block.
+
+    Args:
+        target: The folder, which does not exist; the one that is to hold it is made if needed.
+
+    Raises:
+        ConfigError: The folder exists, or cannot be made.
+    """
+    if target.exists():
+        raise ConfigError("is already there; remove the folder first", path=target)
+    with new_folder(target.parent) as place:
+        try:
+            with tempfile.TemporaryDirectory(prefix=f".{target.name[:40]}.", dir=place) as scratch:
+                filled = Path(scratch) / target.name
+                filled.mkdir()
+                yield filled
+                filled.rename(target)
+        except (OSError, shutil.Error) as error:
+            several = error.args[0] if isinstance(error, shutil.Error) else ()
+            text = "; ".join(each[2] for each in several) or reason(error)
+            raise ConfigError(f"cannot be made: {text}", path=target) from error
+
+
 def write_all(
     files: Mapping[Path, str | bytes],
     *,
@@ -182,7 +210,7 @@ def _place_of(target: Path) -> Path:
     """Return where a file is written: where links lead to.
 
     Raises:
-        OSError: Something that is no file is there.
+        OSError: Something other than a file is there.
     """
     place = Path(os.path.realpath(target))
     if place.is_dir():

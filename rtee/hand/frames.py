@@ -1,4 +1,4 @@
-"""Where links stand, by NumPy alone: forward kinematics for computers without Pinocchio."""
+"""Forward kinematics with NumPy alone, for computers without Pinocchio."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatAr
 
 
 class JointFrames:
-    """Where the child links of joints stand in their parent links.
+    """The poses of the child links of joints in their parent links.
 
     The moving joints change: a hinge turns its link, a slider shifts it. Both are linear in a few
     numbers per joint, so that all joints are computed at once.
@@ -132,7 +132,7 @@ class JointFrames:
         axes = np.array([joint.axis for joint in driven]).reshape(-1, 3)
         slides = np.array([joint.kind == "prismatic" for joint in driven], dtype=bool)
         self._half = np.where(slides, 0.0, 0.5)
-        # The quaternion product of how the joint stands and a turn by q about its axis is
+        # The quaternion product of the orientation at 0 and a turn by q about the axis is
         # cos(q/2) · begin + sin(q/2) · (begin × axis).
         self._begin = _last_first(begin)
         self._across = _last_first(_times_axis(begin, axes))
@@ -141,7 +141,7 @@ class JointFrames:
         self._along = np.where(slides[:, None], np.array(along).reshape(-1, 3), 0.0)
 
     def at(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return where the links of the moving joints stand.
+        """Return the poses of the links of the moving joints.
 
         Args:
             q: Joint positions ``(m,)`` [rad | m].
@@ -154,7 +154,7 @@ class JointFrames:
         return self._xyz + q[:, None] * self._along, turned
 
     def still(self) -> tuple[FloatArray, FloatArray]:
-        """Return where the links of the fixed joints stand, as `at` does."""
+        """Return the poses of the links of the fixed joints, as `at` does."""
         return self._fixed
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator, Mapping
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Final
 
@@ -13,8 +15,8 @@ import pinocchio as pin
 
 from rtee.errors import ModelError
 from rtee.hand.kinematics import Kinematics, pose
-from rtee.hand.linalg import norm, turned
-from rtee.hand.mesh_repair import mended
+from rtee.hand.linalg import norm, rotated
+from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import check_mesh
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
@@ -32,8 +34,8 @@ _THICKNESS: Final = 1e-5
 def _settle_boxes() -> None:
     """Ask Coal about a box in a direction that has no zeros, before anything else does.
 
-    The first direction decides whether Coal stretches boxes by 1e-10, for as long as the process
-    lives; so results would depend on what came before.
+    The first direction decides whether Coal stretches boxes by 1e-10 for the rest of the process;
+    results would depend on what was asked before.
     """
     askew = coal.Transform3s(pin.rpy.rpyToMatrix(0.3, 0.5, 0.7), np.array([3.0, 1.0, 2.0]))
     here, request, result = coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult()
@@ -77,6 +79,11 @@ class Shape:
     def is_mesh(self) -> bool:
         """Whether it is a mesh and not a solid primitive."""
         return self.source.kind == "mesh"
+
+    def at(self, link_pose: FloatArray) -> coal.Transform3s:
+        """Return where the shape is when its link is at a pose ``(4, 4)``, in the same frame."""
+        pose = pin.SE3(link_pose) * self.in_link
+        return coal.Transform3s(pose.rotation, pose.translation)
 
     @cached_property
     def convex(self) -> coal.ShapeBase:
@@ -168,14 +175,52 @@ class HandGeometry:
         """Return the indices of a link's shapes."""
         return tuple(i for i, shape in enumerate(self.shapes) if shape.link == link)
 
-    def model(self, shapes: tuple[int, ...], *, convex: bool) -> pin.GeometryModel:
-        """Return a Pinocchio geometry model of some shapes, in their order, without pairs."""
-        model = pin.GeometryModel()
-        for i in shapes:
-            shape = self.shapes[i]
-            body = shape.convex if convex else shape.exact
-            model.addGeometryObject(pin.GeometryObject(str(i), shape.body, shape.placement, body))
-        return model
+    def closest(
+        self, links: tuple[str, str], poses: Mapping[str, FloatArray], *, convex: bool
+    ) -> tuple[float, FloatArray]:
+        """Return how far two links are apart and the middle of their closest points.
+
+        Args:
+            links: The links.
+            poses: The pose ``(4, 4)`` of every link.
+            convex: Measure the convex parts, whose distance is negative where they overlap,
+                instead of the shapes as given.
+
+        Returns:
+            The distance [m], and a point ``(3,)`` [m] in the frame of the poses.
+        """
+        request = coal.DistanceRequest()
+        request.enable_signed_distance = True
+        best, middle = np.inf, np.zeros(3)
+        for first, second in self._couples(links):
+            bodies = [shape.convex if convex else shape.exact for shape in (first, second)]
+            places = [shape.at(poses[shape.link]) for shape in (first, second)]
+            result = coal.DistanceResult()
+            distance = coal.distance(bodies[0], places[0], bodies[1], places[1], request, result)
+            if distance < best:
+                points = result.getNearestPoint1(), result.getNearestPoint2()
+                best, middle = distance, (np.array(points[0]) + np.array(points[1])) / 2.0
+        return float(best), middle
+
+    def touching(self, links: tuple[str, str], poses: Mapping[str, FloatArray]) -> bool:
+        """Return whether the shapes of two links touch, as given; see `closest`."""
+        request = coal.CollisionRequest()
+        return any(
+            coal.collide(
+                first.exact,
+                first.at(poses[first.link]),
+                second.exact,
+                second.at(poses[second.link]),
+                request,
+                coal.CollisionResult(),
+            )
+            for first, second in self._couples(links)
+        )
+
+    def _couples(self, links: tuple[str, str]) -> Iterator[tuple[Shape, Shape]]:
+        """Yield every shape of the first link with every shape of the second one."""
+        first, second = ([self.shapes[i] for i in self.of_link(link)] for link in links)
+        return product(first, second)
 
     def triangles(self, link: str) -> Triangles:
         """Return a link's collision geometry as triangles, for pictures.
@@ -188,7 +233,7 @@ class HandGeometry:
         for i in self.of_link(link):
             shape = self.shapes[i]
             points, triangles = shape.triangles
-            vertices.append(turned(points, shape.in_link.rotation) + shape.in_link.translation)
+            vertices.append(rotated(points, shape.in_link.rotation) + shape.in_link.translation)
             faces.append(triangles + count)
             count += len(points)
         return np.concatenate(vertices), np.concatenate(faces)
@@ -211,10 +256,12 @@ class _Meshes:
         return self._known[key]
 
     def _read(self, path: Path, source: UrdfGeometry) -> coal.BVHModelBase:
+        # Other formats may hold several parts, which the loader mixes up (see `mesh_repair`). The
+        # fast loader finds out.
         if path.suffix.lower() == ".stl":  # a single part
             return self._checked(self._loader, path, source)
         draft = self._checked(self._draft, path, source)
-        mesh = mended(draft, self._loader)
+        mesh = repaired(draft, self._loader)
         return self._checked(self._loader, path, source) if mesh is draft else mesh
 
     def _checked(
@@ -244,7 +291,7 @@ _COAL_PREFIXES: Final = ("From file", "in function", "at line", "message", "Hint
 
 
 def _identity(path: Path) -> object:
-    """Return what tells a mesh's content; an STL file stands alone, other formats may refer."""
+    """Return what identifies a mesh; files other than STL may refer to further ones."""
     if path.suffix.lower() == ".stl":
         return hashlib.blake2b(path.read_bytes(), digest_size=16).digest()
     return path

@@ -1,4 +1,8 @@
-"""Where the hand's links are: forward kinematics and Jacobians with Pinocchio."""
+"""Where the hand's links are: forward kinematics with Pinocchio.
+
+The searches of the extraction need it by the million. `rtee.hand.frames` does without Pinocchio,
+for everything that looks at a posture now and then.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,6 @@ import numpy as np
 import pinocchio as pin
 
 from rtee.errors import ModelError, UnknownLink
-from rtee.hand.linalg import product
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple, UrdfJoint
 from rtee.types import FloatArray
@@ -96,32 +99,6 @@ class Kinematics:
             link: np.array((self.data.oMi[body] * placement).homogeneous)
             for link, (body, placement) in self.bodies.items()
         }
-
-    def tip_jacobian(self, u: FloatArray, finger: str) -> FloatArray:
-        """Return the Jacobian of a fingertip with respect to the actuators.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-            finger: The finger's name.
-
-        Returns:
-            ``(6, n)``: linear velocity of the origin of the tip's link, then angular velocity, both
-            in the axes of the hand's base frame, per unit of actuator velocity.
-
-        Raises:
-            UnknownFinger: The hand has no such finger.
-            ModelError: The finger has no fingertip.
-        """
-        tip = self.hand.finger(finger).tip
-        if tip is None:
-            raise ModelError(f"finger '{finger}' has no fingertip: no link with geometry")
-        body, placement = self._body(tip)
-        pin.computeJointJacobians(self.model, self.data, self.hand.transmission.joints(u))
-        origin = (self.data.oMi[body] * placement).translation
-        jacobian = self.data.J.reshape(6, -1) * self.support(body)
-        jacobian[:3] -= product(pin.skew(origin), jacobian[3:])
-        result: FloatArray = product(jacobian, self.hand.transmission.jacobian(u))
-        return result
 
     def _body(self, link: str) -> tuple[int, pin.SE3]:
         try:

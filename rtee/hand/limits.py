@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from rtee.errors import ModelError, UserError
+from rtee.hand.config_schema import ActuatorLimits, DefaultLimits
 from rtee.hand.model import CLEARANCE, Joint, JointRole
 from rtee.hand.srdf import Srdf
 from rtee.hand.transmission import Transmission, sample
@@ -32,27 +33,6 @@ _ASSUMED_VELOCITY: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """Limits that tighten or complete the URDF's; ``None``: as in the URDF.
-
-    Attributes:
-        lower: Lower limit [rad | m].
-        upper: Upper limit [rad | m].
-        velocity: Velocity limit [rad/s | m/s].
-        acceleration: Acceleration limit [rad/s² | m/s²].
-        jerk: Jerk limit [rad/s³ | m/s³].
-        effort: Effort limit [N·m | N].
-    """
-
-    lower: float | None = None
-    upper: float | None = None
-    velocity: float | None = None
-    acceleration: float | None = None
-    jerk: float | None = None
-    effort: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class Overrides:
     """What a configuration adds to the model.
 
@@ -73,8 +53,8 @@ class Overrides:
     title: str = ""
     package_dirs: tuple[Path, ...] = ()
     rest: Mapping[str, float] = field(default_factory=dict)
-    limits: Mapping[str, Limits] = field(default_factory=dict)
-    default_limits: Limits = field(default_factory=Limits)
+    limits: Mapping[str, ActuatorLimits] = field(default_factory=dict)
+    default_limits: DefaultLimits = field(default_factory=DefaultLimits)
     clearance: float = CLEARANCE
     ignore: tuple[str, ...] = ()
     passive: frozenset[str] = frozenset()
@@ -150,7 +130,7 @@ class _Reader:
         self.joint = joint
         self.urdf = urdf
         self.overrides = overrides
-        self.own = overrides.limits.get(joint.name, Limits())
+        self.own = overrides.limits.get(joint.name, ActuatorLimits())
 
     def configured(self, key: str) -> float | None:
         own: float | None = getattr(self.own, key)

@@ -23,26 +23,26 @@ def dot(a: FloatArray, b: FloatArray) -> float:
     return float(_sum(a * b))
 
 
-def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+def matvec(matrix: FloatArray, vector: FloatArray) -> FloatArray:
     """Return the product of a matrix ``(m, k)`` and a vector ``(k,)``."""
     result: FloatArray = _sum(matrix * vector, axis=1)
     return result
 
 
-def row_times(vector: FloatArray, matrix: FloatArray) -> FloatArray:
+def vecmat(vector: FloatArray, matrix: FloatArray) -> FloatArray:
     """Return the product of a vector ``(m,)`` and a matrix ``(m, k)``."""
     result: FloatArray = _sum(vector[:, None] * matrix, axis=0)
     return result
 
 
-def product(a: FloatArray, b: FloatArray) -> FloatArray:
+def matmul(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the product of two matrices ``(..., m, k)`` and ``(..., k, n)``."""
     result: FloatArray = _sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)
     return result
 
 
-def turned(points: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return points ``(..., 3)`` turned by a rotation ``(3, 3)``."""
+def rotated(points: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return points ``(..., 3)`` rotated by a matrix ``(3, 3)``."""
     x, y, z = rotation.T
     result: FloatArray = points[..., :1] * x + points[..., 1:2] * y + points[..., 2:3] * z
     return result

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 from rtee.errors import ConfigError, ModelError, UnknownActuator, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf
-from rtee.hand.fingers import make_fingers
+from rtee.hand.discovery import make_fingers
 from rtee.hand.limits import (
-    Limits,
     Overrides,
     actuator_spec,
     images_outside,
@@ -52,9 +51,9 @@ def load_model(
         name: The hand's name; the robot's in the URDF unless given.
         package_dirs: Folders to look mesh packages up in.
         rest: Rest positions by actuator [rad | m]; they override the SRDF's and 0.
-        ignore: Actuators that stand fixed at rest and take no part.
+        ignore: Actuators that stay at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
-        actuators: The actuators, where they are known; other joints that could be one stand fixed.
+        actuators: The actuators, where they are known; other joints that could be one stay fixed.
 
     Raises:
         ModelError: A file cannot be read or does not describe a hand.
@@ -108,8 +107,8 @@ def load_configured(
         title=config.title,
         package_dirs=tuple(folder / package for package in config.package_dirs),
         rest=config.rest,
-        limits={n: Limits(**dict(v)) for n, v in config.limits.actuators.items()},
-        default_limits=Limits(**dict(config.limits.defaults)),
+        limits=config.limits.actuators,
+        default_limits=config.limits.defaults,
         clearance=config.clearance,
         ignore=tuple(config.ignore),
         error=document.error,
@@ -172,6 +171,7 @@ def _check_devices(hand: Hand, config: HandConfig, document: YamlDocument) -> No
                     place, f"actuator '{actuator}' is already driven by '{owner[actuator]}'"
                 )
             owner[actuator] = name
+    # Without devices the hand runs kinematically, and no actuator needs one.
     missing = [a for a in hand.actuator_names if config.devices and a not in owner]
     if missing:
         raise document.error(("devices",), f"no device drives the actuator '{missing[0]}'")
@@ -242,7 +242,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
 
 
 def _check_ignored(roles: Mapping[str, JointRole], overrides: Overrides, urdf: Urdf) -> None:
-    """Refuse to ignore what is no actuator."""
+    """Refuse to ignore anything but an actuator."""
     actuators = [name for name, role in roles.items() if role is JointRole.ACTUATOR]
     for i, name in enumerate(overrides.ignore):
         if name in actuators:

@@ -2,8 +2,8 @@
 
 A file may hold several surfaces, one per material. The loader puts the corners of all of them one
 after the other, but numbers the triangles of each from its own first corner on, so that those of
-the later ones join corners of the first one and the later corners stay unused. The parts are told
-apart again here: each begins with a triangle of its corners 0, 1 and 2.
+the later ones join corners of the first one and the later corners stay unused. The parts are
+separated again here: each begins with a triangle of its corners 0, 1 and 2.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LOST: Final = 8
 Faces = NDArray[np.int64]
 
 
-def mended(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelBase:
+def repaired(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelBase:
     """Return a mesh with the triangles of all its parts in place; the same one if nothing is amiss.
 
     Args:
@@ -42,7 +42,7 @@ def mended(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelBas
     faces = np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.int64)
     if len(faces) == 0 or len(corners) - (int(faces.max()) + 1) < _FEWEST:
         return mesh
-    apart = parted(faces, len(corners))
+    apart = split_parts(faces, len(corners))
     if apart is None:
         return mesh
     with NamedTemporaryFile(suffix=".stl") as file:
@@ -51,7 +51,7 @@ def mended(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelBas
         return loader.load(file.name, np.ones(3))
 
 
-def parted(faces: Faces, corners: int) -> Faces | None:
+def split_parts(faces: Faces, corners: int) -> Faces | None:
     """Return the triangles ``(f, 3)`` numbered through all parts, ``None`` where none are found.
 
     Args:

@@ -147,6 +147,7 @@ def _why_no_stl(data: bytes) -> str | None:
         return None
     if len(data) < 84:
         return "it is no STL file"
+    # A binary STL: 80 bytes of header, the number of triangles, and 50 bytes for each.
     count = int.from_bytes(data[80:84], "little")
     if count == 0:
         return "it has no triangles"

@@ -35,7 +35,7 @@ class Joint:
         name: Its name in the URDF.
         kind: Revolute, continuous or prismatic.
         role: Actuator, mimic, passive or ignored. A joint that is both mimic and passive is a
-            mimic; an ignored one has a motor but stands at its rest position like a fixed joint.
+            mimic; an ignored one has a motor but stays at its rest position like a fixed joint.
         parent: Parent link.
         child: Child link.
         lower: Lower limit [rad | m]; ``-inf`` if continuous.

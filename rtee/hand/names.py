@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
 from rtee.errors import ConfigError
 
 MAX_LENGTH: Final = 100
+"""Longest name [characters]: with an ending it fits into a file name of any file system."""
 
 _WORTH: Final = 5
 """A beginning shorter than this is not worth leaving out."""
@@ -26,7 +28,7 @@ def check_name(
     Args:
         name: The name to check.
         what: What it names, for the message, such as ``"action"``.
-        path: The file it stands in.
+        path: The file it is in.
         line: Its line there.
 
     Raises:
@@ -67,17 +69,18 @@ def _why_not(name: str) -> str | None:
     return None
 
 
+def shared_length(parts: Sequence[Sequence[str]]) -> int:
+    """Return how many items all of several sequences begin with; 0 for a single one."""
+    columns = zip(*parts, strict=False) if len(parts) > 1 else ()
+    return sum(1 for _ in takewhile(lambda column: len(set(column)) == 1, columns))
+
+
 def common_prefix(names: Collection[str]) -> str:
     """Return the words that all names begin with, to be left out where room is scarce.
 
     Words end in ``_``, ``-``, ``.``, ``/`` or a blank. Empty for a single name, and where little
     would be gained or nothing be left of a name.
     """
-    if len(names) < 2:
-        return ""
-    first, last = min(names), max(names)
-    same = 0
-    while same < min(len(first), len(last)) and first[same] == last[same]:
-        same += 1
-    end = 1 + max(first[:same].rfind(mark) for mark in "_-./ ")
-    return first[:end] if end >= _WORTH and all(len(name) > end for name in names) else ""
+    same = next(iter(names), "")[: shared_length(list(names))]
+    end = 1 + max(same.rfind(mark) for mark in "_-./ ")
+    return same[:end] if end >= _WORTH and all(len(name) > end for name in names) else ""

@@ -1,8 +1,8 @@
-"""A copy of one's own of a hand that is not to be changed where it is.
+"""The user's own copy of a hand that must not be changed where it is.
 
-What came with rtee stays as it was installed, and a folder may be write-protected. Whoever changes
-such a hand (stores an action, its primitives, results of trials) gets a copy first, in a folder
-where hands are looked up earlier: the copy is the hand of that name from then on.
+What came with rtee stays as it was installed, and a folder may be write-protected. Before such a
+hand is changed (an action, its primitives or results of trials are stored), it is copied to a
+folder in which hands are looked up earlier: the copy is the hand of that name from then on.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ import os
 import re
 import shutil
 import stat
-import tempfile
 from pathlib import Path
 from typing import Final
 
 from rtee.errors import ConfigError
 from rtee.hand.catalog import FILE_NAME, VARIABLE, own_dirs
-from rtee.hand.files import new_folder, read_bytes, reason, write_atomically
+from rtee.hand.files import new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_configured
 from rtee.hand.names import check_name
 from rtee.hand.schema import SCHEMA_FILE, schema_text
@@ -26,7 +25,7 @@ SHIPPED: Final = Path(__file__).resolve().parents[1] / "_config"
 """The hands in an installed rtee. A checkout has none there: its ``config/`` is its owner's."""
 
 TRIALS: Final = "trials.yaml"
-"""Results of trials in a hand's folder; they hold for the hand they were made with only."""
+"""Results of trials in a hand's folder; they are valid for the hand they were made with only."""
 
 _NAME = re.compile(r"^(name:[ \t]*)\S+", re.MULTILINE)
 
@@ -103,8 +102,8 @@ def copied_since(folder: Path) -> Path | None:
     return next((copy for copy in copies if os.path.isfile(copy / FILE_NAME)), None)
 
 
-def told(folder: Path, copy: Path) -> str:
-    """Return the line that tells people of a copy.
+def copy_notice(folder: Path, copy: Path) -> str:
+    """Return the line that informs people of a copy.
 
     Args:
         folder: Where the hand was.
@@ -130,26 +129,17 @@ def copy_hand(folder: Path, target: Path) -> None:
     name = check_name(target.name, "hand")
     if target.exists():
         raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
-    with new_folder(target.parent) as place:
-        try:
-            scratch = Path(tempfile.mkdtemp(prefix=f".{name[:40]}.", dir=place))
-            try:
-                _fill(folder, scratch / name, name)
-                if not (place / SCHEMA_FILE).exists():
-                    write_atomically(place / SCHEMA_FILE, schema_text())
-                (scratch / name).rename(target)
-            finally:
-                shutil.rmtree(scratch, ignore_errors=True)
-        except (OSError, shutil.Error) as error:
-            text = "; ".join(e[2] for e in error.args[0]) if isinstance(error, shutil.Error) else ""
-            raise ConfigError(f"cannot be made: {text or reason(error)}", path=target) from error
+    with new_tree(target) as copy:
+        _fill(folder, copy, name)
+        if not (target.parent / SCHEMA_FILE).exists():
+            write_atomically(target.parent / SCHEMA_FILE, schema_text())
 
 
 def _fill(folder: Path, copy: Path, name: str) -> None:
     """Copy the files, give them to the user, and set the name; check that it is a hand."""
     config = load_configured(folder)[1]
     ignored = ["__pycache__", ".*", *([] if config.name == name else [TRIALS])]
-    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(*ignored))
+    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(*ignored), dirs_exist_ok=True)
     for place in (copy, *copy.rglob("*")):
         place.chmod(stat.S_IMODE(place.stat().st_mode) | stat.S_IWUSR)
     if config.name != name:

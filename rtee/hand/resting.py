@@ -1,4 +1,4 @@
-"""Rest postures that are a pinch, as of grippers whose zero is closed, and the way out."""
+"""Rest postures that are a pinch, as of grippers whose zero is closed, and better ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from rtee.hand.model import Hand
-from rtee.hand.yaml_hints import rest_line
+from rtee.hand.yamlwrite import rest_line
 from rtee.types import FloatArray
 
 if TYPE_CHECKING:
@@ -112,13 +112,8 @@ class _Search:
     """Gaps between fingertips, and what widens them."""
 
     def __init__(self, geometry: HandGeometry) -> None:
-        import coal
-
-        self._coal = coal
         self._geometry = geometry
         self._hand = geometry.hand
-        self._request = coal.DistanceRequest()
-        self._request.enable_signed_distance = True
 
     def pinching(self) -> list[Pair]:
         """Return the fingers, two by two, whose tips pinch at rest."""
@@ -133,13 +128,14 @@ class _Search:
     def gaps(self, u: FloatArray, pairs: Iterable[Pair]) -> list[float]:
         """Return the gap between the tips of some fingers at a posture [m]; 0 where they touch."""
         poses = self._geometry.kinematics.placements(u)
-        return [max(0.0, self._distance(pair, poses, convex=False)) for pair in pairs]
+        closest = self._geometry.closest
+        return [max(0.0, closest(self._tips(p), poses, convex=False)[0]) for p in pairs]
 
     def opened(self, pairs: Sequence[Pair]) -> FloatArray:
         """Return rest with the actuators that part the tips at their best limits ``(n,)``."""
         u = np.array(self._hand.rest)
         helpful = {
-            a for pair in pairs for a, bound in self._ways(pair) if self._parts(pair, a, bound)
+            a for pair in pairs for a, bound in self._steps(pair) if self._parts(pair, a, bound)
         }
         for _ in range(_PASSES):
             for a in sorted(helpful):
@@ -155,19 +151,18 @@ class _Search:
 
     def _apart(self, pair: Pair) -> bool:
         """Return whether the tips are on different bodies."""
-        first, second = (str(self._hand.fingers[i].tip) for i in pair)
-        kinematics = self._geometry.kinematics
-        return kinematics.body(first) != kinematics.body(second)
+        first, second = map(self._geometry.kinematics.body, self._tips(pair))
+        return first != second
 
     def _near(self, pair: Pair) -> bool:
         poses = self._geometry.kinematics.placements(self._hand.rest)
-        boxes = [self._ball(i, poses) for i in pair]
-        between = float(np.linalg.norm(boxes[0][0] - boxes[1][0])) - boxes[0][1] - boxes[1][1]
-        return between <= NEAR and self._distance(pair, poses, convex=False) <= NEAR
+        tips = self._tips(pair)
+        (first, reach), (second, other) = (self._ball(tip, poses) for tip in tips)
+        between = float(np.linalg.norm(first - second)) - reach - other
+        return between <= NEAR and self._geometry.closest(tips, poses, convex=False)[0] <= NEAR
 
-    def _ball(self, finger: int, poses: Mapping[str, FloatArray]) -> tuple[FloatArray, float]:
+    def _ball(self, tip: str, poses: Mapping[str, FloatArray]) -> tuple[FloatArray, float]:
         """Return a ball around a fingertip: its centre and radius [m]."""
-        tip = str(self._hand.fingers[finger].tip)
         shapes = [self._geometry.shapes[i] for i in self._geometry.of_link(tip)]
         centres = [s.in_link.rotation @ s.ball[0] + s.in_link.translation for s in shapes]
         middle = np.mean(centres, axis=0)
@@ -178,8 +173,8 @@ class _Search:
         pose = poses[tip]
         return pose[:3, :3] @ middle + pose[:3, 3], radius
 
-    def _ways(self, pair: Pair) -> list[tuple[int, float]]:
-        """Return what moves the tips against each other: actuators, each with a limit to go to."""
+    def _steps(self, pair: Pair) -> list[tuple[int, float]]:
+        """Return what moves the tips against each other: actuators, each with a limit."""
         hand = self._hand
         moving = {a for i in pair for a in hand.fingers[i].actuators}
         return [
@@ -193,14 +188,14 @@ class _Search:
     def _opposed(self, pair: Pair) -> bool:
         """Return whether the motion that carries the tips farthest past each other parts them.
 
-        A motion of one of them only comes first: spreading moves several that stand side by side.
+        A motion of one of them only comes first: spreading moves several that lie side by side.
         """
         hand = self._hand
         own = {name for i in pair for name in hand.fingers[i].own}
-        tried = [(*self._moved(pair, a, b), hand.actuators[a].name) for a, b in self._ways(pair)]
+        tried = [(*self._moved(pair, a, b), hand.actuators[a].name) for a, b in self._steps(pair)]
         farthest = max((moved for moved, *_ in tried), default=0.0)
-        first = [way for way in tried if way[2] in own and way[0] >= OWN * farthest]
-        moved, widened, _ = max(first or tried, default=(0.0, 0.0, ""), key=lambda way: way[0])
+        first = [step for step in tried if step[2] in own and step[0] >= OWN * farthest]
+        moved, widened, _ = max(first or tried, default=(0.0, 0.0, ""), key=lambda step: step[0])
         return moved > 0.0 and widened >= APART * moved
 
     def _parts(self, pair: Pair, actuator: int, bound: float) -> bool:
@@ -212,53 +207,20 @@ class _Search:
 
         The distance between convex parts is signed, so that it grows where tips overlap, too.
         """
-        kinematics = self._geometry.kinematics
+        kinematics, tips = self._geometry.kinematics, self._tips(pair)
         u = np.array(self._hand.rest)
         before = kinematics.placements(u)
-        distance, point = self._closest(pair, before, convex=True)
+        distance, point = self._geometry.closest(tips, before, convex=True)
         u[actuator] += _STEP * (bound - u[actuator])
         after = kinematics.placements(u)
-        ends = []
-        for i in pair:
-            tip = str(self._hand.fingers[i].tip)
-            ends.append((after[tip] @ np.linalg.inv(before[tip]) @ np.append(point, 1.0))[:3])
-        moved = float(np.linalg.norm(ends[1] - ends[0]))
-        return moved, self._distance(pair, after, convex=True) - distance
+        first, second = (
+            (after[tip] @ np.linalg.inv(before[tip]) @ np.append(point, 1.0))[:3] for tip in tips
+        )
+        apart = self._geometry.closest(tips, after, convex=True)[0]
+        return float(np.linalg.norm(second - first)), apart - distance
 
-    def _distance(self, pair: Pair, poses: Mapping[str, FloatArray], *, convex: bool) -> float:
-        return self._closest(pair, poses, convex=convex)[0]
-
-    def _closest(
-        self, pair: Pair, poses: Mapping[str, FloatArray], *, convex: bool
-    ) -> tuple[float, FloatArray]:
-        """Return the signed distance of the tips [m] and the middle of the closest points [m].
-
-        Args:
-            pair: The fingers.
-            poses: Where the links are.
-            convex: Of the convex parts, instead of the shapes as given.
-        """
-        coal, geometry = self._coal, self._geometry
-        tips = [str(self._hand.fingers[i].tip) for i in pair]
-        best, where = math.inf, np.zeros(3)
-        for i in geometry.of_link(tips[0]):
-            for j in geometry.of_link(tips[1]):
-                shapes = [geometry.shapes[i], geometry.shapes[j]]
-                places = []
-                for shape, tip in zip(shapes, tips, strict=True):
-                    pose = poses[tip]
-                    rotation = pose[:3, :3] @ shape.in_link.rotation
-                    position = pose[:3, :3] @ shape.in_link.translation + pose[:3, 3]
-                    places.append(coal.Transform3s(rotation, position))
-                bodies = [shape.convex if convex else shape.exact for shape in shapes]
-                result = coal.DistanceResult()
-                distance = coal.distance(
-                    bodies[0], places[0], bodies[1], places[1], self._request, result
-                )
-                if distance < best:
-                    points = result.getNearestPoint1(), result.getNearestPoint2()
-                    best, where = float(distance), (np.array(points[0]) + np.array(points[1])) / 2.0
-        return best, where
+    def _tips(self, pair: Pair) -> tuple[str, str]:
+        return str(self._hand.fingers[pair[0]].tip), str(self._hand.fingers[pair[1]].tip)
 
 
 def closed_rest_of(hand: Hand) -> ClosedRest | None:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from html import unescape
 from pathlib import Path, PurePosixPath
-from typing import Any
-from xml.sax.saxutils import quoteattr
+from typing import Any, Final
 
 from rtee.errors import ConfigError, ModelError
-from rtee.hand.allowed_collisions import ALWAYS, TouchingPair, touching_pairs
+from rtee.hand.allowed_collisions import ALWAYS, AllowedCollision, allowed_collisions
 from rtee.hand.candidates import carriers, double_limits, in_words, passive_candidates
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.discovery import name_fingers
-from rtee.hand.files import make_folder, new_folder, read_bytes, reason, write_atomically
+from rtee.hand.embedded_meshes import with_mesh_addresses
+from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Finger, Hand
@@ -30,10 +26,9 @@ from rtee.hand.srdf import read_srdf
 from rtee.hand.srdfwrite import format_srdf, with_disabled
 from rtee.hand.urdf import Urdf
 from rtee.hand.xmlfile import read_xml
-from rtee.hand.yaml_hints import ignore_line, rest_line
+from rtee.hand.yamlwrite import ignore_line, rest_line
 
-_FILENAME = re.compile(r"""(\bfilename\s*=\s*)("[^"]*"|'[^']*')""")
-_DECLARATION = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
+_DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
 
 
 Ask = Callable[[str, bool], bool]
@@ -55,7 +50,7 @@ class NewHand:
     folder: Path
     hand: Hand
     reasons: tuple[str, ...]
-    pairs: tuple[TouchingPair, ...]
+    pairs: tuple[AllowedCollision, ...]
     notes: tuple[str, ...]
 
 
@@ -72,7 +67,7 @@ def make_hand(
 
     Its meshes are copied beside the URDF and addressed relative to it. Without an SRDF one is
     written from what is found in the tree, with the reasons. Actuators that move all fingers as one
-    body are ignored, and a rest posture that is a pinch is opened; both stand in hand.yaml.
+    body are ignored, and a rest posture that is a pinch is opened; hand.yaml says both.
 
     Args:
         name: The hand's name.
@@ -99,15 +94,17 @@ def make_hand(
             "there is only one finger; if a fixed part acts as another, add a group for it to the "
             "SRDF"
         )
-    with new_folder(into):
-        notes += _make(target, settled, srdf)
+    with new_tree(target) as folder:
+        notes += _fill(folder, settled, srdf)
+        load_hand(folder)
+        write_atomically(target.parent / SCHEMA_FILE, schema_text())
     reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
     return NewHand(target, load_hand(target), reasons, pairs, tuple(notes))
 
 
 @dataclass(frozen=True)
 class _Settled:
-    """A hand about which all is settled that its files leave open.
+    """A hand with the decisions that its files leave open.
 
     Attributes:
         hand: The hand.
@@ -118,14 +115,14 @@ class _Settled:
     """
 
     hand: Hand
-    pairs: tuple[TouchingPair, ...]
+    pairs: tuple[AllowedCollision, ...]
     ignored: tuple[str, ...]
     rest: Mapping[str, float]
     notes: list[str]
 
 
 def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _Settled:
-    """Settle which joints are actuators, which are ignored, and where the hand rests.
+    """Decide which joints are actuators, which are ignored, and where the hand rests.
 
     Args:
         load: Loads the hand, with what was settled so far.
@@ -145,13 +142,13 @@ def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _S
     if ignored:
         chosen["ignore"] = ignored
         hand = load(**chosen)
-    pairs = touching_pairs(hand)
+    pairs = allowed_collisions(hand)
     fingers, left_out = without_linkages(hand, pairs) if searched else (hand.fingers, [])
     hand = replace(hand, fingers=fingers)
     closed = closed_rest_of(hand)
     if closed is not None:
         hand = replace(load(**chosen, rest=closed.opened), fingers=fingers)
-        pairs = touching_pairs(hand)
+        pairs = allowed_collisions(hand)
         notes.append(
             f"{closed.found} where the hand would rest, so hand.yaml has it rest where they are "
             f"{closed.opening * 1e3:.1f} mm apart: {closed.line}"
@@ -201,28 +198,8 @@ def _ignored(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
     return found, [f"{said}, so hand.yaml ignores {them} by '{line}'"]
 
 
-def _make(target: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:
-    """Make a hand's folder under another name and give it its own once it is whole."""
-    hand = settled.hand
-    into = target.parent
-    try:
-        scratch = Path(tempfile.mkdtemp(prefix=f".{hand.name[:40]}.", dir=into))
-        try:
-            notes = _fill(scratch, settled, srdf)
-            load_hand(scratch)
-            os.chmod(scratch, 0o777 & ~_umask())
-            write_atomically(into / SCHEMA_FILE, schema_text())
-            scratch.rename(target)
-        except BaseException:
-            shutil.rmtree(scratch, ignore_errors=True)
-            raise
-    except OSError as error:
-        raise ConfigError(f"cannot be made: {reason(error)}", path=target) from error
-    return notes
-
-
 def without_linkages(
-    hand: Hand, pairs: Sequence[TouchingPair]
+    hand: Hand, pairs: Sequence[AllowedCollision]
 ) -> tuple[tuple[Finger, ...], list[str]]:
     """Leave out the fingers whose tip always touches another finger: they are parts of a linkage.
 
@@ -231,7 +208,7 @@ def without_linkages(
         pairs: Its pairs of touching links.
 
     Returns:
-        The fingers that remain, named anew, and which were left out, one sentence each.
+        The fingers that remain, with new names, and which were left out, one sentence each.
     """
     always = {frozenset((p.link1, p.link2)) for p in pairs if p.reason == ALWAYS}
     kept, notes = [], []
@@ -296,12 +273,7 @@ def _with_local_meshes(hand: Hand, folder: Path) -> tuple[str, list[str]]:
             notes.append(f"a visual mesh was left where it is: {error}")
             continue
         addresses[uri] = _copy(source, uri, folder, set(addresses.values()))
-
-    def localised(match: re.Match[str]) -> str:
-        uri = unescape(match[2][1:-1]).strip()
-        return match[1] + quoteattr(addresses[uri]) if uri in addresses else match[0]
-
-    return _FILENAME.sub(localised, _utf8(hand.urdf.text)), notes
+    return with_mesh_addresses(_utf8(hand.urdf.text), addresses), notes
 
 
 def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
@@ -370,9 +342,3 @@ driver: kinematic
 # devices:
 #   hand: {{driver: NAME, actuators: all, options: {{port: /dev/ttyUSB0}}}}
 """
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -6,6 +6,8 @@ import json
 from collections.abc import Iterator
 from typing import Any, Final
 
+from rtee.hand.config_schema import ActuatorLimits, DefaultLimits
+
 SCHEMA_FILE: Final = "hand.schema.json"
 SCHEMA_LINE: Final = f"# yaml-language-server: $schema=../{SCHEMA_FILE}\n"
 """First line of a hand.yaml; the schema lies beside the hands' folders."""
@@ -18,6 +20,9 @@ def hand_schema() -> dict[str, Any]:
     from rtee.hand.config import HandConfig
 
     schema = HandConfig.model_json_schema()
+    # pydantic does not find the docstrings of the fields that a dataclass inherits.
+    inherited = schema["$defs"][DefaultLimits.__name__]["properties"]
+    schema["$defs"][ActuatorLimits.__name__]["properties"] |= inherited
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

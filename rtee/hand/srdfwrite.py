@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.sax.saxutils import escape, quoteattr
 
-from rtee.hand.allowed_collisions import TouchingPair
+from rtee.hand.allowed_collisions import AllowedCollision
 from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.model import Finger, Hand, JointRole
 
@@ -14,13 +14,13 @@ _HEAD = """<?xml version="1.0"?>
 """
 
 
-def format_srdf(hand: Hand, pairs: Sequence[TouchingPair], *, with_rest: bool = True) -> str:
+def format_srdf(hand: Hand, pairs: Sequence[AllowedCollision], *, with_rest: bool = True) -> str:
     """Return the SRDF of a hand.
 
     Args:
         hand: The hand.
         pairs: Pairs of links that need not be checked for collision.
-        with_rest: Write the rest posture; it stands in hand.yaml otherwise.
+        with_rest: Write the rest posture; it is in hand.yaml otherwise.
     """
     lines = [f"<robot name={quoteattr(hand.urdf.name)}>"]
     for finger in hand.fingers:
@@ -39,7 +39,7 @@ def format_srdf(hand: Hand, pairs: Sequence[TouchingPair], *, with_rest: bool = 
     return _HEAD + "\n".join(lines) + "\n"
 
 
-def disabled_lines(pairs: Sequence[TouchingPair]) -> list[str]:
+def disabled_lines(pairs: Sequence[AllowedCollision]) -> list[str]:
     """Return the lines that disable collisions, with what they mean."""
     if not pairs:
         return []
@@ -54,7 +54,7 @@ def disabled_lines(pairs: Sequence[TouchingPair]) -> list[str]:
     ]
 
 
-def with_disabled(srdf: str, pairs: Sequence[TouchingPair]) -> str:
+def with_disabled(srdf: str, pairs: Sequence[AllowedCollision]) -> str:
     """Return an SRDF's text with the pairs added before its end."""
     head, end, tail = srdf.rpartition("</robot>")
     if not end or not pairs:

@@ -15,6 +15,7 @@ Triangles = tuple[FloatArray, NDArray[np.int64]]
 
 _AROUND: Final = 32
 _RINGS: Final = 16
+"""Corners around a surface of revolution, and rings of a sphere: smooth in a picture."""
 
 
 def box(size: tuple[float, float, float]) -> Triangles:
@@ -50,7 +51,7 @@ def sphere(radius: float) -> Triangles:
     return _revolve([(radius * float(np.cos(a)), radius * float(np.sin(a))) for a in angles])
 
 
-def halved(corners: FloatArray, longest: float) -> FloatArray:
+def subdivided(corners: FloatArray, longest: float) -> FloatArray:
     """Return triangles ``(t, 3, 3)`` with their edges halved until none is longer than allowed.
 
     Args:

@@ -2,7 +2,7 @@
 
 Every moving joint follows at most one actuator, directly or through a chain of mimics. Its
 position is the composition of that chain: ``multiplier · q + offset`` at a linear coupling, an
-expression of ``q`` at a non-linear one. Passive joints stand where they rest.
+expression of ``q`` at a non-linear one. Passive joints stay at rest.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rtee.hand.expression import Expression
 
 _SAMPLES: Final = 65
+"""At how many positions of an actuator a coupling is checked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class Coupling:
     """How one joint follows an actuator.
 
     Attributes:
-        actuator: Index of the actuator; ``None`` for a joint that stands still.
+        actuator: Index of the actuator; ``None`` for a joint that does not move.
         stages: Functions applied one after the other, from the actuator outward; never two linear
             ones in a row.
     """

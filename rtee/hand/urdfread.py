@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -21,10 +22,14 @@ from rtee.hand.urdf import (
 from rtee.hand.xmlfile import Element, read_xml
 
 FARTHEST: Final = 1e3
-"""Lengths beyond this are refused [m]: nothing could be computed with them."""
+"""Lengths beyond this are refused [m]: no hand has them, and rounding errors would grow to
+micrometres."""
 
 MOST: Final = 1e6
-"""Likewise limits, angles and factors beyond this."""
+"""Limits, angles [rad | m] and factors beyond this are refused, too."""
+
+_NO_AXIS: Final = 1e-9
+"""An axis shorter than this has no direction."""
 
 _ZERO: Final[Triple] = (0.0, 0.0, 0.0)
 _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
@@ -92,25 +97,21 @@ def _geometry(element: Element, link: str) -> UrdfGeometry:
     if shape is None:
         raise element.error(f"<{element.tag}> of link '{link}' has no geometry")
     xyz, rpy = _origin(element)
+    made = partial(UrdfGeometry, xyz=xyz, rpy=rpy, line=shape.line)
     match shape.tag:
         case "mesh":
-            return UrdfGeometry(
-                "mesh", mesh=shape.required("filename"), scale=_scale(shape), xyz=xyz, rpy=rpy,
-                line=shape.line,
-            )  # fmt: skip
+            return made("mesh", mesh=shape.required("filename"), scale=_scale(shape))
         case "box":
             size = _triple(shape.numbers("size", 3, most=FARTHEST))
             _positive(shape, min(size))
-            return UrdfGeometry("box", size=size, xyz=xyz, rpy=rpy, line=shape.line)
+            return made("box", size=size)
         case "sphere":
             radius = _positive(shape, shape.number("radius", most=FARTHEST))
-            return UrdfGeometry("sphere", radius=radius, xyz=xyz, rpy=rpy, line=shape.line)
+            return made("sphere", radius=radius)
         case "cylinder":
             radius = _positive(shape, shape.number("radius", most=FARTHEST))
             length = _positive(shape, shape.number("length", most=FARTHEST))
-            return UrdfGeometry(
-                "cylinder", radius=radius, length=length, xyz=xyz, rpy=rpy, line=shape.line
-            )
+            return made("cylinder", radius=radius, length=length)
         case other:
             raise shape.error(
                 f"unknown geometry <{other}> of link '{link}'; there are mesh, box, sphere and "
@@ -203,7 +204,7 @@ def _axis(element: Element, name: str) -> Triple:
         return (1.0, 0.0, 0.0)
     x, y, z = axis.numbers("xyz", 3, (1.0, 0.0, 0.0))
     norm = math.hypot(x, y, z)
-    if norm < 1e-9:
+    if norm < _NO_AXIS:
         raise axis.error(f"the axis of joint '{name}' is zero")
     return x / norm, y / norm, z / norm
 
@@ -266,6 +267,7 @@ def _tree(
             path=root.path,
             line=line,
         )
+    # With one root, a joint that is not reached from it hangs on a loop.
     if not roots or len(_in_tree_order(roots[0], below)) != len(joints):
         loop = next(iter(joints.values())) if not roots else _unreached(roots[0], below, joints)
         raise ModelError(

@@ -13,6 +13,7 @@ from rtee.errors import ModelError
 from rtee.hand.files import read_bytes
 
 MAX_DEPTH: Final = 100
+"""Elements nested deeper are refused; a URDF has five levels."""
 
 
 @dataclass(slots=True)
@@ -23,7 +24,7 @@ class Element:
         tag: Its name.
         attributes: Its attributes.
         line: The line of its start tag, counted from 1.
-        path: The file it stands in.
+        path: The file it is in.
         children: The elements inside it, in order.
     """
 

@@ -16,8 +16,10 @@ from rtee.hand.files import read_bytes
 from rtee.hand.yamlwrite import emit
 
 _DEEPEST: Final = 64
+"""Most open brackets: deeper text takes long to parse, and no file of rtee has more than three."""
 
 MAX_SIZE: Final = 1_000_000
+"""Largest hand.yaml [characters]; they have some hundreds."""
 
 Location = tuple[str | int, ...]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 DECIMALS: Final = 9
@@ -93,3 +93,14 @@ def emit(data: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
     """
     head = [f"# {line}".rstrip() for line in comments]
     return "\n".join([*head, *_lines(data, "")]) + "\n"
+
+
+def rest_line(rest: Mapping[str, float]) -> str:
+    """Return the line of hand.yaml that gives rest positions [rad | m]."""
+    pairs = (f"{emit_scalar(name)}: {value!r}" for name, value in rest.items())
+    return f"rest: {{{', '.join(pairs)}}}"
+
+
+def ignore_line(actuators: Iterable[str]) -> str:
+    """Return the line of hand.yaml that ignores actuators."""
+    return f"ignore: [{', '.join(map(emit_scalar, actuators))}]"

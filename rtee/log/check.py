@@ -21,6 +21,7 @@ from rtee.log.recording import Entry, Recording
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
 from rtee.loop.plan import Plan
+from rtee.sample import Measurements, measured_arrays
 from rtee.types import FloatArray, Result, readonly
 
 _QUANTITIES = ("position", "velocity", "effort")
@@ -178,12 +179,10 @@ def _measured(recording: Recording) -> Iterator[Measured]:
     states = recording.actuator_states
     measured = Measured((), (), (), (), ())
     touch = _tip_forces(recording)
+    arrays = measured_arrays(states)
     for row in range(len(states)):
         measured.touch = touch(float(states.t[row]))
-        measured.position = states.position[row].tolist()
-        measured.effort = states.effort[row].tolist()
-        measured.temperature = states.temperature[row].tolist()
-        measured.current = states.current[row].tolist()
+        measured.update(Measurements(*(each[row] for each in arrays)))
         measured.fresh = states.fresh[row].tolist()
         measured.grasped = states.grasped[row].tolist()
         yield measured

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -14,7 +14,7 @@ from rtee.log.chunks import MESSAGE
 from rtee.log.file_index import ChunkPlace
 from rtee.log.record_scanner import DamagedRecordError
 from rtee.messages.cdr import DTYPES
-from rtee.messages.layout import offsets
+from rtee.messages.layout import places
 from rtee.messages.schema import MessageType
 
 _LENGTH = struct.Struct("<Q")
@@ -83,7 +83,7 @@ def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
 
 
 def starts_of(
-    place: ChunkPlace, stream: BinaryIO, data: Bytes, channels: Mapping[int, str]
+    place: ChunkPlace, stream: BinaryIO, data: Bytes, channels: Iterable[int]
 ) -> dict[int, Offsets] | None:
     """Return where the messages of the channels begin; ``None`` if the index cannot be trusted."""
     if not place.indexes:
@@ -118,7 +118,6 @@ class Rows:
     another one are left out and counted.
 
     Args:
-        kind: Type of the messages.
         expected: How many there probably are.
 
     Attributes:
@@ -126,11 +125,9 @@ class Rows:
         skipped: Messages left out.
     """
 
-    def __init__(self, kind: MessageType, expected: int) -> None:
-        self._kind = kind
+    def __init__(self, expected: int) -> None:
         self._room = max(expected, _LEAST_ROOM)
-        self._kinds = {field.name: field.kind for field in kind.fields}
-        self._where: dict[str, tuple[int, int]] = {}
+        self._where: dict[str, slice] = {}
         self._first = np.empty(0, dtype=np.uint8)
         self._constant: list[tuple[int, int]] = []
         self._columns: dict[str, NDArray[Any]] = {}
@@ -139,12 +136,12 @@ class Rows:
         self.names: tuple[str, ...] = ()
         self.skipped = 0
 
-    def add(self, data: Bytes, starts: Offsets) -> None:
-        """Take the messages whose records begin at the starts in a chunk's data."""
+    def add(self, kind: MessageType, data: Bytes, starts: Offsets) -> None:
+        """Add the messages of a type whose records begin at the starts in a chunk's data."""
         if not starts.size:
             return
         sizes = lengths(data, starts)
-        if not self._first.size and not self._fix(data, starts, sizes):
+        if not self._first.size and not self._fix(kind, data, starts, sizes):
             self.skipped += len(starts)
             return
         fitting = sizes == self._first.size
@@ -162,37 +159,35 @@ class Rows:
             rows, starts = rows[same], starts[same]
         self._store(rows, log_times(data, starts))
 
-    def _fix(self, data: Bytes, starts: Offsets, sizes: NDArray[np.int64]) -> bool:
+    def _fix(
+        self, kind: MessageType, data: Bytes, starts: Offsets, sizes: NDArray[np.int64]
+    ) -> bool:
         """Take the layout from the first message that is one."""
         for start, size in zip(starts.tolist(), sizes.tolist(), strict=True):
             begin = start + MESSAGE.size
             message = data[begin : begin + size].tobytes()
             try:
-                fields = self._kind.decode(message)
-                self._where = offsets(self._kind, message)
+                fields = kind.decode(message)
+                where = places(kind, message)
             except MessageError:
                 continue
-            self.names = tuple(fields["name"])
+            self.names = tuple(fields.get("name", ()))
             self._first = np.frombuffer(message, dtype=np.uint8)
             break
         else:
             return False
-        self._constant = self._gaps()
-        for name, (_, count) in self._where.items():
-            self._columns[name] = np.empty((self._room, count), dtype=DTYPES[self._kinds[name]])
+        position = 0
+        for place in where.values():
+            self._constant.append((position, place.start))
+            position = place.stop
+        self._constant.append((position, self._first.size))
+        self._where = {each.name: where[each.name] for each in kind.fields if each.name in where}
+        for field in kind.fields:
+            if field.name in where:
+                place, dtype = where[field.name], DTYPES[field.kind]
+                count = (place.stop - place.start) // dtype.itemsize
+                self._columns[field.name] = np.empty((self._room, count), dtype)
         return True
-
-    def _gaps(self) -> list[tuple[int, int]]:
-        """Return the ranges of bytes that are the same in every message."""
-        gaps = []
-        position = 12
-        for name, (offset, count) in sorted(self._where.items(), key=lambda item: item[1][0]):
-            if offset > position:
-                gaps.append((position, offset))
-            position = offset + count * DTYPES[self._kinds[name]].itemsize
-        if position < self._first.size:
-            gaps.append((position, self._first.size))
-        return gaps
 
     def _store(self, rows: Bytes, times: NDArray[np.int64]) -> None:
         begin = self._count
@@ -200,12 +195,10 @@ class Rows:
         if end > self._room:
             self._grow(end)
         self._times[begin:end] = times
-        for name, (offset, count) in self._where.items():
-            if not count:
-                continue
-            dtype = DTYPES[self._kinds[name]]
-            part = np.ascontiguousarray(rows[:, offset : offset + count * dtype.itemsize])
-            self._columns[name][begin:end] = part.view(dtype)
+        for name, column in self._columns.items():
+            if column.shape[1]:
+                part = np.ascontiguousarray(rows[:, self._where[name]])
+                column[begin:end] = part.view(column.dtype)
         self._count = end
 
     def _grow(self, least: int) -> None:
@@ -221,8 +214,16 @@ class Rows:
         """Log times of the messages [ns since 1970]."""
         return self._times[: self._count]
 
-    def column(self, name: str) -> NDArray[Any]:
-        """Return a field of all messages ``(k, n)``; ``n`` is 1 for scalars."""
-        if not self._columns:
-            return np.empty((0, 0), dtype=DTYPES[self._kinds[name]])
-        return self._columns[name][: self._count]
+    def column(self, name: str, default: float = 0) -> NDArray[Any]:
+        """Return an array of all messages ``(k, n)``.
+
+        Messages that were recorded before the field was defined have the default value in it.
+        """
+        if name in self._columns:
+            return self._columns[name][: self._count]
+        return np.full((self._count, len(self.names)), default)
+
+    def scalars(self, name: str) -> NDArray[Any]:
+        """Return a scalar field of all messages ``(k,)``; 0 where there was none."""
+        found = self._columns.get(name)
+        return np.zeros(self._count) if found is None else found[: self._count, 0]

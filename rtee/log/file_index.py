@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from rtee.errors import LogError
 from rtee.log.chunks import INDEX_ENTRY
@@ -17,14 +17,10 @@ from rtee.log.mcapfile import MAGIC
 from rtee.log.record_scanner import (
     DamagedRecordError,
     Record,
-    attachment_of,
-    channel_of,
     definitions_of,
-    header_of,
     messages_of,
-    metadata_of,
+    parsed,
     scan,
-    schema_of,
 )
 from rtee.log.rotation import METADATA
 from rtee.log.sink import reason
@@ -201,10 +197,10 @@ class _Surveyor:
 
     def _define(self, opcode: int, content: bytes) -> None:
         if opcode == Opcode.SCHEMA:
-            schema = schema_of(content)
+            schema = parsed(Schema, content)
             self._schemas[schema.id] = schema
         else:
-            channel = channel_of(content)
+            channel = parsed(Channel, content)
             self._channels[channel.id] = channel
 
     def _take(self, record: Record, stream: BinaryIO) -> None:
@@ -220,12 +216,12 @@ class _Surveyor:
                     channel, _ = _INDEX_HEAD.unpack(head)
                     self._chunks[-1].indexes[channel] = record
             case Opcode.HEADER:
-                self._library = header_of(record.read(stream)).library
+                self._library = parsed(Header, record.read(stream)).library
             case Opcode.METADATA:
-                name, values = metadata_of(record.read(stream))
-                self._metadata[name] = values
+                metadata = parsed(Metadata, record.read(stream))
+                self._metadata[metadata.name] = metadata.metadata
             case Opcode.ATTACHMENT:
-                attachment = attachment_of(record.read(stream))
+                attachment = parsed(Attachment, record.read(stream))
                 self._attachments[attachment.name] = attachment
             case Opcode.SCHEMA | Opcode.CHANNEL:
                 self._define(record.opcode, record.read(stream))

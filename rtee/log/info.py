@@ -18,10 +18,11 @@ from rtee.log.reader import read
 from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.recording import Recording
 from rtee.messages import topics
-from rtee.messages.convert import decode_loop_statistics
+from rtee.messages.convert import LOOP_STATISTICS
 from rtee.types import LoopStatistics
 
 _SECOND = 1e9
+_STATISTICS = ("rate", "ticks", "missed", "lateness_p99", "lateness_max", "dropped")
 _FEW = (topics.GOALS, topics.PLANS, topics.RESULTS, topics.EVENTS)
 
 
@@ -76,7 +77,6 @@ class Info:
     def as_dict(self) -> dict[str, Any]:
         """Return it as JSON can hold it."""
         recording = self.recording
-        statistics = self.statistics
         return {
             "hand": recording.hand,
             "files": [{"path": str(path), "bytes": size} for path, size in self.files],
@@ -88,48 +88,26 @@ class Info:
             "bytes_per_minute": round(self.size_per_minute),
             "metadata": dict(recording.metadata),
             "topics": [
-                {
-                    "topic": each.topic,
-                    "type": each.kind,
-                    "messages": each.messages,
-                    "rate": round(each.rate, 3),
-                }
-                for each in self.topics
+                {"topic": t.topic, "type": t.kind, "messages": t.messages, "rate": round(t.rate, 3)}
+                for t in self.topics
             ],
             "attachments": dict(self.attachments),
             "goals": [
-                {
-                    "name": span.name,
-                    "start": span.start,
-                    "end": span.end,
-                    "outcome": span.outcome,
-                    "goal_id": span.goal_id,
-                }
+                _chosen(span, "name", "start", "end", "outcome", "goal_id")
                 for span in recording.spans
             ],
             "events": [
-                {
-                    "t": entry.t,
-                    "kind": entry.value.kind,
-                    "source": entry.value.source,
-                    "text": entry.value.text,
-                    "severity": entry.value.severity,
-                }
+                {"t": entry.t} | _chosen(entry.value, "kind", "source", "text", "severity")
                 for entry in recording.events
                 if entry.value.kind != "trace"
             ],
-            "loop": None
-            if statistics is None
-            else {
-                "rate": statistics.rate,
-                "ticks": statistics.ticks,
-                "missed": statistics.missed,
-                "lateness_p99": statistics.lateness_p99,
-                "lateness_max": statistics.lateness_max,
-                "dropped": statistics.dropped,
-            },
+            "loop": self.statistics and _chosen(self.statistics, *_STATISTICS),
             "notes": list(recording.notes),
         }
+
+
+def _chosen(value: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}
 
 
 def iso(wall_ns: int) -> str:
@@ -191,7 +169,7 @@ def _statistics(file: Survey) -> LoopStatistics | None:
                     array = np.frombuffer(data, dtype=np.uint8)
                     size = int(column_reader.lengths(array, np.array([start], dtype=np.int64))[0])
                     begin = start + MESSAGE.size
-                    return decode_loop_statistics(data[begin : begin + size])
+                    return LOOP_STATISTICS.decode(data[begin : begin + size])
             except (DamagedRecordError, MessageError):
                 continue
     return None

@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 
 from mcap.records import Attachment, Channel, Schema
 
-from rtee.hand.embedded_meshes import MEDIA_TYPES, CarriedMeshes, with_addresses
+from rtee.hand.embedded_meshes import MEDIA_TYPES, EmbeddedMeshes, with_mesh_addresses
 from rtee.hand.frames import JointFrames
 from rtee.hand.model import Hand
 from rtee.log.chunks import ChunkBuilder, PackedChunk
@@ -18,9 +18,9 @@ from rtee.log.mcapfile import Preamble
 from rtee.log.rotation import METADATA
 from rtee.loop.settings import LoopSettings
 from rtee.messages.convert import encode_string
+from rtee.messages.layout import TransformsEncoder
 from rtee.messages.schema import message_type
 from rtee.messages.topics import LATCHED, ROBOT_DESCRIPTION, TF_STATIC, TYPES, URDF, log_topic
-from rtee.messages.transforms import TransformsEncoder
 from rtee.types import ActuatorSpec
 
 FORMAT = "1"
@@ -86,7 +86,7 @@ class Contents:
     rate: float
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
-    meshes: CarriedMeshes = field(default_factory=lambda: CarriedMeshes({}, {}))
+    meshes: EmbeddedMeshes = field(default_factory=lambda: EmbeddedMeshes({}, {}))
 
     @cached_property
     def _descriptions(self) -> Mapping[str, bytes]:
@@ -95,8 +95,8 @@ class Contents:
         inside = {address: url for address, mesh in found.items() if (url := mesh.data_url)}
         paths = {address: mesh.path.as_uri() for address, mesh in found.items()}
         return {
-            ROBOT_DESCRIPTION: encode_string(with_addresses(text, inside)),
-            URDF: encode_string(with_addresses(text, paths)),
+            ROBOT_DESCRIPTION: encode_string(with_mesh_addresses(text, inside)),
+            URDF: encode_string(with_mesh_addresses(text, paths)),
         }
 
     @cached_property

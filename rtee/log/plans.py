@@ -7,7 +7,7 @@ from typing import Any
 
 from rtee.errors import MessageError
 from rtee.loop.plan import Leg, Plan
-from rtee.messages.convert import header
+from rtee.messages.codec import header
 from rtee.messages.schema import message_type
 from rtee.types import Goal
 

@@ -8,13 +8,14 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rtee.errors import LogError
-from rtee.hand.embedded_meshes import FOLDER, with_addresses
+from rtee.hand.embedded_meshes import FOLDER, with_mesh_addresses
 from rtee.hand.files import write_all
 from rtee.hand.names import check_name
 from rtee.log.dataclass_json import from_json
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.recording import Recording
-from rtee.loop.observer import TickRecord
+from rtee.messages.state import ACTUATOR_COLUMNS
+from rtee.sample import TickRecord
 
 
 def states(recording: Recording) -> Iterator[TickRecord]:
@@ -31,17 +32,11 @@ def states(recording: Recording) -> Iterator[TickRecord]:
             tick=int(measured.tick[row]),
             stamp=float(measured.time[row]),
             wall_ns=int(measured.wall[row]),
-            position=measured.position[row],
-            velocity=measured.velocity[row],
-            effort=measured.effort[row],
-            current=measured.current[row],
-            temperature=measured.temperature[row],
-            fresh=measured.fresh[row],
+            **{name: getattr(measured, name)[row] for name in ACTUATOR_COLUMNS},
             reference_position=unknown if sent is None else reference.position[sent],
             reference_velocity=unknown if sent is None else reference.velocity[sent],
             reference_effort=unknown if sent is None else reference.effort[sent],
-            grasped=measured.grasped[row],
-            extras={},
+            channels={},
         )
 
 
@@ -82,7 +77,7 @@ def write_hand(recording: Recording, folder: Path) -> Path:
     addresses = {address: path.as_uri() for address, (path, _) in meshes.items()}
     files: dict[Path, str | bytes] = dict(meshes.values())
     files |= _actions(recording.attachments, home)
-    files[home / "hand.urdf"] = with_addresses(recording.urdf, addresses)
+    files[home / "hand.urdf"] = with_mesh_addresses(recording.urdf, addresses)
     lines = [f"name: {name}", "urdf: hand.urdf"]
     srdf = next(
         (data for file, data in recording.attachments.items() if file.endswith(".srdf")), None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -14,20 +16,27 @@ from rtee.log.chunks import MESSAGE
 from rtee.log.file_index import ChunkPlace, Survey, survey
 from rtee.log.layout import MESHES
 from rtee.log.plans import plan_of
-from rtee.log.prefetch import chunks_ahead
-from rtee.log.record_scanner import DamagedRecordError
+from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.recording import ActuatorSeries, Channel, Entry, JointSeries, Recording
 from rtee.log.rotation import parts_of, recordings
 from rtee.log.sink import reason
 from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
-from rtee.messages.command import command_record_of
-from rtee.messages.schema import message_type
+from rtee.messages.codec import channels_of
+from rtee.messages.schema import MessageType, message_type, recorded_type
+from rtee.messages.state import ACTUATOR_COLUMNS
+from rtee.sample import COLUMNS
 from rtee.types import FloatArray, Goal
 
 T = TypeVar("T")
 
 _SECOND = 1e9
+"""Nanoseconds in a second."""
+
+_AHEAD = 4
+"""Chunks that are decompressed in advance: two are enough to keep the thread busy, and those of a
+few seconds need little memory."""
+
 _TABLES = (topics.JOINT_STATES, topics.ACTUATOR_STATES, topics.REFERENCE)
 
 Fields = Mapping[str, Any]
@@ -82,6 +91,13 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
     return parts_of(one) if series else [one]
 
 
+class _Channel(NamedTuple):
+    """A channel of a file: the name of its topic and the type of its messages."""
+
+    name: str
+    kind: MessageType
+
+
 class _Collector:
     """Collects the messages of all files."""
 
@@ -98,7 +114,7 @@ class _Collector:
         self._rows: dict[str, column_reader.Rows] = {}
         for name in _TABLES:
             most = sum(self._count(each, name) for each in surveys) if name in wanted else 0
-            self._rows[name] = column_reader.Rows(message_type(topics.TYPES[name]), most)
+            self._rows[name] = column_reader.Rows(most)
         self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
         self._damaged = 0
 
@@ -109,18 +125,23 @@ class _Collector:
                 return name
         return None
 
-    def _channels(self, file: Survey) -> dict[int, str]:
-        """Return the wanted channels of a file whose types are ours, with their names."""
+    def _channels(self, file: Survey) -> dict[int, _Channel]:
+        """Return the wanted channels of a file whose types are ours."""
         found = {}
         for number, channel in file.channels.items():
             name = self._name_of(channel.topic)
             schema = file.schemas.get(channel.schema_id)
             if name in self._wanted and schema is not None and schema.name == topics.TYPES[name]:
-                found[number] = name
+                try:
+                    kind = recorded_type(schema.name, schema.data.decode("utf-8", "replace"))
+                except MessageError as error:
+                    self._notes.append(f"{file.path.name}: {channel.topic} is left out: {error}")
+                else:
+                    found[number] = _Channel(name, kind)
         return found
 
     def _count(self, file: Survey, name: str) -> int:
-        numbers = [number for number, its in self._channels(file).items() if its == name]
+        numbers = [number for number, its in self._channels(file).items() if its.name == name]
         return sum(file.count(number) for number in numbers)
 
     def read(self) -> Recording:
@@ -134,21 +155,21 @@ class _Collector:
                 raise LogError(f"cannot be read: {reason(error)}", path=file.path) from error
         return self._recording()
 
-    def _file(self, file: Survey, channels: Mapping[int, str]) -> None:
+    def _file(self, file: Survey, channels: Mapping[int, _Channel]) -> None:
         wanted = [
             place
             for place in file.chunks
             if not place.indexes or channels.keys() & place.indexes.keys()
         ]
         with file.path.open("rb") as stream:
-            for place, data in chunks_ahead(file.path, wanted):
+            for place, data in _chunks_ahead(file.path, wanted):
                 if isinstance(data, DamagedRecordError):
                     self._notes.append(str(data))
                 else:
                     self._chunk(place, data, stream, channels)
 
     def _chunk(
-        self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, str]
+        self, place: ChunkPlace, data: bytes, stream: BinaryIO, channels: Mapping[int, _Channel]
     ) -> None:
         array = np.frombuffer(data, dtype=np.uint8)
         starts = column_reader.starts_of(place, stream, array, channels)
@@ -156,24 +177,32 @@ class _Collector:
             walked = column_reader.walk(data)
             starts = {k: np.array(v, dtype=np.int64) for k, v in walked.items() if k in channels}
         for number, offsets in starts.items():
-            name = channels[number]
+            name, kind = channels[number]
             if name in _TABLES:
-                self._rows[name].add(array, offsets)
+                self._rows[name].add(kind, array, offsets)
             else:
-                self._decode(name, array, offsets)
+                self._decode(name, kind, array, offsets)
 
-    def _decode(self, name: str, array: column_reader.Bytes, starts: column_reader.Offsets) -> None:
-        kind = message_type(topics.TYPES[name])
+    def _decode(
+        self,
+        name: str,
+        kind: MessageType,
+        array: column_reader.Bytes,
+        starts: column_reader.Offsets,
+    ) -> None:
+        ours = message_type(kind.name)
         times = column_reader.log_times(array, starts).tolist()
         sizes = column_reader.lengths(array, starts).tolist()
         order = column_reader.sequences(array, starts).tolist()
         for start, size, time, number in zip(starts.tolist(), sizes, times, order, strict=True):
             begin = start + MESSAGE.size
             try:
-                fields = kind.decode_older(array[begin : begin + size].tobytes())
+                fields = kind.decode(array[begin : begin + size].tobytes())
             except MessageError:
                 self._damaged += 1
                 continue
+            if kind is not ours:
+                fields = ours.completed(fields)
             self._messages[name].append((time, number, fields))
 
     # --- from messages to a recording --------------------------------------------------------
@@ -184,7 +213,7 @@ class _Collector:
         joint_states = self._series(topics.JOINT_STATES, start)
         reference = self._series(topics.REFERENCE, start)
         actuator_states = self._actuators(start)
-        goals = self._entries(topics.GOALS, convert.goal_of, start)
+        goals = self._entries(topics.GOALS, convert.GOAL.of, start)
         by_id = {entry.value.goal_id: entry.value for entry in goals}
         written = self._surveys[0].values.get("actuators", "").split()
         names = actuator_states.names or tuple(written)
@@ -214,12 +243,12 @@ class _Collector:
             reference=reference,
             goals=goals,
             plans=entries(topics.PLANS, plan) if names else (),
-            commands=entries(topics.COMMANDS, command_record_of),
-            feedback=entries(topics.FEEDBACK, convert.feedback_of),
-            results=entries(topics.RESULTS, convert.result_of),
-            events=entries(topics.EVENTS, convert.event_of),
-            device_status=entries(topics.DEVICE_STATUS, convert.device_status_of),
-            loop_statistics=entries(topics.LOOP_STATISTICS, convert.loop_statistics_of),
+            commands=entries(topics.COMMANDS, convert.COMMAND.of),
+            feedback=entries(topics.FEEDBACK, convert.FEEDBACK.of),
+            results=entries(topics.RESULTS, convert.RESULT.of),
+            events=entries(topics.EVENTS, convert.EVENT.of),
+            device_status=entries(topics.DEVICE_STATUS, convert.DEVICE_STATUS.of),
+            loop_statistics=entries(topics.LOOP_STATISTICS, convert.LOOP_STATISTICS.of),
             channels=_channels_of(self._messages[topics.CHANNELS], start),
             urdf=self._urdf(attachments),
             meshes=self._surveys[0].metadata.get(MESHES, {}),
@@ -255,14 +284,13 @@ class _Collector:
         table = self._rows[topics.ACTUATOR_STATES]
         order = column_reader.order_of(table.times)
         wall = table.times[order]
-        wide = ["position", "velocity", "effort", "current", "temperature", "grasped", "fresh"]
         return ActuatorSeries(
             t=(wall - start) / _SECOND,
             wall=wall,
             names=table.names,
-            tick=table.column("tick")[order].reshape(-1).astype(np.int64),
-            time=table.column("time")[order].reshape(-1),
-            **{key: table.column(key)[order] for key in wide},
+            tick=table.scalars("tick")[order].astype(np.int64),
+            time=table.scalars("time")[order],
+            **{name: table.column(name, COLUMNS[name].default)[order] for name in ACTUATOR_COLUMNS},
         )
 
     def _entries(self, name: str, make: Callable[[Fields], T], start: int) -> list[Entry[T]]:
@@ -278,14 +306,48 @@ class _Collector:
         return sorted(entries, key=lambda entry: entry.wall)
 
 
+def _chunks_ahead(
+    path: Path, places: Sequence[ChunkPlace]
+) -> Iterator[tuple[ChunkPlace, bytes | DamagedRecordError]]:
+    """Yield chunks with their uncompressed records, or with what is wrong with them.
+
+    A thread reads and decompresses the next chunks while the ones before are taken apart.
+
+    Raises:
+        OSError: if the file cannot be read.
+    """
+
+    def load(place: ChunkPlace) -> bytes | DamagedRecordError:
+        try:
+            return messages_of(place.record.read(stream))[0]
+        except DamagedRecordError as error:
+            return error
+
+    with path.open("rb") as stream, ThreadPoolExecutor(1, "rtee-chunks") as pool:
+        waiting: deque[tuple[ChunkPlace, Future[bytes | DamagedRecordError]]] = deque()
+        try:
+            for place in places:
+                waiting.append((place, pool.submit(load, place)))
+                if len(waiting) > _AHEAD:
+                    first, future = waiting.popleft()
+                    yield first, future.result()
+            while waiting:
+                first, future = waiting.popleft()
+                yield first, future.result()
+        finally:
+            for _, future in waiting:
+                future.cancel()
+
+
 def _channels_of(messages: Sequence[Message], start: int) -> dict[str, Channel]:
     times: dict[str, list[float]] = {}
     values: dict[str, list[FloatArray]] = {}
     for time, _, fields in messages:
-        ends = np.cumsum(fields["length"].astype(np.int64))
-        if len(ends) != len(fields["name"]):
+        try:
+            found = channels_of(fields["name"], fields["length"], fields["value"])
+        except MessageError:
             continue
-        for name, value in zip(fields["name"], np.split(fields["value"], ends[:-1]), strict=True):
+        for name, value in found.items():
             times.setdefault(name, []).append((time - start) / _SECOND)
             values.setdefault(name, []).append(value)
     return {name: Channel(name, np.array(times[name]), tuple(values[name])) for name in times}

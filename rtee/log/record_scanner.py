@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, BinaryIO
+from typing import BinaryIO, TypeVar
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -20,6 +20,9 @@ from rtee.log.mcapfile import MAGIC
 
 _HEAD = struct.Struct("<BQ")
 _LARGEST_CHUNK = 1 << 30
+"""Uncompressed bytes of a chunk that are believed: 1 GiB, hundreds of times what is written."""
+
+R = TypeVar("R", Header, Metadata, Attachment, Schema, Channel, Chunk)
 
 
 class DamagedRecordError(ValueError):
@@ -74,48 +77,25 @@ def scan(stream: BinaryIO) -> Iterator[Record]:
         position = record.end
 
 
-def _parsed(read: Callable[[ReadDataStream], Any], content: bytes) -> Any:
+def parsed(kind: type[R], content: bytes) -> R:
+    """Return the record of a kind that a content is; raises `DamagedRecordError`."""
     try:
-        return read(ReadDataStream(BytesIO(content)))
+        record: R = kind.read(ReadDataStream(BytesIO(content)))
     except (McapError, ValueError, OverflowError, struct.error, EOFError) as error:
         raise DamagedRecordError(f"damaged record: {error}") from error
+    if isinstance(record, Attachment) and not _checked(content):
+        raise DamagedRecordError(f"attachment '{record.name}' fails its checksum")
+    return record
 
 
-def header_of(content: bytes) -> Header:
-    """Return the header in a record; raises `DamagedRecordError`, as do those below."""
-    header: Header = _parsed(Header.read, content)
-    return header
-
-
-def metadata_of(content: bytes) -> tuple[str, dict[str, str]]:
-    """Return the name and the values of a metadata record."""
-    metadata: Metadata = _parsed(Metadata.read, content)
-    return metadata.name, metadata.metadata
-
-
-def attachment_of(content: bytes) -> Attachment:
-    """Return the attachment in a record."""
-    attachment: Attachment = _parsed(Attachment.read, content)
-    if int.from_bytes(content[-4:], "little") not in (0, zlib.crc32(content[:-4])):
-        raise DamagedRecordError(f"attachment '{attachment.name}' fails its checksum")
-    return attachment
-
-
-def schema_of(content: bytes) -> Schema:
-    """Return the schema in a record."""
-    schema: Schema = _parsed(Schema.read, content)
-    return schema
-
-
-def channel_of(content: bytes) -> Channel:
-    """Return the channel in a record."""
-    channel: Channel = _parsed(Channel.read, content)
-    return channel
+def _checked(content: bytes) -> bool:
+    """Whether the checksum at the end of a content is right, or is 0: there is none."""
+    return int.from_bytes(content[-4:], "little") in (0, zlib.crc32(content[:-4]))
 
 
 def messages_of(content: bytes) -> tuple[bytes, Chunk]:
     """Return the uncompressed records of a chunk, and the chunk."""
-    chunk: Chunk = _parsed(Chunk.read, content)
+    chunk = parsed(Chunk, content)
     if chunk.uncompressed_size > _LARGEST_CHUNK:
         raise DamagedRecordError("a chunk is larger than any")
     data = _decompressed(chunk)

@@ -15,24 +15,17 @@ from typing import Final, Self
 
 from rtee.commands import CommandRecord
 from rtee.errors import LogError
-from rtee.hand.embedded_meshes import CarriedMeshes, carried_meshes
+from rtee.hand.embedded_meshes import EmbeddedMeshes, embed_meshes
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import to_json
 from rtee.log.layout import REPLAY, Contents, Replayable
 from rtee.log.settings import RecorderSettings, RecorderStatus
 from rtee.log.sink import reason
 from rtee.log.writer import ITSELF, Item, LogWriter
-from rtee.loop.observer import TickRecord
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
-from rtee.types import (
-    DeviceStatus,
-    Event,
-    Feedback,
-    Goal,
-    LoopStatistics,
-    Result,
-)
+from rtee.sample import TickRecord
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 log = logging.getLogger(__name__)
 
@@ -92,7 +85,7 @@ class Recorder:
         if loop is not None:
             files[REPLAY] = to_json(Replayable(loop, hand.actuators)).encode()
         more = {"decimation": str(settings.decimation), **(metadata or {})}
-        meshes = carried_meshes(hand) if settings.meshes else CarriedMeshes({}, {})
+        meshes = embed_meshes(hand) if settings.meshes else EmbeddedMeshes({}, {})
         for address, why in meshes.left_out.items():
             log.warning("the mesh '%s' is not in the recording: %s", address, why)
         contents = Contents(hand, rate, files, more, meshes)

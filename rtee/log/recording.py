@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtee.commands import CommandRecord
 from rtee.errors import LogError, suggestion
 from rtee.loop.plan import Plan
+from rtee.sample import Measurements
 from rtee.types import (
     BoolArray,
     DeviceStatus,
@@ -68,22 +69,18 @@ class JointSeries:
 
 
 @dataclass(frozen=True)
-class ActuatorSeries(JointSeries):
+class ActuatorSeries(JointSeries, Measurements):
     """What the actuators measured over time, as the loop was given it.
 
     Attributes:
         tick: Numbers of the ticks ``(k,)``; a gap is a missed or lost tick.
         time: CLOCK_MONOTONIC of the ticks ``(k,)`` [s].
-        current: Motor currents ``(k, n)`` [A].
-        temperature: Temperatures ``(k, n)`` [°C].
         grasped: The devices' own word ``(k, n)``: 1 holding, 0 not, -1 none.
         fresh: Whether it was measured since the tick before ``(k, n)``.
     """
 
     tick: NDArray[np.int64]
     time: FloatArray
-    current: FloatArray
-    temperature: FloatArray
     grasped: NDArray[np.int8]
     fresh: BoolArray
 

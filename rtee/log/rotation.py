@@ -8,9 +8,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from mcap.opcode import Opcode
+from mcap.records import Metadata
 
 from rtee.log.mcapfile import MAGIC, being_written
-from rtee.log.record_scanner import Record, metadata_of, scan
+from rtee.log.record_scanner import Record, parsed, scan
 
 METADATA = "rtee"
 """Name of the metadata record that every recording of rtee carries."""
@@ -109,8 +110,8 @@ def is_ours(path: Path, hand: str) -> bool:
                     break
             for record in records:
                 if record.opcode == Opcode.METADATA:
-                    name, values = metadata_of(record.read(stream))
-                    if name == METADATA and values.get("hand") == hand:
+                    found = parsed(Metadata, record.read(stream))
+                    if found.name == METADATA and found.metadata.get("hand") == hand:
                         return True
     except (OSError, ValueError):
         return False

@@ -5,43 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from rtee.hand.config_schema import LogSection
+
 
 @dataclass(frozen=True, slots=True)
-class RecorderSettings:
-    """How a hand is recorded.
+class RecorderSettings(LogSection):
+    """How a hand is recorded: as hand.yaml says, and some settings that it does not have.
 
     Attributes:
-        directory: Folder of the recordings; made when it does not exist.
-        enabled: Record to the disk from the start.
-        max_file_size: A file that has grown to this size is followed by the next part [bytes].
-        max_file_time: A file that has run for this long is followed by the next part [s].
-        max_total_size: Space that all recordings of the hand in the folder may take [bytes]; the
-            oldest are removed first.
-        flight_recorder: How much is kept in memory and written out on a fault [s]; 0 for nothing.
-        flight_size: Memory that this may take [bytes].
-        decimation: Record every n-th tick.
+        flight_size: Memory that the flight recorder may take [bytes].
         chunk_time: A chunk is written after this time [s]; what a killed process loses.
         queue_time: Ticks that may wait for the writer, as time [s]; more are dropped and counted.
         sync: Flush every chunk to the disk, so that it also survives a power cut.
         level: Level of zstd compression.
-        tf_rate: Transforms of the links for viewers are recorded at this rate [Hz]; 0: none.
-        meshes: Carry the hand's meshes along, so that viewers show it anywhere.
     """
 
-    directory: Path = Path("logs")
-    enabled: bool = True
-    max_file_size: float = 1e9
-    max_file_time: float = 3600.0
-    max_total_size: float = 2e10
-    flight_recorder: float = 60.0
     flight_size: float = 64e6
-    decimation: int = 1
     chunk_time: float = 0.5
     queue_time: float = 5.0
     sync: bool = True
     level: int = 3
-    tf_rate: float = 50.0
-    meshes: bool = True
 
     @property
     def part_size(self) -> float:

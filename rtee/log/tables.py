@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from rtee.errors import LogError, suggestion
 from rtee.log.recording import ActuatorSeries, Entry, JointSeries, Recording, outcome_of
 from rtee.messages import topics
-from rtee.messages.command import plain
+from rtee.messages.convert import plain
+from rtee.messages.state import ACTUATOR_COLUMNS
 from rtee.types import Result
 
 Column = NDArray[Any]
@@ -20,7 +21,6 @@ Table = dict[str, Column]
 """Column names to columns, all of one length."""
 
 _WIDE = ("position", "velocity", "effort")
-_WIDER = (*_WIDE, "current", "temperature", "grasped", "fresh")
 
 
 def _series(series: JointSeries) -> Table:
@@ -28,7 +28,7 @@ def _series(series: JointSeries) -> Table:
     wide: Sequence[str] = _WIDE
     if isinstance(series, ActuatorSeries):
         table |= {"tick": series.tick, "monotonic": series.time}
-        wide = _WIDER
+        wide = ACTUATOR_COLUMNS
     for quantity in wide:
         values = getattr(series, quantity)
         for index, name in enumerate(series.names):

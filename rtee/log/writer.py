@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 from zlib import crc32
-
-import numpy as np
 
 from rtee.commands import CommandRecord
 from rtee.log.chunks import ChunkBuilder
@@ -18,34 +17,13 @@ from rtee.log.layout import CHANNELS, Contents
 from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
-from rtee.log.tickblock import TickChannels, TickEncoder
-from rtee.log.transforms import LinkTransforms
-from rtee.loop.observer import TickRecord
+from rtee.log.tick_messages import LinkTransforms, TickEncoder
 from rtee.loop.plan import Plan
-from rtee.messages import convert, encode_command, encode_goal, topics
+from rtee.messages import convert, topics
+from rtee.messages.codec import Codec, channel_fields, header
 from rtee.messages.schema import message_type
-from rtee.messages.topics import (
-    ACTUATOR_STATES,
-    COMMANDS,
-    DEVICE_STATUS,
-    EVENTS,
-    FEEDBACK,
-    GOALS,
-    JOINT_STATES,
-    LOOP_STATISTICS,
-    PLANS,
-    REFERENCE,
-    RESULTS,
-    TF,
-)
-from rtee.types import (
-    DeviceStatus,
-    Event,
-    Feedback,
-    Goal,
-    LoopStatistics,
-    Result,
-)
+from rtee.sample import FloatArray, TickRecord
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 Item = Goal | Plan | CommandRecord | Feedback | Result | Event | DeviceStatus | LoopStatistics
 """What is recorded besides ticks."""
@@ -56,6 +34,18 @@ ITSELF = "recorder"
 FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
 """Kinds of events that make the flight recorder write; so does every event of severity error."""
 
+_CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
+    Goal: (topics.GOALS, convert.GOAL),
+    CommandRecord: (topics.COMMANDS, convert.COMMAND),
+    Feedback: (topics.FEEDBACK, convert.FEEDBACK),
+    Result: (topics.RESULTS, convert.RESULT),
+    Event: (topics.EVENTS, convert.EVENT),
+    DeviceStatus: (topics.DEVICE_STATUS, convert.DEVICE_STATUS),
+    LoopStatistics: (topics.LOOP_STATISTICS, convert.LOOP_STATISTICS),
+}
+"""What is recorded besides ticks and plans: its topic, and what encodes it."""
+
+_CHANNELS = message_type("rtee_msgs/msg/Channels")
 _SECOND = 1_000_000_000
 _FLIGHT_FILES = 20
 
@@ -103,7 +93,11 @@ class LogWriter:
             hand.joint_names,
             hand.actuator_names,
             hand.transmission,
-            TickChannels(CHANNELS[JOINT_STATES], CHANNELS[ACTUATOR_STATES], CHANNELS[REFERENCE]),
+            (
+                CHANNELS[topics.JOINT_STATES],
+                CHANNELS[topics.ACTUATOR_STATES],
+                CHANNELS[topics.REFERENCE],
+            ),
         )
         self._transforms = LinkTransforms(hand, contents.rate, settings)
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
@@ -113,8 +107,7 @@ class LogWriter:
         self._compared = False
         self._anchor = 0
         self._sequence = 0
-        self._channels_type = message_type("rtee_msgs/msg/Channels")
-        self._extras: dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]] = {}
+        self._extras: dict[str, FloatArray] = {}
         self._lost_told = 0
         self._dropped_told = 0
         self._flight_due: float | None = None
@@ -158,58 +151,39 @@ class LogWriter:
             self._compare(record.wall_ns - round(record.stamp * _SECOND))
         wall = self.wall_of(record.stamp)
         self._builder.add_block(wall, self._encoder.encode(record, wall))
-        if record.extras:
+        if record.channels:
             self._add_extras(record, wall)
         if self._transforms.due(record.tick):
-            self._add(TF, wall, self._transforms.encode(record.position, wall))
+            self._add(topics.TF, wall, self._transforms.encode(record.position, wall))
         self._begun()
 
     def _add_extras(self, record: TickRecord, wall: int) -> None:
         """Record further channels when a value has changed."""
-        if all(self._extras.get(name) is values for name, values in record.extras.items()):
+        if all(self._extras.get(name) is values for name, values in record.channels.items()):
             return
-        self._extras = dict(record.extras)
-        values = [np.asarray(value, dtype=np.float64).ravel() for value in record.extras.values()]
-        self._add(
-            topics.CHANNELS,
-            wall,
-            self._channels_type.encode(
-                {
-                    "header": convert.header(wall),
-                    "tick": record.tick,
-                    "name": list(record.extras),
-                    "length": [value.size for value in values],
-                    "value": np.concatenate(values) if values else [],
-                }
-            ),
-        )
+        self._extras = dict(record.channels)
+        names, lengths, values = channel_fields(record.channels)
+        fields = {
+            "header": header(wall),
+            "tick": record.tick,
+            "name": names,
+            "length": lengths,
+            "value": values,
+        }
+        self._add(topics.CHANNELS, wall, _CHANNELS.encode(fields))
 
     def item(self, item: Item, stamp: float) -> None:
         """Take anything else that came at ``stamp``, CLOCK_MONOTONIC [s]."""
         if self.idle:
             return
         wall = self.wall_of(stamp)
-        match item:
-            case Goal():
-                self._add(GOALS, wall, encode_goal(item, time=stamp, wall=wall))
-            case Plan():
-                data = encode_plan(item, self._actuators, time=stamp, wall=wall)
-                self._add(PLANS, wall, data)
-            case CommandRecord():
-                self._add(COMMANDS, wall, encode_command(item, wall=wall))
-            case Feedback():
-                self._add(FEEDBACK, wall, convert.encode_feedback(item, wall=wall))
-            case Result():
-                self._add(RESULTS, wall, convert.encode_result(item, time=stamp, wall=wall))
-            case Event():
-                self._add(EVENTS, wall, convert.encode_event(item, wall=wall))
-                if item.severity == "error" or item.kind in FAULTS:
-                    self.fault(f"{item.kind}: {item.text}")
-            case DeviceStatus():
-                self._add(DEVICE_STATUS, wall, convert.encode_device_status(item, wall=wall))
-            case LoopStatistics():
-                data = convert.encode_loop_statistics(item, wall=wall)
-                self._add(LOOP_STATISTICS, wall, data)
+        if isinstance(item, Plan):
+            self._add(topics.PLANS, wall, encode_plan(item, self._actuators, time=stamp, wall=wall))
+        else:
+            topic, codec = _CODECS[type(item)]
+            self._add(topic, wall, codec.encode(item, time=stamp, wall=wall))
+        if isinstance(item, Event) and (item.severity == "error" or item.kind in FAULTS):
+            self.fault(f"{item.kind}: {item.text}")
         self._begun()
 
     def _add(self, topic: str, wall: int, data: bytes) -> None:
@@ -289,7 +263,7 @@ class LogWriter:
         now = self._stamp if self._simulated else self._monotonic()
         event = Event(kind, ITSELF, text, now, "warning")
         wall = self.wall_of(event.stamp)
-        self._add(EVENTS, wall, convert.encode_event(event, wall=wall))
+        self._add(topics.EVENTS, wall, convert.EVENT.encode(event, wall=wall))
         if self._notify is not None:
             with contextlib.suppress(RuntimeError):  # the loop that would be told has ended
                 self._notify(event)

@@ -68,6 +68,26 @@ def _period_ns(rate: float) -> int:
     return round(_NANOSECONDS / rate)
 
 
+class _TickTimer(timerfd.Timer):
+    """A timerfd that counts its expiries as ticks; the first that happens is tick 0."""
+
+    def __init__(self, period_ns: int) -> None:
+        self._start = time.monotonic_ns() + period_ns
+        self._period_ns = period_ns
+        self._number = -1
+        super().__init__(self._start, period_ns)
+
+    def tick(self, passed: int) -> Tick:
+        """Return the tick for some expiries since the last one; all but one were missed."""
+        woken, wall = time.monotonic_ns(), time.time_ns()
+        if self._number < 0:
+            self._start += (passed - 1) * self._period_ns
+            passed = 1
+        self._number += passed
+        due = self._start + self._number * self._period_ns
+        return Tick(self._number, due, woken, passed - 1, wall - (woken - due))
+
+
 class Clock:
     """Ticks at a fixed rate: ``async for tick in Clock(1000)``.
 
@@ -106,24 +126,15 @@ class Clock:
                     function(tick)
             return
         loop = asyncio.get_running_loop()
-        start = time.monotonic_ns() + self.period_ns
-        timer = timerfd.Timer(start, self.period_ns)
+        timer = _TickTimer(self.period_ns)
         ended: asyncio.Future[None] = loop.create_future()
-        number = -1
 
         def on_expiry() -> None:
-            nonlocal number, start
             passed = timer.expiries()
             if not passed:
                 return
-            woken, wall = time.monotonic_ns(), time.time_ns()
-            if number < 0:  # it starts with the first that happens
-                start += (passed - 1) * self.period_ns
-                passed = 1
-            number += passed
-            due = start + number * self.period_ns
             try:
-                function(Tick(number, due, woken, passed - 1, wall - (woken - due)))
+                function(timer.tick(passed))
             except Exception as error:
                 loop.remove_reader(timer.fd)
                 if not ended.done():
@@ -138,8 +149,7 @@ class Clock:
 
     async def _with_timerfd(self) -> AsyncIterator[Tick]:
         loop = asyncio.get_running_loop()
-        start = time.monotonic_ns() + self.period_ns
-        timer = timerfd.Timer(start, self.period_ns)
+        timer = _TickTimer(self.period_ns)
         expired = 0
         waiter: asyncio.Future[None] | None = None
 
@@ -150,7 +160,6 @@ class Clock:
                 waiter.set_result(None)
 
         loop.add_reader(timer.fd, on_expiry)
-        number = -1
         try:
             while True:
                 if expired:
@@ -160,14 +169,8 @@ class Clock:
                     waiter = loop.create_future()
                     await waiter
                     waiter = None
-                woken, wall = time.monotonic_ns(), time.time_ns()
                 passed, expired = expired, 0
-                if number < 0:  # it starts with the first that happens
-                    start += (passed - 1) * self.period_ns
-                    passed = 1
-                number += passed
-                due = start + number * self.period_ns
-                yield Tick(number, due, woken, passed - 1, wall - (woken - due))
+                yield timer.tick(passed)
         finally:
             loop.remove_reader(timer.fd)
             timer.close()

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 from rtee.errors import ConfigError
+from rtee.hand.config_schema import DeviceSection
 from rtee.hand.model import Hand
 from rtee.loop.settings import (
-    Behaviour,
     DeviceSettings,
-    GraspSettings,
     LoopSettings,
     ProfileKind,
-    ProfileSettings,
     RealtimeSettings,
-    SafetySettings,
-    StallSettings,
-    ThermalSettings,
     usual_profile,
 )
 from rtee.types import DeviceSpec
 
 if TYPE_CHECKING:
     from rtee.hand.config import HandConfig
-    from rtee.hand.config_schema import Device
 
 KINEMATIC = "kinematic"
 """The driver that needs no device."""
@@ -44,40 +38,16 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
     Raises:
         ConfigError: if the rate is out of range.
     """
-    loop, safety, thermal = config.loop, config.safety, config.thermal
+    kind = config.profile.kind
+    if kind is ProfileKind.JERK_LIMITED:
+        kind = usual_profile()
+    given = {each.name: getattr(config.loop, each.name) for each in fields(config.loop)}
     return LoopSettings(
-        rate=loop.rate if rate is None else rate,
-        goal_timeout=loop.goal_timeout,
-        profile=ProfileSettings(_profile_kind(config), config.profile.bandwidth),
-        stall=StallSettings(loop.stall.time, loop.stall.speed),
-        grasp=GraspSettings(
-            loop.grasp.effort,
-            loop.grasp.grip_effort,
-            loop.grasp.grip_after,
-            loop.grasp.touch,
-        ),
-        safety=SafetySettings(
-            on_exit=Behaviour(safety.on_exit),
-            on_client_lost=Behaviour(safety.on_client_lost),
-            on_link_lost=Behaviour(safety.on_link_lost),
-            on_error=Behaviour(safety.on_error),
-            max_step=safety.max_step,
-            idle_disable=safety.idle_disable,
-        ),
-        thermal=ThermalSettings(
-            thermal.warn,
-            thermal.derate,
-            thermal.disable,
-            dict(thermal.nominal_current),
-            thermal.time_constant,
-            thermal.ambient,
-        ),
+        **given | ({} if rate is None else {"rate": rate}),
+        profile=replace(config.profile, kind=kind),
+        safety=config.safety,
+        thermal=config.thermal,
     )
-
-
-def _profile_kind(config: HandConfig) -> ProfileKind:
-    kind = ProfileKind(config.profile.kind)
-    return usual_profile() if kind is ProfileKind.JERK_LIMITED else kind
 
 
 def profile_words(config: HandConfig, settings: LoopSettings) -> str:
@@ -90,14 +60,7 @@ def profile_words(config: HandConfig, settings: LoopSettings) -> str:
 
 def realtime_settings(config: HandConfig, *, enabled: bool = False) -> RealtimeSettings:
     """Return the real-time settings of a hand; ``enabled`` switches them on whatever it says."""
-    given = config.realtime
-    return RealtimeSettings(
-        given.enabled or enabled,
-        given.priority,
-        tuple(given.cpus),
-        given.lock_memory,
-        given.helper_priority,
-    )
+    return replace(config.realtime, enabled=config.realtime.enabled or enabled)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +149,7 @@ def _free_name(driver: str, taken: Sequence[str]) -> str:
 
 
 def _made(
-    hand: Hand, name: str, device: Device, rate: float, choice: DeviceChoice
+    hand: Hand, name: str, device: DeviceSection, rate: float, choice: DeviceChoice
 ) -> DeviceSettings:
     names = hand.actuator_names if device.actuators == "all" else tuple(device.actuators)
     ordered = [actuator for actuator in hand.actuators if actuator.name in names]

@@ -1,12 +1,12 @@
-"""The link to one device: connect and identify, notice what breaks, connect again."""
+"""The link to one device: connect, exchange, notice what breaks, connect again."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import math
-import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from rtee.drivers.base import Driver
 from rtee.errors import (
@@ -20,206 +20,263 @@ from rtee.errors import (
     RteeError,
     UserError,
 )
-from rtee.loop.exchange_counters import Accounts
+from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
-from rtee.types import ActuatorState, Event, Lifecycle
+from rtee.sample import ActuatorState, measured_arrays
+from rtee.types import Lifecycle, Reference
 
 log = logging.getLogger(__name__)
 
 BACKOFF = (0.2, 5.0)
-"""First and longest time between attempts to connect [s]."""
+"""First and longest time between attempts to connect [s]: a cable that slipped out is back within a
+second, and a device that is switched off must not fill its bus and the log."""
 
 CONNECT_WITHIN = 20.0
-"""Time that connecting and identifying may take [s]."""
+"""Time that connecting and identifying may take [s]; the slowest devices boot for ten."""
 
-REQUEST_WITHIN = 120.0
-"""Time that a request may take, activation with homing included [s]."""
+ACTIVATE_WITHIN = 120.0
+"""Time that activation, or a request of others, may take [s]: homing takes up to a minute."""
 
 CLOSE_WITHIN = 1.0
-"""Time that closing may take [s]."""
+"""Time that closing may take [s]: a run ends even if a bus hangs."""
 
 LOST_AFTER = 0.5
-"""A device that has not answered for this long, and three times in a row, is lost [s]."""
+"""A device that has not answered for this long, and three times in a row, is lost [s]: the retries
+of a bus take less, and a person hardly notices it."""
 
 LEAST_DEADLINE = 0.05
-"""An exchange is given up after two of its periods, but not before this time [s]."""
+"""An exchange is given up after two of its periods, but not before this time [s]: a busy computer
+delays an answer by some ten milliseconds."""
+
+FAULT_LOOK = 0.1
+"""A device in fault is read this often [s]: often enough to see the fault go."""
+
+
+@dataclass(slots=True)
+class ExchangeCounters:
+    """Counters of one device since the start, and the rate of its exchanges.
+
+    Attributes:
+        exchanges: Exchanges done.
+        overruns: Times it was due again before an exchange was over.
+        errors: Exchanges that failed.
+        in_row: Exchanges that failed since the last one that worked.
+        reconnects: Times the link was re-established.
+    """
+
+    exchanges: int = 0
+    overruns: int = 0
+    errors: int = 0
+    in_row: int = 0
+    reconnects: int = 0
+    _rate: float = 0.0
+    _since: float = 0.0
+    _counted: int = 0
+
+    def rate(self, now: float) -> float:
+        """Return the rate of exchanges [Hz] since the last call, but over half a second or more."""
+        passed = now - self._since
+        if passed >= 0.5:
+            self._rate = (self.exchanges - self._counted) / passed if self._since else 0.0
+            self._since, self._counted = now, self.exchanges
+        return self._rate
 
 
 class Connection:
-    """The link to one device, and what is known of it; used by the device's task alone.
+    """The link to one device; its coroutines are called by the device's task alone.
 
     Args:
         settings: The device.
         driver: Its driver.
-        indices: The hand's indices of its actuators.
-        tell: Called with events.
+        runner: The device's task.
+        report: Called with events: kind, text, severity.
         now: The clock [s].
 
     Attributes:
+        lifecycle: State of the device.
         state: What it measured last, or ``None``.
-        states: How many states it has given.
-        lifecycle: How it is.
-        every: It is exchanged every n ticks.
+        states: Number of states it has given.
+        counters: What the exchanges came to.
+        every: It is due every n ticks.
+        deadline: Time an exchange may take [s].
         trouble: Why it can't be moved, in words; empty when it can.
+        message: The last error in words.
+        fault: The fault it reports, if any.
+        rejected: Why it refused a reference, until that is read and emptied.
         tried: Set after the first attempt to connect.
         mistake: The user's mistake that keeps it from ever connecting.
-        rejected: Why it refused a reference, until it is read and emptied.
     """
 
     def __init__(
         self,
         settings: DeviceSettings,
         driver: Driver,
-        indices: tuple[int, ...],
-        tell: Callable[[Event], None],
-        *,
-        now: Callable[[], float] = time.monotonic,
+        runner: Runner,
+        report: Callable[[str, str, str], None],
+        now: Callable[[], float],
     ) -> None:
-        self.settings = settings
-        self.spec = settings.spec
-        self.driver = driver
-        self.indices = indices
+        self.lifecycle = Lifecycle.UNCONFIGURED
         self.state: ActuatorState | None = None
         self.states = 0
-        self.lifecycle = Lifecycle.UNCONFIGURED
+        self.counters = ExchangeCounters()
         self.every = settings.spec.every or 1
+        self.deadline = settings.spec.deadline or LEAST_DEADLINE
         self.trouble = "it is not connected yet"
+        self.message = ""
+        self.fault: DeviceFault | None = None
+        self.rejected = ""
         self.tried = asyncio.Event()
         self.mistake: UserError | None = None
-        self.rejected = ""
-        self._tell = tell
+        self._settings = settings
+        self._spec = settings.spec
+        self._driver = driver
+        self._runner = runner
+        self._report = report
         self._now = now
-        self._accounts = Accounts()
-        self._busy = False
-        self._exchanging = False
-        self._give_up_at = math.inf
-        self._limit: asyncio.Timeout | None = None
-        self._deadline = settings.spec.deadline or LEAST_DEADLINE
-        self._fault: DeviceFault | None = None
+        self._size = len(settings.spec.actuators)
         self._activate_on_connect = True
         self._backoff = BACKOFF[0]
-        self._retry_at = -math.inf
+        self._next_at = -math.inf
         self._answered = -math.inf
-        self._message = ""
         self._warned: tuple[str, ...] = ()
 
-    @property
-    def name(self) -> str:
-        """The device's name."""
-        return self.spec.name
+    def due(self) -> bool:
+        """Return whether to exchange with the device, or to try to connect to it, now."""
+        if self.lifecycle is Lifecycle.UNCONFIGURED:
+            return self._now() >= self._next_at
+        if self.lifecycle is Lifecycle.FAULT:
+            if self._now() < self._next_at:
+                return False
+            self._next_at = self._now() + FAULT_LOOK
+        return True
 
-    @property
-    def active(self) -> bool:
-        """Whether it may be moved."""
-        return self.lifecycle is Lifecycle.ACTIVE
+    # --- exchanging --------------------------------------------------------------------------
 
-    def _begin(self, within: float) -> None:
-        self._busy = True
-        self._give_up_at = self._now() + within
+    async def exchange(self, reference: Reference | None) -> None:
+        """Read the state, then send the reference if there is one; cannot raise."""
+        try:
+            self.accept(await self._driver.sense())
+            if reference is not None and self.lifecycle is Lifecycle.ACTIVE:
+                await self._driver.move(reference)
+        except Exception as error:
+            await self.failed(error)
+        else:
+            self.counters.exchanges += 1
+            self.counters.in_row = 0
 
-    def _end(self) -> None:
-        self._busy = self._exchanging = False
-        limit = self._limit
-        if limit is not None and limit.when() is not None and not limit.expired():
-            limit.reschedule(None)
+    def accept(self, state: ActuatorState) -> None:
+        """Keep a state that the driver gave.
 
-    def _interrupt(self, after: float) -> None:
-        """Give up what the task is doing, unless it is done within a time [s]."""
-        if self._busy and self._limit is not None and not self._limit.expired():
-            self._limit.reschedule(asyncio.get_running_loop().time() + after)
-
-    def _take(self, state: ActuatorState) -> None:
-        n = len(self.indices)
-        sizes = {len(state.position), len(state.velocity), len(state.effort), len(state.current)}
-        if sizes != {n} or len(state.temperature) != n:
-            raise DriverError(
-                self.name, f"gave a state that is not one of {n} actuators", hint="mend its driver"
-            )
+        Raises:
+            DriverError: if it has not one value for each actuator.
+        """
+        n = self._size
+        if {len(values) for values in measured_arrays(state)} != {n}:
+            text = f"gave a state that is not one of {n} actuators"
+            raise DriverError(self._spec.name, text, hint="mend its driver")
         self.state = state
         self.states += 1
         self._answered = self._now()
         if state.warnings != self._warned:
             for warning in state.warnings:
                 if warning not in self._warned:
-                    self._event("device_warning", warning, "warning")
+                    self._report("device_warning", warning, "warning")
             self._warned = state.warnings
 
     # --- connecting --------------------------------------------------------------------------
 
-    async def _try_to_connect(self) -> None:
-        self._begin(CONNECT_WITHIN)
+    async def connect(self) -> None:
+        """Try to connect, and to activate the device if it is to be; cannot raise."""
+        self._runner.begin(CONNECT_WITHIN)
         try:
             await self._configure()
             if self._activate_on_connect:
-                self._begin(REQUEST_WITHIN)
+                self._runner.begin(ACTIVATE_WITHIN)
                 await self._activate()
         except Exception as error:
             if not isinstance(error, RteeError | OSError | EOFError):
-                log.exception("the driver of device '%s' failed", self.name)
+                log.exception("the driver of device '%s' failed", self._spec.name)
             if not isinstance(error, DeviceFault):
                 self.lifecycle = Lifecycle.UNCONFIGURED
-            await self._sort(error)
-        self._end()
+            await self.failed(error)
+        self._runner.end()
         self.tried.set()
-
-    def _not_connected(self, error: Exception) -> None:
-        self.tried.set()
-        if isinstance(error, UserError):
-            self.mistake = error
-        self.lifecycle = Lifecycle.UNCONFIGURED
-        self._retry_at = self._now() + self._backoff
-        self._backoff = min(2 * self._backoff, BACKOFF[1])
-        text = _words(error)
-        if text != self._message:
-            self._event("device_unreachable", f"cannot be reached: {text}", "warning")
-        self._message = self.trouble = text
 
     async def _configure(self) -> None:
         again = self.states > 0
-        await self.driver.configure()
+        await self._driver.configure()
         self._pace()
-        self._take(await self.driver.sense())
+        self.accept(await self._driver.sense())
         self._backoff = BACKOFF[0]
-        self._retry_at = -math.inf
-        self._accounts.in_row = 0
+        self._next_at = -math.inf
+        self.counters.in_row = 0
         self.lifecycle = Lifecycle.INACTIVE
         self.trouble = "it is inactive"
-        self._message = ""
+        self.message = ""
         if again:
-            self._accounts.reconnects += 1
+            self.counters.reconnects += 1
             then = "" if self._activate_on_connect else "; it is inactive until recovered"
-            self._event("reconnected", f"is connected again{then}")
+            self._report("reconnected", f"is connected again{then}", "info")
 
     def _pace(self) -> None:
-        rate, best = self.spec.rate, self.driver.capabilities.best_rate
+        """Choose every how many ticks it is due, by what its wire gives."""
+        rate, best = self._spec.rate, self._driver.capabilities.best_rate
+        # Rounding must not halve the rate of a device whose best is just that of the loop.
         least = max(1, math.ceil(rate / best - 1e-9)) if best > 0 else 1
-        self.every = self.spec.every or least
+        self.every = self._spec.every or least
         if self.every < least:
             text = f"is asked for {rate / self.every:g} Hz, its wire gives {best:.0f} Hz at most"
-            self._event("device_rate", text, "warning")
-        self._deadline = self.spec.deadline or max(2 * self.every / rate, LEAST_DEADLINE)
+            self._report("device_rate", text, "warning")
+        self.deadline = self._spec.deadline or max(2 * self.every / rate, LEAST_DEADLINE)
 
     async def _activate(self) -> None:
-        await self.driver.activate()
-        self._take(await self.driver.sense())
-        self._activate_on_connect = self.settings.reconnect_active
-        self._fault = None
-        self._message = self.trouble = ""
+        await self._driver.activate()
+        self.accept(await self._driver.sense())
+        self._activate_on_connect = self._settings.reconnect_active
+        self.fault = None
+        self.message = self.trouble = ""
         self.lifecycle = Lifecycle.ACTIVE
+
+    async def recover(self) -> None:
+        """Bring the device out of a fault, or connect and activate it.
+
+        Raises:
+            Exception: whatever the driver raises; it has been dealt with.
+        """
+        if self.lifecycle is Lifecycle.ACTIVE:
+            return
+        self._backoff = BACKOFF[0]
+        try:
+            if self.lifecycle is Lifecycle.UNCONFIGURED:
+                await self._configure()
+            if self.lifecycle is Lifecycle.FAULT:
+                await self._driver.recover()
+                self.fault = None
+                self.lifecycle = Lifecycle.INACTIVE
+            await self._activate()
+        except Exception as error:
+            await self.failed(error)
+            raise
+        self._report("recovered", "is active again", "info")
+
+    def deactivated(self, trouble: str) -> None:
+        """Note that the device was made inactive, and stays so until `recover`."""
+        self.lifecycle = Lifecycle.INACTIVE
+        self.trouble = trouble
+        self._activate_on_connect = False
 
     # --- what breaks -------------------------------------------------------------------------
 
-    async def _sort(self, error: Exception) -> None:
+    async def failed(self, error: Exception) -> None:
         """Do what an error of the driver calls for."""
         match error:
             case DeviceFault():
                 self._enter_fault(error)
             case CommandRejected():
-                self._accounts.errors += 1
-                self._message = self.rejected = _words(error)
+                self.counters.errors += 1
+                self.message = self.rejected = _words(error)
             case _ if self.lifecycle is Lifecycle.UNCONFIGURED:
-                self._not_connected(error)
-                await self._close()
+                await self._not_connected(error)
             case BusBroken() | BusClosed() | NotConnected() | HandshakeError():
                 await self._lose(error)
             case RteeError() | TimeoutError():
@@ -227,48 +284,59 @@ class Connection:
             case OSError() | EOFError():
                 await self._lose(error)
             case _:
-                log.error("the driver of device '%s' failed", self.name, exc_info=error)
+                log.error("the driver of device '%s' failed", self._spec.name, exc_info=error)
                 await self._lose(error)
+
+    def _enter_fault(self, fault: DeviceFault) -> None:
+        new = self.fault is None or self.fault.name != fault.name
+        self.message = _words(fault)
+        self.trouble = f"it is in fault: {fault.name}"
+        self.fault = fault
+        self.lifecycle = Lifecycle.FAULT
+        if new:
+            text = f"reports fault {fault.code} ({fault.name})"
+            text += f"; {fault.hint}" if fault.hint else ""
+            self._report("device_fault", text, "error")
+
+    async def _not_connected(self, error: Exception) -> None:
+        """Wait longer before the next attempt to connect; the same reason is reported once."""
+        self.tried.set()
+        if isinstance(error, UserError):
+            self.mistake = error
+        self._next_at = self._now() + self._backoff
+        self._backoff = min(2 * self._backoff, BACKOFF[1])
+        text = _words(error)
+        if text != self.message:
+            self._report("device_unreachable", f"cannot be reached: {text}", "warning")
+        self.message = self.trouble = text
+        await self.close()
 
     async def _miss(self, error: Exception) -> None:
         """Count an exchange that failed; too many of them mean that the device is lost."""
-        self._accounts.errors += 1
-        self._accounts.in_row += 1
-        self._message = _words(error)
-        if self._accounts.in_row >= 3 and self._now() - self._answered >= LOST_AFTER:
+        self.counters.errors += 1
+        self.counters.in_row += 1
+        self.message = _words(error)
+        if self.counters.in_row >= 3 and self._now() - self._answered >= LOST_AFTER:
             await self._lose(error)
 
     async def _lose(self, error: Exception) -> None:
-        self._accounts.errors += 1
-        self._message = _words(error)
-        self.trouble = f"it is lost: {self._message}"
+        self.counters.errors += 1
+        self.message = _words(error)
+        self.trouble = f"it is lost: {self.message}"
         self.lifecycle = Lifecycle.UNCONFIGURED
-        self._fault = None
-        self._retry_at = self._now() + self._backoff
-        self._event("device_lost", f"is lost: {self._message}", "error")
-        await self._close()
+        self.fault = None
+        self._next_at = self._now() + self._backoff
+        self._report("device_lost", f"is lost: {self.message}", "error")
+        await self.close()
 
-    def _enter_fault(self, fault: DeviceFault) -> None:
-        self._message = _words(fault)
-        self.trouble = f"it is in fault: {fault.name}"
-        new = self._fault is None or self._fault.name != fault.name
-        self._fault = fault
-        self.lifecycle = Lifecycle.FAULT
-        if new:
-            hint = f"; {fault.hint}" if fault.hint else ""
-            self._event("device_fault", f"reports fault {fault.code} ({fault.name}){hint}", "error")
-
-    async def _close(self) -> None:
-        self._give_up_at = self._now() + 2 * CLOSE_WITHIN
+    async def close(self) -> None:
+        """Close the driver in bounded time; cannot raise."""
+        self._runner.begin(2 * CLOSE_WITHIN)
         try:
             async with asyncio.timeout(CLOSE_WITHIN):
-                await self.driver.close()
+                await self._driver.close()
         except Exception as error:
-            log.warning("device '%s' did not close cleanly: %s", self.name, error)
-
-    def _event(self, kind: str, text: str, severity: str = "info") -> None:
-        text = f"device '{self.name}' {text}"
-        self._tell(Event(kind, self.name, text, self._now(), severity))
+            log.warning("device '%s' did not close cleanly: %s", self._spec.name, error)
 
 
 def _words(error: BaseException) -> str:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtee.loop.settings import GraspSettings, StallSettings
-from rtee.types import ActuatorSpec, FloatArray
+from rtee.sample import FloatArray, Measurements
+from rtee.types import ActuatorSpec
 
 _LOST_AFTER = 0.05
 """A grasp counts as lost when it looks so for this long [s]."""
@@ -57,6 +58,22 @@ class Measured:
     grasped: Sequence[int]
     current: Sequence[float] = ()
     touch: Sequence[float] = ()
+
+    def update(self, sample: Measurements, before: Measurements | None = None) -> None:
+        """Take over from a sample what a controller needs of it.
+
+        Args:
+            sample: The sample.
+            before: The one before. Columns that a device does not measure are the same array in
+                both; these are not converted again.
+        """
+        self.position = sample.position.tolist()
+        if before is None or sample.effort is not before.effort:
+            self.effort = sample.effort.tolist()
+        if before is None or sample.temperature is not before.temperature:
+            self.temperature = sample.temperature.tolist()
+        if before is None or sample.current is not before.current:
+            self.current = sample.current.tolist()
 
 
 def tip_forces(measured: Sequence[FloatArray]) -> list[float]:
@@ -138,11 +155,13 @@ class ContactWatch:
         self._watched: dict[int, _Watched] = {}
         self._grips: list[_Grip | None] = [None] * len(actuators)
         self._usual = [math.nan] * len(actuators)
+        # Slower than this way [rad | m] in the stall time is "hardly moving".
+        self._slow = [stall.speed * actuator.velocity * stall.time for actuator in actuators]
 
     def begin(
         self, targets: Mapping[int, float], tolerance: Mapping[int, float], stamp: float
     ) -> None:
-        """Watch some actuators anew; what was known of them is forgotten.
+        """Start to watch some actuators; what was known of them is forgotten.
 
         Args:
             targets: Where they go, by index [rad | m].
@@ -185,7 +204,7 @@ class ContactWatch:
         return tuple(found)
 
     def feel(self, stamp: float, touch: Sequence[float]) -> None:
-        """Take the forces at the fingertips; called at every tick, before all else.
+        """Note the forces at the fingertips; called at every tick, before all else.
 
         Args:
             stamp: Now [s].
@@ -238,43 +257,66 @@ class ContactWatch:
             position = measured.position[i]
             word = measured.grasped[i]
             self._listen(i, watched, position, stamp)
-            slow = self._stall.speed * self._actuators[i].velocity * self._stall.time
             # Pushed the other way (a grip that is being opened), it has not come to its motion yet.
             ahead = 1.0 if watched.target >= position else -1.0
-            behind = (reference[i] - position) * ahead > watched.tolerance
+            tolerance = watched.tolerance
+            behind = (reference[i] - position) * ahead > tolerance
             watched.led = watched.led + 1 if behind else 0
             # A device that has a word of its own says it when its target stands still.
-            arriving = word == 0 and abs(reference[i] - watched.target) > watched.tolerance
-            if not abs(position - watched.anchor) <= slow or not behind or arriving:
+            arriving = word == 0 and abs(reference[i] - watched.target) > tolerance
+            if not abs(position - watched.anchor) <= self._slow[i] or not behind or arriving:
                 watched.anchor, watched.since = position, stamp
                 watched.blocked_at = math.nan
                 watched.grasping = False
             stalled = behind and stamp - watched.since >= self._stall.time
-            begun = watched.led >= _DELIVERED or (position - watched.start) * ahead > (
-                watched.tolerance
-            )
-            watched.old_word = word == 1 and (watched.old_word or watched.new or not begun)
-            away = self._leads_away(i, watched, position, word, ahead)
+            away = own_word = False
+            if word == 1 or self._grips[i] is not None:
+                own_word = self._own_word(i, watched, position, word, ahead, stalled)
+                away = self._leads_away(i, watched, position, word, ahead)
+                own_word = own_word and not away
+            else:
+                watched.old_word = False
             watched.new = False
-            own_word = word == 1 and not away and not self._at_end(i, position, watched)
-            own_word = own_word and (stalled or not watched.old_word)
-            if not (stalled or own_word):
-                continue
-            if math.isnan(watched.blocked_at):
-                watched.blocked_at = stamp
-            enough = self._grasp.effort * limits[i]
-            holds = own_word or (word != 0 and not away and abs(measured.effort[i]) >= enough)
-            touch = self._touch(i) if self._felt else None
-            if touch is not None:
-                holds = touch and not away
-            if holds:
-                watched.grasping = True
-                watched.own_word = own_word
-                watched.hold_position = position
-                self._grips[i] = _Grip(ahead, position)
+            if stalled or own_word:
+                self._block(i, watched, measured, limits[i], own_word, away, ahead, stamp)
+
+    def _own_word(
+        self, i: int, watched: _Watched, position: float, word: int, ahead: float, stalled: bool
+    ) -> bool:
+        """Return whether the device's own word that it holds something counts."""
+        begun = watched.led >= _DELIVERED or (position - watched.start) * ahead > watched.tolerance
+        watched.old_word = word == 1 and (watched.old_word or watched.new or not begun)
+        believed = stalled or not watched.old_word
+        return word == 1 and believed and not self._at_end(i, position, watched)
+
+    def _block(
+        self,
+        i: int,
+        watched: _Watched,
+        measured: Measured,
+        limit: float,
+        own_word: bool,
+        away: bool,
+        ahead: float,
+        stamp: float,
+    ) -> None:
+        """Note that an actuator is blocked, and whether it holds something."""
+        if math.isnan(watched.blocked_at):
+            watched.blocked_at = stamp
+        effort = abs(measured.effort[i])
+        word = measured.grasped[i]
+        holds = own_word or (word != 0 and not away and effort >= self._grasp.effort * limit)
+        touch = self._touch(i) if self._felt else None
+        if touch is not None:
+            holds = touch and not away
+        if holds:
+            watched.grasping = True
+            watched.own_word = own_word
+            watched.hold_position = measured.position[i]
+            self._grips[i] = _Grip(ahead, measured.position[i])
 
     def _listen(self, i: int, watched: _Watched, position: float, stamp: float) -> None:
-        """Take the time since the last measurement: what was silence is no standing still."""
+        """Note the time since the last measurement; silence does not count as standing still."""
         gap, watched.seen = stamp - watched.seen, stamp
         if watched.new:
             watched.start = position
@@ -284,9 +326,10 @@ class ContactWatch:
             usual = gap
         if gap > self._stall.time:
             watched.anchor, watched.since = position, stamp
-        else:
-            watched.since += max(0.0, gap - _SILENCE * usual)
-        self._usual[i] = usual + _USUAL_SHARE * (min(gap, 2.0 * usual) - usual)
+        elif gap > _SILENCE * usual:
+            watched.since += gap - _SILENCE * usual
+        newest = gap if gap < 2.0 * usual else 2.0 * usual
+        self._usual[i] = usual + _USUAL_SHARE * (newest - usual)
 
     def _leads_away(
         self, i: int, watched: _Watched, position: float, word: int, ahead: float

@@ -47,7 +47,7 @@ _OFF = 0.01
 
 @dataclass(slots=True)
 class Outbox:
-    """What a controller wants to tell, in order.
+    """What a controller reports, in order.
 
     Attributes:
         items: Feedback, results and events.
@@ -74,7 +74,7 @@ class Controller:
         reference_effort: Effort limits to be sent [N·m | N].
         max_velocity: Velocity limits to be sent [rad/s | m/s].
         active: Whether an actuator's device may be moved.
-        outbox: What is to be told; the caller empties it.
+        outbox: What is to be reported; the caller empties it.
     """
 
     def __init__(self, hand: Hand, settings: LoopSettings) -> None:
@@ -91,10 +91,10 @@ class Controller:
         self._thermal = Thermal(settings.thermal, n)
         self._heat = CurrentHeat(settings.thermal, hand.actuator_names)
         self.outbox = Outbox()
-        told = self.outbox.items.append
-        self._plausible = Plausibility(hand.actuators, told)
+        report = self.outbox.items.append
+        self._plausible = Plausibility(hand.actuators, report)
         self._executor = Executor(
-            hand, settings, self._profile, self._contact, self._plausible, told, told
+            hand, settings, self._profile, self._contact, self._plausible, report, report
         )
         self.active = [False] * n
         self._accepts = [True] * n
@@ -103,7 +103,7 @@ class Controller:
         self._holding: set[int] = set()
         self._settling: dict[int, float] = {}
         self._thermal_due = -math.inf
-        self._told_limited = -math.inf
+        self._limited_reported = -math.inf
         rest = dict(enumerate(hand.rest.tolist()))
         self._profile.seed(rest)
         for i, position in rest.items():
@@ -273,7 +273,8 @@ class Controller:
         self._measured = measured
         if measured.touch:
             self._contact.feel(stamp, measured.touch)
-        self._seed(stamp, measured)
+        if self._seeding or not all(self.active):
+            self._seed(stamp, measured)
         self._plausible.step(stamp, measured.position, measured.fresh, self.active)
         limiter = self._limiter
         if stamp >= self._thermal_due:
@@ -284,10 +285,10 @@ class Controller:
             self._settle(stamp, measured)
         self._profile.advance()
         if limiter.apply(self._profile.position):
-            self._tell_limited(stamp)
+            self._report_limited(stamp)
 
     def _seed(self, stamp: float, measured: Measured) -> None:
-        """Stand where the hand is, wherever nobody may move it or it has just been allowed."""
+        """Set the reference to where actuators are that may not move, or only now may."""
         start: dict[int, float] = {}
         allowed: list[int] = []
         for i, active in enumerate(self.active):
@@ -360,10 +361,10 @@ class Controller:
         if derating or any(factor != 1.0 for factor in self._thermal.factor):
             self._set_efforts()
 
-    def _tell_limited(self, stamp: float) -> None:
-        if stamp - self._told_limited < 1.0:
+    def _report_limited(self, stamp: float) -> None:
+        if stamp - self._limited_reported < 1.0:
             return
-        self._told_limited = stamp
+        self._limited_reported = stamp
         names = ", ".join(
             a.name
             for a, limited in zip(self.hand.actuators, self._limiter.limited, strict=True)

@@ -44,7 +44,7 @@ class _Run:
     stalled: list[bool] = field(default_factory=list)
     shares: dict[int, float] = field(default_factory=dict)
     length: float = 0.0
-    told: float = -math.inf
+    reported: float = -math.inf
 
     @property
     def present(self) -> Leg:
@@ -142,11 +142,11 @@ class Executor:
         if stamp - run.started >= run.plan.timeout:
             self._profile.go({}, brake=self._moving(except_for=()))
             self.end(stamp, measured, timed_out=True)
-        elif stamp - run.told >= 1.0 / self._settings.feedback_rate:
-            self._tell(run, stamp)
+        elif stamp - run.reported >= 1.0 / self._settings.feedback_rate:
+            self._report(run, stamp)
 
     def seeded(self, indices: Collection[int], stamp: float, measured: Measured) -> None:
-        """Set out anew if the reference of actuators under way was put where the hand is."""
+        """Start the leg again if the reference of its actuators was set to where the hand is."""
         run = self._run
         if (
             run is not None
@@ -171,7 +171,7 @@ class Executor:
         if run is None:
             return
         self._run = None
-        self._tell(run, stamp)
+        self._report(run, stamp)
         targets = run.present.targets
         fingers = self._contact.fingers
         plan = run.plan
@@ -212,7 +212,7 @@ class Executor:
                     return
                 run.leg += 1
                 self._wait(run, stamp)
-                self._tell(run, stamp)
+                self._report(run, stamp)
                 continue
             return
 
@@ -225,7 +225,7 @@ class Executor:
         run.shares = self._shares(run)
         self._contact.begin(leg.targets, run.shares, stamp)
         run.first_error = self._norms(leg.targets, measured.position)
-        self._tell(run, stamp)
+        self._report(run, stamp)
 
     def _moving(self, except_for: Collection[int]) -> list[int]:
         profile = self._profile
@@ -314,8 +314,8 @@ class Executor:
                 return False
         return blocked
 
-    def _tell(self, run: _Run, stamp: float) -> None:
-        run.told = stamp
+    def _report(self, run: _Run, stamp: float) -> None:
+        run.reported = stamp
         plan = run.plan
         inner = {leg.name: run.progress[k] for k, leg in enumerate(plan.legs)} if plan.timed else {}
         self._on_feedback(

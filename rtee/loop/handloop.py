@@ -1,21 +1,45 @@
-"""One hand's loop, as the rest of the program uses it."""
+"""One hand's loop: the cycle of a tick, the goals that are given to it, and its devices."""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Self
+from zlib import crc32
 
 import anyio
+import anyio.abc
+import numpy as np
 
-from rtee.commands import Cancel, Freeze, Hold, Jog, SetGripEffort
+from rtee.commands import Cancel, Command, CommandRecord, Freeze, Hold, Jog, SetGripEffort
+from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
-from rtee.loop.hand_ticks import CONFIRM_WITHIN, HandTicks
-from rtee.loop.observer import LoopObserver, TickRecord
-from rtee.loop.plan import OPEN, make_plan
-from rtee.loop.settings import Behaviour
+from rtee.hand.model import Hand
+from rtee.loop.controller import Controller
+from rtee.loop.devices import CONFIRM_WITHIN, Devices
+from rtee.loop.histogram import TickStatistics
+from rtee.loop.observer import LoopObserver, Observers
+from rtee.loop.plan import OPEN, Plan, make_plan
+from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
 from rtee.loop.supervisor import Supervisor
-from rtee.types import Event, Goal, Reference, Result
+from rtee.sample import TickRecord, measured_arrays
+from rtee.types import (
+    DeviceStatus,
+    Event,
+    Feedback,
+    Goal,
+    LoopStatistics,
+    Reference,
+    Result,
+)
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+    from rtee.loop.clock import Tick
 
 log = logging.getLogger(__name__)
 
@@ -26,20 +50,220 @@ GRIP_EFFORT = "grip_effort"
 """The gain of the hand itself: the effort kept on what is held."""
 
 
-class HandLoop(HandTicks):
+class HandLoop:
     """The loop of one hand.
 
-    Its methods are called in the thread of its event loop, but for `submit`, `cancel`, `hold` and
-    `jog`: those only check and append to what the next tick does, which any thread may.
+    ``async with`` starts the devices' tasks and, at the end, closes them. `tick` is called by the
+    owner of the clock and never waits. All methods are called in the thread of the event loop; only
+    `submit`, `cancel`, `hold` and `jog` may be called in any thread, since all they do is to check
+    and to append to what the next tick does.
 
-    ``async with`` starts the devices' tasks and, at the end, closes them. `tick` is called by
-    whoever has the clock; it never waits.
+    Args:
+        hand: The hand.
+        library: Its grasping actions.
+        settings: The loop's settings.
+        devices: Its devices with their drivers; together they drive every actuator once.
+        now: The clock [s].
+
+    Attributes:
+        hand: The hand.
+        library: Its grasping actions.
+        settings: The loop's settings.
+        controller: The pure part.
+        devices: The devices' supervisors, by name.
+        clock_statistics: Statistics of the clock that ticks it, once it ticks.
+
+    Raises:
+        ConfigError: if an actuator is driven by no device, or by two.
     """
+
+    def __init__(
+        self,
+        hand: Hand,
+        library: ActionLibrary,
+        settings: LoopSettings,
+        devices: Sequence[tuple[DeviceSettings, Driver]],
+        *,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.hand = hand
+        self.library = library
+        self.settings = settings
+        self.controller = Controller(hand, settings)
+        self.clock_statistics: TickStatistics | None = None
+        self._now = now
+        self._observers = Observers(now)
+        self._pending: deque[Plan | Command] = deque()
+        self._devices = Devices(hand, devices, self._observers.event, now)
+        self.devices = self._devices.by_name
+        self._begun: list[tuple[Plan | CommandRecord, float]] = []
+        self._record: TickRecord | None = None
+        self._group: anyio.abc.TaskGroup | None = None
+        self._waiters: dict[str, tuple[anyio.Event, list[Result]]] = {}
+        self._status_at = -math.inf
+        self._busy_at = math.inf
+        self._ended = False
+
+    @property
+    def name(self) -> str:
+        """The hand's name."""
+        return self.hand.name
+
+    async def __aenter__(self) -> Self:
+        """Start the devices' tasks."""
+        self._group = anyio.create_task_group()
+        await self._group.__aenter__()
+        for device in self.devices.values():
+            self._group.start_soon(device.run, name=f"{self.name}/{device.name}")
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """End a running goal and close the devices."""
+        self.end()
+        group, self._group = self._group, None
+        if group is not None:
+            group.cancel_scope.cancel()
+            await group.__aexit__(None, None, None)
+
+    async def ready(self) -> None:
+        """Wait until every device has tried to connect once.
+
+        Raises:
+            UserError: if a device can't ever be connected by a mistake of the user.
+        """
+        try:
+            for device in self.devices.values():
+                await device.ready()
+        finally:
+            # A goal may come before the first tick would have noticed them.
+            self._devices.state.collect()
+            self._devices.follow(self._pending.append, self._on_lost)
+
+    def end(self) -> None:
+        """End all goals once there are no more ticks; the observers get their results."""
+        if not self._ended:
+            self._ended = True
+            while self._pending:  # no tick came for it
+                self._begin_now(self._pending.popleft())
+            self._begin_now(Freeze("the loop ended"))
+
+    # --- the cycle ---------------------------------------------------------------------------
+
+    def tick(self, tick: Tick) -> None:
+        """Do one tick; takes no time to speak of and never waits."""
+        self.cycle(tick)
+        self.notify_observers()
+
+    def cycle(self, tick: Tick) -> None:
+        """Do one tick up to the devices; `notify_observers` does the rest.
+
+        They are apart for hands on one clock: observers may wake threads, which then want the
+        interpreter, so the devices of all hands come before the observers of any.
+        """
+        stamp = tick.due_ns * 1e-9
+        devices, state, controller = self._devices, self._devices.state, self.controller
+        # Sense: what the devices measured in the exchanges of the last tick, or since.
+        state.collect()
+        devices.follow(self._pending.append, self._on_lost)
+        # Goals and commands, in their order.
+        while self._pending:
+            self._begin(self._pending.popleft(), tick.number, stamp)
+        # Executor, profile and limiter: from goal and state to the reference.
+        controller.step(stamp, state.measured)
+        if self.settings.safety.idle_disable is not None:
+            self._disable_when_idle(stamp, self.settings.safety.idle_disable)
+        record = self._record = TickRecord(
+            *measured_arrays(state.sample),
+            tick=tick.number,
+            stamp=stamp,
+            wall_ns=tick.wall_ns,
+            grasped=state.grasped,
+            fresh=state.fresh,
+            reference_position=np.array(controller.reference_position),
+            reference_velocity=np.array(controller.reference_velocity),
+            reference_effort=np.array(controller.reference_effort),
+            channels=state.channels,
+        )
+        # Move: send the reference; a device that answers at once is also sensed again here.
+        devices.move(record, controller.max_velocity)
+
+    def notify_observers(self) -> None:
+        """Report to the observers what the last `cycle` did."""
+        record = self._record
+        if self._begun:
+            self._report_begun()
+        if record is None:
+            return
+        self._observers.tick(record)
+        if self.controller.outbox:
+            self._deliver()
+        if record.stamp >= self._status_at:
+            window = self.settings.statistics_window
+            if self._status_at > 0.0:
+                self._status_at = record.stamp + window
+                self._observers.status(self.statuses(), self.statistics())
+            else:  # hands on one clock take turns
+                self._status_at = record.stamp + crc32(self.name.encode()) / 2**32 * window
+
+    def _begin(self, what: Plan | Command, tick: int, stamp: float) -> None:
+        if isinstance(what, Plan):
+            self._begun.append((what, stamp))
+            self.controller.accept(what, stamp)
+        else:
+            self._begun.append((CommandRecord(tick, stamp, what), stamp))
+            self.controller.apply(what, stamp)
+
+    def _begin_now(self, what: Plan | Command) -> None:
+        """Begin something without a tick."""
+        self._begin(what, 0 if self._record is None else self._record.tick + 1, self._now())
+        self._report_begun()
+        self._deliver()
+
+    def _report_begun(self) -> None:
+        begun, self._begun = self._begun, []
+        for what, stamp in begun:
+            if isinstance(what, Plan):
+                self._observers.goal(what, stamp)
+            else:
+                self._observers.command(what)
+
+    def _deliver(self) -> None:
+        """Hand on what the controller has to report, and disable what it found too hot."""
+        outbox = self.controller.outbox
+        items, outbox.items[:] = list(outbox.items), []
+        for item in items:
+            match item:
+                case Feedback():
+                    self._observers.feedback(item)
+                case Result():
+                    self._observers.result(item)
+                    waiting = self._waiters.pop(item.goal_id, None)
+                    if waiting is not None:
+                        waiting[1].append(item)
+                        waiting[0].set()
+                case Event():
+                    self._observers.event(item)
+        if outbox.disable:
+            hot, outbox.disable = outbox.disable, set()
+            for device in self.devices.values():
+                if hot.intersection(device.indices):
+                    self._start(device.disable, CONFIRM_WITHIN)
+
+    def _disable_when_idle(self, stamp: float, within: float) -> None:
+        """Disable the hand once it was idle for a time [s]."""
+        busy = not self._devices.any_active or not self.controller.idle
+        if busy or math.isinf(self._busy_at):
+            self._busy_at = stamp
+        elif stamp - self._busy_at >= within:
+            self._busy_at = math.inf
+            text = f"{self.name}: idle for {within:g} s, disabled; `rtee recover` wakes it"
+            self._observers.event(Event("idle", self.name, text, stamp))
+            self.behave(Behaviour.DISABLE, text)
 
     # --- goals -------------------------------------------------------------------------------
 
     def submit(self, goal: Goal, *, partly: bool = False) -> None:
-        """Take a goal; it begins at the next tick. Its result comes to the observers.
+        """Accept a goal; it begins at the next tick. Its result comes to the observers.
 
         Args:
             goal: The goal.
@@ -57,43 +281,16 @@ class HandLoop(HandTicks):
             self.hand,
             self.library,
             self.settings,
-            effort_refused=self._refuses_effort() if goal.effort else None,
+            effort_refused=self._devices.refuse_effort() if goal.effort else None,
         )
-        if not all(self._was_active.values()):
-            able = self._able()
-            if partly and able & plan.involved:
-                plan = plan.only(able)
-            self._check_able(plan.involved, able)
+        movable = self._devices.movable()
+        if partly and not plan.involved.isdisjoint(movable) and not plan.involved <= movable:
+            plan = plan.only(movable)
+        self._devices.check_movable(plan.involved, movable)
         self._pending.append(plan)
 
-    def _refuses_effort(self) -> dict[int, str]:
-        """Return the actuators whose device takes no effort limits, each with the reason."""
-        return {
-            index: device.driver.capabilities.refuses.get("max_effort", "")
-            for device in self.devices.values()
-            if "max_effort" not in device.driver.capabilities.accepts
-            for index in device.indices
-        }
-
-    def _able(self) -> set[int]:
-        """Return the actuators that may be moved."""
-        return {
-            index
-            for name, device in self.devices.items()
-            if self._was_active[name]
-            for index in device.indices
-        }
-
-    def _check_able(self, indices: Iterable[int], able: Collection[int]) -> None:
-        idle = [self.hand.actuators[i].name for i in sorted(indices) if i not in able]
-        if not idle:
-            return
-        doing = [f"; {n} is {d.driver.doing}" for n, d in self.devices.items() if d.driver.doing]
-        hint = "".join(doing) or "; see `rtee status`, then recover"
-        raise GoalRejected(f"the device of {', '.join(idle)} is not active{hint}")
-
     async def execute(self, goal: Goal, *, partly: bool = False) -> Result:
-        """Take a goal and wait for its result; being cancelled cancels the goal. See `submit`."""
+        """Submit a goal and wait for its result; being cancelled cancels the goal. See `submit`."""
         done, results = anyio.Event(), list[Result]()
         self._waiters[goal.goal_id] = (done, results)
         try:
@@ -132,7 +329,8 @@ class HandLoop(HandTicks):
                 raise GoalRejected(f"the position of '{name}' must be a number, not {value:g}")
         if max_velocity is not None and not (max_velocity > 0 and math.isfinite(max_velocity)):
             raise GoalRejected(f"the velocity must be above 0, not {max_velocity:g}")
-        self._check_able((self.hand.actuator_index(name) for name in positions), self._able())
+        indices = [self.hand.actuator_index(name) for name in positions]
+        self._devices.check_movable(indices, self._devices.movable())
         limit = math.inf if max_velocity is None else float(max_velocity)
         self._pending.append(Jog(dict(positions), limit))
 
@@ -142,20 +340,19 @@ class HandLoop(HandTicks):
         """Stop all devices now; a running goal is cancelled. Cannot raise.
 
         Returns:
-            Every device with whether it confirmed that it was told.
+            Every device with whether it confirmed that it stopped.
         """
-        confirmed = await self._all_devices(reason, Supervisor.stop)
+        confirmed = await self._freeze_while(reason, Supervisor.stop)
         missing = [name for name, done in confirmed if not done]
         text = f"{self.name}: {reason}"
         text += f"; not confirmed by {', '.join(missing)}" if missing else "; confirmed"
-        self._observers.event(
-            Event("stop", self.name, text, self._now(), "error" if missing else "info")
-        )
+        severity = "error" if missing else "info"
+        self._observers.event(Event("stop", self.name, text, self._now(), severity))
         return confirmed
 
     async def disable(self, reason: str = "disabled") -> list[tuple[str, bool]]:
         """Disable all devices; they are limp and inactive afterwards. Returns as `stop`."""
-        return await self._all_devices(reason, Supervisor.disable)
+        return await self._freeze_while(reason, Supervisor.disable)
 
     async def keep(self, reason: str = "") -> list[tuple[str, bool]]:
         """Send every device its last reference: where it is, or what it holds with.
@@ -167,45 +364,27 @@ class HandLoop(HandTicks):
         effort = self.controller.reference_effort
 
         async def keep(device: Supervisor, within: float) -> bool:
-            where = list(device.indices)
-            position = [posture[i] for i in where]
+            position = [posture[i] for i in device.indices]
             if not all(map(math.isfinite, position)):
                 return await device.stop(within)
-            last = Reference.at(position, max_effort=[effort[i] for i in where])
+            last = Reference.at(position, max_effort=[effort[i] for i in device.indices])
             return await device.hold(last, within)
 
-        return await self._all_devices(reason, keep, last=True)
+        self._devices.mute(True)
+        return await self._devices.confirm(reason, keep)
 
-    async def _all_devices(
-        self,
-        reason: str,
-        what: Callable[[Supervisor, float], Awaitable[bool]],
-        *,
-        last: bool = False,
+    async def _freeze_while(
+        self, reason: str, what: Callable[[Supervisor, float], Awaitable[bool]]
     ) -> list[tuple[str, bool]]:
-        confirmed: dict[str, bool] = dict.fromkeys(self.devices, False)
-
-        async def one(device: Supervisor) -> None:
-            try:
-                confirmed[device.name] = await what(device, CONFIRM_WITHIN)
-            except Exception:
-                log.exception("device '%s' could not be told: %s", device.name, reason)
-
-        for device in self.devices.values():
-            device.muted = True
-        if not last:
-            self._pending.append(Freeze(reason))
+        """Send no references while the devices do something; then begin where the hand is."""
+        self._devices.mute(True)
+        self._pending.append(Freeze(reason))
         try:
-            async with anyio.create_task_group() as group:
-                for device in self.devices.values():
-                    group.start_soon(one, device)
+            return await self._devices.confirm(reason, what)
         finally:
-            if not last:
-                # Whatever moved meanwhile: the reference begins again where the hand is now.
-                self._pending.append(Freeze(reason))
-                for device in self.devices.values():
-                    device.muted = False
-        return list(confirmed.items())
+            # Again, for whatever moved meanwhile.
+            self._pending.append(Freeze(reason))
+            self._devices.mute(False)
 
     async def recover(self, device: str | None = None) -> None:
         """Bring a device, or all, out of fault or inactivity; nothing moves by it.
@@ -214,22 +393,7 @@ class HandLoop(HandTicks):
             ConfigError: if there is no such device.
             RteeError: what the device says if it doesn't work; the others were recovered.
         """
-        if device is not None and device not in self.devices:
-            raise ConfigError(f"unknown device '{device}'; {suggestion(device, self.devices)}")
-        wanted = list(self.devices.values()) if device is None else [self.devices[device]]
-        errors: list[Exception] = []
-
-        async def one(supervisor: Supervisor) -> None:
-            try:
-                await supervisor.recover()
-            except RteeError as error:
-                errors.append(error)
-
-        async with anyio.create_task_group() as group:
-            for supervisor in wanted:
-                group.start_soon(one, supervisor)
-        if errors:
-            raise errors[0]
+        await self._devices.recover(device)
 
     async def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
         """Change gains of a device, or of every device that has them.
@@ -241,25 +405,13 @@ class HandLoop(HandTicks):
             ConfigError: if there is no such device, no device has such a gain, or a value is bad.
             RteeError: if a device doesn't take them.
         """
-        if device is not None and device not in self.devices:
-            raise ConfigError(f"unknown device '{device}'; {suggestion(device, self.devices)}")
-        chosen = [d for d in self.devices.values() if device in (None, d.name)]
         gains = dict(gains)
-        holding = gains.pop(GRIP_EFFORT, None) if device is None else None
-        if holding is not None and not 0.0 <= holding <= 1.0:
-            raise ConfigError(f"{GRIP_EFFORT} must be 0 to 1, not {holding:g}")
-        for name, value in gains.items():
-            known = {gain for d in chosen for gain in d.driver.capabilities.gains}
-            if name not in known:
-                raise ConfigError(f"unknown gain '{name}'; {suggestion(name, known)}")
-            if not math.isfinite(value):
-                raise ConfigError(f"the gain '{name}' must be a number, not {value:g}")
-        for supervisor in chosen:
-            own = {k: v for k, v in gains.items() if k in supervisor.driver.capabilities.gains}
-            if own:
-                await supervisor.set_gains(own)
-        if holding is not None:
-            self._pending.append(SetGripEffort(float(holding)))
+        grip = gains.pop(GRIP_EFFORT, None) if device is None else None
+        if grip is not None and not 0.0 <= grip <= 1.0:
+            raise ConfigError(f"{GRIP_EFFORT} must be 0 to 1, not {grip:g}")
+        await self._devices.set_gains(gains, device)
+        if grip is not None:
+            self._pending.append(SetGripEffort(float(grip)))
 
     # --- when nobody drives it ---------------------------------------------------------------
 
@@ -268,6 +420,9 @@ class HandLoop(HandTicks):
         text = f"the client '{client}' is lost"
         self._observers.event(Event("client_lost", client, text, self._now(), "warning"))
         self.behave(self.settings.safety.on_client_lost, text)
+
+    def _on_lost(self, reason: str) -> None:
+        self.behave(self.settings.safety.on_link_lost, reason)
 
     def behave(self, behaviour: Behaviour, reason: str) -> None:
         """Do what the settings say for when nobody drives the hand any more; returns at once."""
@@ -285,19 +440,28 @@ class HandLoop(HandTicks):
                 except RteeError as error:
                     log.warning("%s cannot open: %s", self.name, error)
 
+    def _start(self, work: Callable[..., Coroutine[Any, Any, object]], *arguments: object) -> None:
+        """Have something done in a task of its own."""
+        if self._group is not None:
+            self._group.start_soon(work, *arguments)
+
     # --- watching ----------------------------------------------------------------------------
 
     def add_observer(self, observer: LoopObserver) -> None:
-        """Have an observer told everything from now on."""
+        """Report everything to an observer from now on."""
         self._observers.add(observer)
 
     def remove_observer(self, observer: LoopObserver) -> None:
-        """Tell an observer no more."""
+        """Report nothing more to an observer."""
         self._observers.remove(observer)
 
     def announce(self, event: Event) -> None:
-        """Tell the observers an event from outside, such as a mark or a new action."""
+        """Report an event from outside, such as a mark or a new action, to the observers."""
         self._observers.event(event)
+
+    def now(self) -> float:
+        """Return the time of the loop's clock [s]."""
+        return self._now()
 
     def snapshot(self) -> TickRecord:
         """Return what was known at the last tick.
@@ -308,3 +472,20 @@ class HandLoop(HandTicks):
         if self._record is None:
             raise RteeError(f"{self.name}: the loop has not ticked yet")
         return self._record
+
+    def statuses(self) -> list[DeviceStatus]:
+        """Return how the devices are doing."""
+        found = []
+        for device in self.devices.values():
+            status, heat = device.status(), self.controller.heat(device.indices)
+            doubts = self.controller.doubts(device.indices)
+            said = "; ".join(text for text in (status.message, doubts, heat) if text)
+            found.append(replace(status, message=said) if heat or doubts else status)
+        return found
+
+    def statistics(self) -> LoopStatistics:
+        """Return how the clock is doing."""
+        clock = self.clock_statistics
+        if clock is None:
+            return LoopStatistics(rate=self.settings.rate)
+        return clock.summary(self._observers.dropped)

@@ -12,8 +12,8 @@ _SLACK = 1e-6
 class Limiter:
     """Bounds position, step, velocity and acceleration of what is sent; holds no ``NaN``, ever.
 
-    The profiles keep the same limits by themselves; this one trusts nobody. A set-point that
-    cannot be reached within a period is approached as fast as the limits allow.
+    The profiles keep the same limits by themselves; this one does not rely on them. A set-point
+    that cannot be reached within a period is approached as fast as the limits allow.
 
     Args:
         limits: Limits of the actuators.
@@ -32,13 +32,15 @@ class Limiter:
         step = float("inf") if max_step is None else max_step / period
         self._velocity = tuple(min(velocity, step) for velocity in limits.velocity)
         # Rounding must not make a set-point at the limit count as beyond it.
-        self._change = tuple(a * period * (1 + _SLACK) for a in limits.acceleration)
+        change = tuple(a * period * (1 + _SLACK) for a in limits.acceleration)
+        columns = (limits.lower, limits.upper, self._velocity, limits.acceleration, change)
+        self._bounds = tuple(zip(*columns, strict=True))
         self.position = [0.0] * len(limits.lower)
         self.velocity = [0.0] * len(limits.lower)
         self.limited = [False] * len(limits.lower)
 
     def seed(self, index: int, position: float) -> None:
-        """Start one actuator anew, standing at its measured position.
+        """Set one actuator to its measured position, at rest.
 
         Raises:
             ValueError: if the position is not finite.
@@ -50,7 +52,7 @@ class Limiter:
         self.limited[index] = False
 
     def apply(self, wanted: Sequence[float]) -> bool:
-        """Take the next set-points; `position` and `velocity` are what may be sent.
+        """Apply the next set-points; `position` and `velocity` are what may be sent.
 
         Args:
             wanted: Wanted positions [rad | m]; one that is not finite counts as "stop".
@@ -58,21 +60,20 @@ class Limiter:
         Returns:
             Whether anything was limited.
         """
-        limits, dt, any_limited = self._limits, self._period, False
+        dt, any_limited = self._period, False
         position, velocity, limited = self.position, self.velocity, self.limited
         for i, target in enumerate(wanted):
             here, speed = position[i], velocity[i]
             if target == here and speed == 0.0:
                 limited[i] = False
                 continue
-            lower, upper = limits.lower[i], limits.upper[i]
+            lower, upper, top, acceleration, change = self._bounds[i]
             # Nearly always a set-point is far from all limits; then this is all there is to do.
             if lower <= target <= upper and not limited[i]:
                 step = (target - here) / dt
                 size, room = (step, upper - target) if step > 0.0 else (-step, target - lower)
-                acceleration, change = limits.acceleration[i], self._change[i]
                 if (
-                    size <= self._velocity[i]
+                    size <= top
                     and -change <= step - speed <= change
                     and room > size * size / acceleration + size * dt
                 ):
@@ -83,7 +84,7 @@ class Limiter:
         return any_limited
 
     def _limit(self, i: int, target: float) -> bool:
-        """Take a set-point that may be beyond a limit; return whether it was."""
+        """Apply a set-point that may be beyond a limit; return whether it was."""
         here, dt, acceleration = self.position[i], self._period, self._limits.acceleration[i]
         if target - target != 0.0:  # NaN or infinite
             target = here

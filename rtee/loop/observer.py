@@ -2,67 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import logging
+import time
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rtee.commands import CommandRecord
+from rtee.loop.plan import Plan
+from rtee.sample import TickRecord
 from rtee.types import (
-    BoolArray,
     DeviceStatus,
     Event,
     Feedback,
-    FloatArray,
     Goal,
     LoopStatistics,
     Result,
 )
 
-
-@dataclass(slots=True)
-class TickRecord:
-    """What was known at one tick; made once and never changed afterwards.
-
-    All arrays have the hand's order of actuators, shape ``(n,)``; ``NaN`` means not measured.
-
-    Attributes:
-        tick: Number of the tick; a missed one leaves a gap.
-        stamp: When the tick was due, CLOCK_MONOTONIC [s].
-        wall_ns: Wall-clock time of the same moment [ns since 1970]; for log times only.
-        position: Measured position [rad | m].
-        velocity: Measured velocity [rad/s | m/s].
-        effort: Measured effort [N·m | N].
-        current: Measured motor current [A].
-        temperature: Measured temperature [°C].
-        fresh: Whether the measurement is newer than at the tick before, per actuator.
-        reference_position: Position handed to the devices, after the limiter [rad | m].
-        reference_velocity: Its velocity [rad/s | m/s].
-        reference_effort: Effort limit handed to the devices [N·m | N]; ``inf``: the device's own.
-        grasped: The devices' own word, ``int8``: 1 holding, 0 not, -1 none given.
-        extras: Further measured channels, ``device/channel`` to values.
-    """
-
-    tick: int
-    stamp: float
-    wall_ns: int
-    position: FloatArray
-    velocity: FloatArray
-    effort: FloatArray
-    current: FloatArray
-    temperature: FloatArray
-    fresh: BoolArray
-    reference_position: FloatArray
-    reference_velocity: FloatArray
-    reference_effort: FloatArray
-    grasped: NDArray[np.int8]
-    extras: Mapping[str, FloatArray]
+log = logging.getLogger(__name__)
 
 
 class LoopObserver(Protocol):
-    """Is told everything that happens in one hand's loop.
+    """Receives everything that happens in one hand's loop.
 
     An observer may also have ``on_plan(plan, stamp)``: it is called after `on_goal` with what the
     goal comes to, a `rtee.loop.plan.Plan`.
@@ -72,25 +33,25 @@ class LoopObserver(Protocol):
     """
 
     def on_tick(self, record: TickRecord) -> None:
-        """Take what was known at a tick; called at every tick."""
+        """Receive what was known at a tick; called at every tick."""
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
-        """Take a goal that was accepted, at the tick it takes effect, before its set-points."""
+        """Receive a goal that was accepted, at the tick it takes effect, before its set-points."""
 
     def on_command(self, record: CommandRecord) -> None:
-        """Take a call that steered the controller; goals and commands come in their order."""
+        """Receive a call that steered the controller; goals and commands come in their order."""
 
     def on_feedback(self, feedback: Feedback) -> None:
-        """Take a goal's progress."""
+        """Receive a goal's progress."""
 
     def on_result(self, result: Result) -> None:
-        """Take how a goal ended; follows every accepted goal exactly once."""
+        """Receive how a goal ended; follows every accepted goal exactly once."""
 
     def on_event(self, event: Event) -> None:
-        """Take an event."""
+        """Receive an event."""
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Take how devices and clock are doing; called about once a second."""
+        """Receive how devices and clock are doing; called about once a second."""
 
 
 class Observer:
@@ -116,3 +77,76 @@ class Observer:
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
         """Ignore it."""
+
+
+class Observers:
+    """The observers of one hand. One that fails is dropped with an event; the hand goes on."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._all: tuple[LoopObserver, ...] = ()
+
+    def add(self, observer: LoopObserver) -> None:
+        """Add one, unless it is there."""
+        if observer not in self._all:
+            self._all = (*self._all, observer)
+
+    def remove(self, observer: LoopObserver) -> None:
+        """Remove one, if it is there."""
+        self._all = tuple(other for other in self._all if other is not observer)
+
+    @property
+    def dropped(self) -> int:
+        """Records that observers had to drop."""
+        return sum(int(getattr(observer, "dropped", 0)) for observer in self._all)
+
+    def _each(self, call: Callable[[LoopObserver], None]) -> None:
+        for observer in self._all:
+            try:
+                call(observer)
+            except Exception as error:
+                self._failed(observer, error)
+
+    def _failed(self, observer: LoopObserver, error: Exception) -> None:
+        self.remove(observer)
+        name = type(observer).__name__
+        log.error("the observer %s failed and is dropped", name, exc_info=error)
+        text = f"the observer {name} failed and is dropped: {error}"
+        self.event(Event("observer_failed", name, text, self._now(), "error"))
+
+    def tick(self, record: TickRecord) -> None:
+        """Report what was known at a tick."""
+        for observer in self._all:
+            try:
+                observer.on_tick(record)
+            except Exception as error:
+                self._failed(observer, error)
+
+    def goal(self, plan: Plan, stamp: float) -> None:
+        """Report a goal that begins, and to those with ``on_plan`` what it comes to."""
+        self._each(lambda observer: observer.on_goal(plan.goal, stamp))
+        self._each(lambda observer: getattr(observer, "on_plan", _ignore)(plan, stamp))
+
+    def command(self, record: CommandRecord) -> None:
+        """Report a command."""
+        self._each(lambda observer: observer.on_command(record))
+
+    def feedback(self, feedback: Feedback) -> None:
+        """Report feedback."""
+        self._each(lambda observer: observer.on_feedback(feedback))
+
+    def result(self, result: Result) -> None:
+        """Report a result."""
+        self._each(lambda observer: observer.on_result(result))
+
+    def event(self, event: Event) -> None:
+        """Report an event."""
+        self._each(lambda observer: observer.on_event(event))
+
+    def status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
+        """Report how devices and clock are doing."""
+        self._each(lambda observer: observer.on_status(statuses, statistics))
+
+
+def _ignore(plan: Plan, stamp: float) -> None:
+    """Stand in for the ``on_plan`` of an observer that has none."""

@@ -71,7 +71,7 @@ class Plausibility:
         self._doubted: dict[int, _Doubt] = {}
 
     def forget(self, indices: Iterable[int]) -> None:
-        """Begin anew with some actuators: they may have been moved by anything meanwhile."""
+        """Forget what is known of some actuators, which may have been moved by hand meanwhile."""
         for i in indices:
             self._last[i] = math.nan
             self._doubted.pop(i, None)
@@ -119,19 +119,24 @@ class Plausibility:
             self._believe(stamp, active)
 
     def _moved(self, i: int, here: float, stamp: float, active: bool) -> None:
+        # Called for each actuator at each tick of a motion, so min() and max() are written out.
         way, most = abs(here - self._last[i]), self._most[i]
         if way != way or not active:  # the first one, or nobody drives it
             self._left[i] = most
         else:
-            before = max(self._all_seen, self._seen[i])
-            rate = self._rate[i]
-            left = min(self._left[i] + rate * max(before - self._changed[i], 0.0), most)
+            before, rate, left = self._seen[i], self._rate[i], self._left[i]
+            if self._all_seen > before:
+                before = self._all_seen
+            if before > self._changed[i]:
+                left += rate * (before - self._changed[i])
+            if left > most:
+                left = most
             rest = left + rate * (stamp - before) - way
-            self._left[i] = min(max(rest, 0.0), most)
+            self._left[i] = most if rest > most else rest if rest > 0.0 else 0.0
             if rest < 0.0:
                 late = f"within {(stamp - before) * 1e3:.3g} ms"
                 self._doubt(i, stamp, f"moved {way:.3g}", late, step=True)
-            elif self._outside(i, here):
+            elif not self._lowest[i] <= here <= self._highest[i]:
                 self._doubt(i, stamp, f"is at {here:.3g}", "far outside of its limits", step=False)
         self._changed[i] = stamp
 

@@ -1,4 +1,4 @@
-"""What a run tells people: one line per hand at the start, the loop's statistics at the end."""
+"""What a run prints: one line per hand at the start, the loop's statistics at the end."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class Tally(Observer):
 def device_words(status: DeviceStatus) -> str:
     """Return how a device is, in a few words."""
     known = status.identity
-    told = [known.get("model") or status.driver]
-    told += [f"{name} {known[name]}" for name in ("firmware", "serial") if known.get(name)]
-    who = f"{status.name}: {', '.join(told)}"
+    parts = [known.get("model") or status.driver]
+    parts += [f"{name} {known[name]}" for name in ("firmware", "serial") if known.get(name)]
+    who = f"{status.name}: {', '.join(parts)}"
     if status.lifecycle is Lifecycle.ACTIVE:
         return f"{who}, active"
     return f"{who}, {status.lifecycle}" + (f" ({status.message})" if status.message else "")

@@ -33,7 +33,7 @@ async def bring_to_rest(
         ticking: Whether the hand still gets its ticks; else it can't open, and is stopped.
 
     Returns:
-        Every device with whether it confirmed that it was told.
+        Every device with whether it confirmed.
     """
     confirmed = dict.fromkeys(loop.devices, False)
     with anyio.CancelScope(shield=True):
@@ -49,8 +49,8 @@ async def bring_to_rest(
                         confirmed |= dict(await loop.stop(reason))
                     case _:
                         confirmed |= dict(await loop.keep(reason))
-            if behaviour is not Behaviour.STOP:  # which tells it by itself
-                _tell(loop, behaviour, reason, confirmed)
+            if behaviour is not Behaviour.STOP:  # which reports it by itself
+                _report(loop, behaviour, reason, confirmed)
         except Exception:
             log.exception("%s could not be brought to rest (%s)", loop.name, behaviour)
     return list(confirmed.items())
@@ -66,7 +66,7 @@ async def _open(loop: HandLoop) -> bool:
     return True
 
 
-def _tell(loop: HandLoop, behaviour: Behaviour, reason: str, confirmed: dict[str, bool]) -> None:
+def _report(loop: HandLoop, behaviour: Behaviour, reason: str, confirmed: dict[str, bool]) -> None:
     missing = [name for name, done in confirmed.items() if not done]
     text = f"{loop.name}: {reason}, {behaviour}"
     text += f"; not confirmed by {', '.join(missing)}" if missing else "; confirmed"

@@ -1,4 +1,4 @@
-"""What ends a run, and programs that run beside it as long."""
+"""What ends a run, and the programs that run beside it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ async def wait_for_end(duration: float | None, until: anyio.Event, signals: Sign
 
 
 async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
-    """Run a program beside, until it ends or this is cancelled; then it is told to end.
+    """Run a program beside, until it ends or this is cancelled; then it is terminated.
 
     Args:
         command: The program and its arguments.

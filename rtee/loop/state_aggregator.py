@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.supervisor import Supervisor
-from rtee.types import BoolArray, FloatArray, readonly
+from rtee.sample import (
+    MEASURED,
+    ActuatorState,
+    BoolArray,
+    FloatArray,
+    Measurements,
+    measured_arrays,
+)
+from rtee.types import readonly
 
 _WORDS = {None: -1, False: 0, True: 1}
 
 
-class Gather:
+class StateAggregator:
     """Merges what the devices measured; arrays it gives out are never changed afterwards.
 
     A position that is not measured any more keeps its last value; before the first measurement it
@@ -25,14 +34,10 @@ class Gather:
         devices: The devices, which together have every actuator once.
 
     Attributes:
-        position: Positions ``(n,)`` [rad | m].
-        velocity: Velocities ``(n,)`` [rad/s | m/s].
-        effort: Efforts ``(n,)`` [N·m | N].
-        current: Currents ``(n,)`` [A].
-        temperature: Temperatures ``(n,)`` [°C].
+        sample: What is measured of all actuators.
         grasped: The devices' own word ``(n,)``.
         fresh: Whether measured since the call before ``(n,)``.
-        extras: Further channels, ``device/channel``.
+        channels: Further channels, ``device/channel``.
         measured: The same as lists, for the controller.
     """
 
@@ -46,27 +51,27 @@ class Gather:
         self._seen = [0] * len(devices)
         self._fresh: dict[int, tuple[BoolArray, list[bool]]] = {}
         self._extras: dict[str, Mapping[str, FloatArray]] = {}
-        self.position: FloatArray = unmeasured
-        self.velocity: FloatArray = unmeasured
-        self.effort: FloatArray = unmeasured
-        self.current: FloatArray = unmeasured
-        self.temperature: FloatArray = unmeasured
+        self.sample = Measurements(*(unmeasured,) * len(MEASURED))
         self.grasped: NDArray[np.int8] = np.full(n, -1, dtype=np.int8)
-        self.extras: Mapping[str, FloatArray] = {}
+        self.channels: Mapping[str, FloatArray] = {}
+        self._new = 0
         self.fresh, listed = self._flags(0)
         nothing = [math.nan] * n
         self.measured = Measured(nothing, nothing, nothing, listed, [-1] * n)
 
     def collect(self) -> None:
-        """Take the states that came since the last call."""
+        """Merge the states that came since the last call."""
         new = 0
         for k, device in enumerate(self._devices):
-            if device.states == self._seen[k] or device.state is None:
-                continue
-            self._seen[k] = device.states
-            new |= device.state.fresh << k
-            self._merge(k, device)
-        self.fresh, self.measured.fresh = self._flags(new)
+            link = device.connection
+            state = link.state
+            if state is not None and link.states != self._seen[k]:
+                self._seen[k] = link.states
+                new |= state.fresh << k
+                self._merge(k, state)
+        if new != self._new:
+            self._new = new
+            self.fresh, self.measured.fresh = self._flags(new)
 
     def known(self, device: Supervisor) -> bool:
         """Return whether every position of a device has been measured."""
@@ -86,46 +91,31 @@ class Gather:
             found = self._fresh[devices] = (flags, flags.tolist())
         return found
 
-    def _merge(self, k: int, device: Supervisor) -> None:
-        state = device.state
-        if state is None:
-            return
-        positions = state.position.tolist()
-        total = sum(positions)
+    def _merge(self, k: int, state: ActuatorState) -> None:
+        measured, sample = self.measured, Measurements(*measured_arrays(state))
+        total = sum(state.position.tolist())
         if total - total != 0.0:  # something in it is not finite
-            known = self.position[self._indices[k]]
+            known = self.sample.position[self._indices[k]]
             position = np.where(np.isfinite(state.position), state.position, known)
-        else:
-            position = state.position
-        measured = self.measured
-        if self._whole:
-            self.position = position
-            self.velocity = state.velocity
-            self.effort = state.effort
-            self.current = state.current
-            self.temperature = state.temperature
-        else:
+            sample = replace(sample, position=position)
+        if not self._whole:
             where = self._indices[k]
-            self.position = _put(self.position, where, position)
-            self.velocity = _put(self.velocity, where, state.velocity)
-            self.effort = _put(self.effort, where, state.effort)
-            self.current = _put(self.current, where, state.current)
-            self.temperature = _put(self.temperature, where, state.temperature)
-        measured.position = self.position.tolist()
-        measured.effort = self.effort.tolist()
-        measured.temperature = self.temperature.tolist()
-        measured.current = self.current.tolist()
+            pairs = zip(measured_arrays(self.sample), measured_arrays(sample), strict=True)
+            sample = Measurements(*(_put(old, where, new) for old, new in pairs))
+        measured.update(sample, self.sample)
+        self.sample = sample
         if state.grasped is not None:
             grasped = self.grasped.copy()
             grasped[self._indices[k]] = [_WORDS[word] for word in state.grasped]
             self.grasped = grasped
             measured.grasped = grasped.tolist()
-        if state.extras or self._extras.get(device.name):
-            measured.touch = self._touch(device.name, state.extras)
-            self._extras[device.name] = state.extras
-            self.extras = {
-                f"{name}/{channel}": values
-                for name, channels in self._extras.items()
+        name = self._devices[k].name
+        if state.extras or self._extras.get(name):
+            measured.touch = self._touch(name, state.extras)
+            self._extras[name] = state.extras
+            self.channels = {
+                f"{device}/{channel}": values
+                for device, channels in self._extras.items()
                 for channel, values in channels.items()
             }
 

@@ -1,47 +1,201 @@
-"""What others may ask of a device's task: stop, hold, disable, recover, how it is doing."""
+"""The task that looks after one device: exchanges with it and does what others ask of it."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import math
+import time
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import anyio
 
 from rtee.buses.retry import patiently
-from rtee.errors import DriverError
-from rtee.loop.connection import BACKOFF
-from rtee.loop.exchange import Exchange
-from rtee.types import DeviceStatus, Lifecycle, Reference
+from rtee.drivers.base import Driver
+from rtee.errors import BusTimeout, DriverError, NotConnected, RteeError
+from rtee.loop.connection import ACTIVATE_WITHIN, Connection
+from rtee.loop.runner import Runner
+from rtee.loop.settings import DeviceSettings
+from rtee.types import DeviceStatus, Event, Lifecycle, Reference
 
 log = logging.getLogger(__name__)
 
 
-class Supervisor(Exchange):
-    """Looks after one device and answers for it; see `Exchange` for the task itself."""
+@dataclass(slots=True)
+class _Request:
+    name: str
+    action: Callable[[], Awaitable[Any]]
+    answer: asyncio.Future[Any]
+
+
+class Supervisor:
+    """Looks after one device: a long-lived task that alone calls the device's driver.
+
+    At a tick the loop reads the connection's state and calls `exchange`; neither waits. A driver
+    that answers at once has done so when `exchange` returns; for any other the task waits. While an
+    exchange is under way, further ones are counted as overruns. All time comes from the ticks.
+
+    Args:
+        settings: The device.
+        driver: Its driver.
+        indices: The hand's indices of its actuators.
+        on_event: Called with events.
+        now: The clock [s].
+
+    Attributes:
+        spec: The device as configured.
+        driver: Its driver.
+        name: Its name.
+        actuators: Names of its actuators.
+        indices: The hand's indices of its actuators.
+        connection: The link to it, with its state.
+        muted: No references are sent, only the state is read.
+    """
+
+    def __init__(
+        self,
+        settings: DeviceSettings,
+        driver: Driver,
+        indices: tuple[int, ...],
+        on_event: Callable[[Event], None],
+        *,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.spec = settings.spec
+        self.driver = driver
+        self.name = settings.spec.name
+        self.actuators = tuple(actuator.name for actuator in settings.spec.actuators)
+        self.indices = indices
+        self.muted = False
+        self._on_event = on_event
+        self._now = now
+        self._runner = Runner(now)
+        self.connection = Connection(settings, driver, self._runner, self._report, now)
+        self._requests: deque[_Request] = deque()
+        self._closed: Exception | None = None
+        self._next_due = 0
+        self._exchanging = False
+        self._doing = ""
+
+    @property
+    def lifecycle(self) -> Lifecycle:
+        """Its state."""
+        return self.connection.lifecycle
+
+    @property
+    def active(self) -> bool:
+        """Whether it may be moved."""
+        return self.connection.lifecycle is Lifecycle.ACTIVE
+
+    async def ready(self) -> None:
+        """Wait until it has tried to connect once.
+
+        Raises:
+            UserError: if it can't ever be connected by a mistake of the user.
+        """
+        await self.connection.tried.wait()
+        if self.connection.mistake is not None:
+            raise self.connection.mistake
 
     def status(self) -> DeviceStatus:
         """Return how it is doing."""
-        now, accounts, fault = self._now(), self._accounts, self._fault
+        now, link = self._now(), self.connection
+        counters, fault = link.counters, link.fault
         return DeviceStatus(
             name=self.name,
             driver=self.spec.driver,
-            lifecycle=self.lifecycle,
+            lifecycle=link.lifecycle,
             identity=self.driver.capabilities.identity,
-            rate=accounts.rate(now),
-            every=self.every,
-            age=math.inf if self.state is None else max(0.0, now - self.state.stamp),
-            exchanges=accounts.exchanges,
-            overruns=accounts.overruns,
-            errors=accounts.errors,
-            reconnects=accounts.reconnects,
+            rate=counters.rate(now),
+            every=link.every,
+            age=math.inf if link.state is None else max(0.0, now - link.state.stamp),
+            exchanges=counters.exchanges,
+            overruns=counters.overruns,
+            errors=counters.errors,
+            reconnects=counters.reconnects,
             counters=self.driver.counters(),
             fault_code=0 if fault is None else fault.code,
             fault_name="" if fault is None else fault.name,
             recoverable=fault is not None and fault.recoverable,
             hint="" if fault is None else fault.hint,
-            message=self.driver.doing or self._message,
+            message=self.driver.doing or link.message,
             gains=self.driver.capabilities.gains,
         )
+
+    def _report(self, kind: str, text: str, severity: str) -> None:
+        text = f"device '{self.name}' {text}"
+        self._on_event(Event(kind, self.name, text, self._now(), severity))
+
+    # --- at a tick ---------------------------------------------------------------------------
+
+    def due(self, tick: int) -> bool:
+        """Return whether it is this device's turn; called once per tick."""
+        if tick < self._next_due:
+            return False
+        every = self.connection.every
+        self._next_due = tick - tick % every + every
+        return True
+
+    def exchange(self, reference: Reference | None) -> None:
+        """Have one exchange done: read the state, then send the reference if there is one."""
+        link, runner = self.connection, self._runner
+        if self.driver.doing != self._doing:
+            self._report_doing()
+        if not runner.idle:
+            link.counters.overruns += self._exchanging
+            runner.check()
+        elif link.lifecycle is Lifecycle.UNCONFIGURED:
+            self._exchanging = False
+            if link.due():
+                runner.start(link.connect())
+        elif link.lifecycle is Lifecycle.ACTIVE or link.due():
+            self._exchanging = True
+            if not runner.start(link.exchange(None if self.muted else reference)):
+                runner.begin(link.deadline)
+
+    def _report_doing(self) -> None:
+        """Report what the driver has begun to do; of several steps, the first as a warning."""
+        before, self._doing = self._doing, self.driver.doing
+        if self._doing:
+            self._report("device_busy", f"is {self._doing}", "info" if before else "warning")
+
+    # --- the task ----------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Look after the device until cancelled, then close it."""
+        link, runner = self.connection, self._runner
+        try:
+            while True:
+                try:
+                    async with runner.guard():
+                        if not link.tried.is_set():
+                            await link.connect()
+                        while True:
+                            await self._serve_requests()
+                            await runner.carry_on()
+                except TimeoutError:
+                    await self._overdue()
+        finally:
+            link.lifecycle = Lifecycle.CLOSED
+            link.trouble = "it is closed"
+            self._refuse_requests(NotConnected(self.name, "is closed"))
+            with anyio.CancelScope(shield=True):
+                await link.close()
+
+    async def _overdue(self) -> None:
+        """Deal with work that took longer than its deadline and was given up."""
+        self._exchanging = False
+        self._runner.end()
+        self.connection.tried.set()
+        if self.lifecycle is Lifecycle.UNCONFIGURED:
+            await self.connection.failed(NotConnected(self.name, "does not answer"))
+        else:
+            await self.connection.failed(BusTimeout(self.name, "no answer within the deadline"))
+
+    # --- requests, done between two exchanges ------------------------------------------------
 
     async def stop(self, within: float) -> bool:
         """Stop the device now, again where an answer was not heard; cannot raise.
@@ -50,7 +204,7 @@ class Supervisor(Exchange):
             within: Time it may take [s].
 
         Returns:
-            Whether the device still answered after it was told.
+            Whether the device still answered afterwards.
         """
         return await self._confirmed("stop", self._stop, within)
 
@@ -62,70 +216,13 @@ class Supervisor(Exchange):
         """Send one last reference: the given one, else where it is. Returns as `stop`."""
         return await self._confirmed("hold", lambda: self._send_last(reference), within)
 
-    async def _confirmed(
-        self, name: str, action: Callable[[], Awaitable[bool]], within: float
-    ) -> bool:
-        if self.lifecycle in (Lifecycle.UNCONFIGURED, Lifecycle.CLOSED):
-            return False
-        self._interrupt(within / 3)
-        try:
-            async with asyncio.timeout(within):
-                return bool(await self._requests.ask(name, action, first=True))
-        except Exception as error:
-            self._interrupt(0.0)
-            log.warning("device '%s' did not confirm '%s': %r", self.name, name, error)
-            return False
-
-    async def _stop(self) -> bool:
-        self._reference = None
-        await patiently(self.driver.stop)
-        self._take(await patiently(self.driver.sense))
-        return True
-
-    async def _disable(self) -> bool:
-        self._reference = None
-        await patiently(self.driver.disable)
-        await patiently(self.driver.deactivate)
-        self.lifecycle = Lifecycle.INACTIVE
-        self.trouble = "it was disabled"
-        self._activate_on_connect = False
-        self._take(await patiently(self.driver.sense))
-        return True
-
-    async def _send_last(self, reference: Reference | None) -> bool:
-        self._reference = None
-        state = await patiently(self.driver.sense)
-        self._take(state)
-        if self.lifecycle is not Lifecycle.ACTIVE:
-            return False
-        last = Reference.at(state.position) if reference is None else reference
-        await patiently(lambda: self.driver.move(last))
-        return True
-
     async def recover(self) -> None:
         """Bring it out of a fault, or connect and activate it; it starts where it is measured.
 
         Raises:
             RteeError: if it does not work, or was interrupted by a stop.
         """
-        self._backoff = BACKOFF[0]
-        await self._requests.ask("recover", self._recover)
-
-    async def _recover(self) -> None:
-        if self.lifecycle is Lifecycle.ACTIVE:
-            return
-        try:
-            if self.lifecycle is Lifecycle.UNCONFIGURED:
-                await self._configure()
-            if self.lifecycle is Lifecycle.FAULT:
-                await self.driver.recover()
-                self._fault = None
-                self.lifecycle = Lifecycle.INACTIVE
-            await self._activate()
-        except Exception as error:
-            await self._sort(error)
-            raise
-        self._event("recovered", "is active again")
+        await self._ask("recover", self.connection.recover)
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Change gains of the device.
@@ -137,9 +234,91 @@ class Supervisor(Exchange):
         known = self.driver.capabilities.gains
         for name in gains:
             if name not in known:
-                raise DriverError(
-                    self.name,
-                    f"has no gain '{name}'",
-                    hint=f"it has: {', '.join(known) or 'none'}",
-                )
-        await self._requests.ask("set gains", lambda: self.driver.set_gains(gains))
+                hint = f"it has: {', '.join(known) or 'none'}"
+                raise DriverError(self.name, f"has no gain '{name}'", hint=hint)
+        await self._ask("set gains", lambda: self.driver.set_gains(gains))
+
+    async def _stop(self) -> None:
+        await patiently(self.driver.stop)
+        self.connection.accept(await patiently(self.driver.sense))
+
+    async def _disable(self) -> None:
+        await patiently(self.driver.disable)
+        await patiently(self.driver.deactivate)
+        self.connection.deactivated("it was disabled")
+        self.connection.accept(await patiently(self.driver.sense))
+
+    async def _send_last(self, reference: Reference | None) -> bool:
+        state = await patiently(self.driver.sense)
+        self.connection.accept(state)
+        if not self.active:
+            return False
+        last = Reference.at(state.position) if reference is None else reference
+        await patiently(lambda: self.driver.move(last))
+        return True
+
+    async def _confirmed(
+        self, name: str, action: Callable[[], Awaitable[bool | None]], within: float
+    ) -> bool:
+        """Have something done before all else; return whether it was done in time."""
+        if self.lifecycle in (Lifecycle.UNCONFIGURED, Lifecycle.CLOSED):
+            return False
+        self._runner.interrupt(within / 3)
+        try:
+            async with asyncio.timeout(within):
+                return await self._ask(name, action, first=True) is not False
+        except Exception as error:
+            self._runner.interrupt()
+            log.warning("device '%s' did not confirm '%s': %r", self.name, name, error)
+            return False
+
+    async def _ask(
+        self, name: str, action: Callable[[], Awaitable[Any]], *, first: bool = False
+    ) -> Any:
+        """Have the device's task do something; return or raise what it does.
+
+        Args:
+            name: What it is, for messages.
+            action: What to do.
+            first: Do it before what is waiting already.
+        """
+        if self._closed is not None:
+            raise self._closed
+        request = _Request(name, action, asyncio.get_running_loop().create_future())
+        if first:
+            self._requests.appendleft(request)
+        else:
+            self._requests.append(request)
+        if self._runner.idle:
+            self._runner.start(self._serve_requests())
+        return await request.answer
+
+    async def _serve_requests(self) -> None:
+        """Do what is waiting; an action's exception goes to who asked."""
+        while self._requests:
+            request = self._requests.popleft()
+            answer = request.answer
+            if answer.cancelled():
+                continue
+            self._exchanging = False
+            self._runner.begin(ACTIVATE_WITHIN)
+            try:
+                result = await request.action()
+            except asyncio.CancelledError:
+                if not answer.done():
+                    answer.set_exception(RteeError(f"'{request.name}' was interrupted"))
+                raise
+            except Exception as error:
+                if not answer.done():
+                    answer.set_exception(error)
+            else:
+                if not answer.done():
+                    answer.set_result(result)
+
+    def _refuse_requests(self, error: Exception) -> None:
+        """Answer everything that waits or will ever be asked with an error."""
+        self._closed = error
+        while self._requests:
+            request = self._requests.popleft()
+            if not request.answer.done():
+                request.answer.set_exception(error)

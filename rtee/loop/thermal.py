@@ -11,7 +11,7 @@ from rtee.loop.settings import ThermalSettings
 from rtee.types import Event
 
 PLAUSIBLE = (-40.0, 150.0)
-"""A temperature outside of this is no temperature [°C]."""
+"""Range of real temperatures [°C]; anything else comes from a broken sensor."""
 
 _CONFIRM = 0.5
 """A level must last this long before it counts [s]."""
@@ -72,7 +72,7 @@ class ThermalChange:
     temperature: float
 
     def event(self, name: str, stamp: float, *, estimated: bool = False) -> Event:
-        """Return the event that tells of it.
+        """Return the event that reports it.
 
         Args:
             name: The actuator's name.

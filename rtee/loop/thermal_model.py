@@ -1,4 +1,4 @@
-"""How warm motors are that tell only their current: first-order heating by I², pure."""
+"""Temperature of motors that measure only their current: first-order heating by I², pure."""
 
 from __future__ import annotations
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import Callable, Sequence
 
 from rtee.loop.clock import AnyClock, Tick
-from rtee.loop.hand_ticks import HandTicks
+from rtee.loop.handloop import HandLoop
 from rtee.loop.histogram import TickStatistics
 
 
 async def drive(
-    loops: Sequence[HandTicks], clock: AnyClock, idle: Callable[[int], None] | None = None
+    loops: Sequence[HandLoop], clock: AnyClock, idle: Callable[[int], None] | None = None
 ) -> None:
     """Tick some hands until cancelled or the clock ends.
 
@@ -29,21 +28,6 @@ async def drive(
     for loop in loops:
         loop.clock_statistics = statistics
     used = time.thread_time_ns()
-    untold: list[Tick] = []
-    failures: list[Exception] = []
-    soon = asyncio.get_running_loop().call_soon
-
-    def notify_observers() -> None:
-        if not untold:
-            return
-        tick = untold.pop()
-        try:
-            for loop in loops:
-                loop.notify_observers()
-        except Exception as error:
-            failures.append(error)
-        if idle is not None:
-            idle(tick.due_ns + period_ns)
 
     def at_tick(tick: Tick) -> None:
         nonlocal used
@@ -51,16 +35,11 @@ async def drive(
         if statistics.started:
             statistics.add(tick.woken_ns, tick.lateness_ns, used - before, tick.missed)
         statistics.started = True
-        if failures:
-            raise failures.pop()
         for loop in loops:
-            loop.move_on(tick)
-        untold.append(tick)
-        soon(notify_observers)  # after the devices' tasks, which `move_on` has woken
+            loop.cycle(tick)
+        for loop in loops:
+            loop.notify_observers()
+        if idle is not None:
+            idle(tick.due_ns + period_ns)
 
-    try:
-        await clock.drive(at_tick)
-    finally:
-        notify_observers()
-    if failures:
-        raise failures.pop()
+    await clock.drive(at_tick)

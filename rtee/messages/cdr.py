@@ -93,8 +93,11 @@ class Writer:
 
     def array(self, kind: str, values: Sequence[Any] | NDArray[Any]) -> None:
         """Append a sequence of numbers or truth values."""
-        if isinstance(values, list) and not values:
-            self.length(0)
+        if isinstance(values, (list, tuple)):  # for few numbers, faster than an array of them
+            self.length(len(values))
+            if values:
+                self.align(SCALARS[kind].size)
+                self._buffer += struct.pack(f"<{len(values)}{SCALARS[kind].format[1:]}", *values)
             return
         array = np.ascontiguousarray(values, dtype=DTYPES[kind])
         self.length(array.size)
@@ -209,6 +212,16 @@ class Reader:
             return np.frombuffer(self._data, np.uint8, count, start).astype(bool)
         array: NDArray[Any] = np.frombuffer(self._data, dtype, count, start).copy()
         return array
+
+    def numbers(self, kind: str) -> list[Any]:
+        """Return a sequence of numbers or truth values as a list."""
+        packer = SCALARS[kind]
+        count = self.length(packer.size)
+        if not count:
+            return []
+        self.align(packer.size)
+        start = self._take(count * packer.size)
+        return list(struct.unpack_from(f"<{count}{packer.format[1:]}", self._data, start))
 
     def finish(self) -> None:
         """Check that nothing but padding is left."""

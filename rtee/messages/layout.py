@@ -1,83 +1,120 @@
 """Messages whose layout never changes between two ticks: packed once, then only filled in.
 
-The names of joints and the lengths of arrays are constant while a hand runs, so every field stands
-at the same offset in every message: writing one is putting the changing pieces between the constant
-ones, and reading many of them is one view of all at once.
+The names of joints and the lengths of arrays are constant while a hand runs, so every field is at
+the same offset in every message: writing one is joining the changing pieces and the constant ones
+between them, and reading many of them is one view of all at once.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from rtee.messages.cdr import HEADER, SCALARS, Reader
-from rtee.messages.schema import Field, MessageType, message_type
+from rtee.messages.cdr import SCALARS, Reader
+from rtee.messages.codec import header
+from rtee.messages.schema import MessageType, message_type
 from rtee.types import FloatArray
 
 _SECOND = 1_000_000_000
+"""Nanoseconds in a second."""
+
 _STAMP = struct.Struct("<iI")
-_STAMP_OFFSET = len(HEADER)
+STAMP = "header.stamp"
+"""The time in a message's header; see `Template`."""
 
 JOINT_STATE = message_type("sensor_msgs/msg/JointState")
-ACTUATOR_STATE = message_type("rtee_msgs/msg/ActuatorState")
+JOINT_ARRAYS = ("position", "velocity", "effort")
+_NUMBERS = 7
+"""Numbers of a transform: a position and a quaternion."""
+
+TF_MESSAGE = message_type("tf2_msgs/msg/TFMessage")
 
 
-def _numeric(field: Field) -> bool:
-    return not field.nested and field.kind != "string"
+def places(kind: MessageType, data: bytes) -> dict[str, slice]:
+    """Return where the numbers of a message are, by field; strings are left out.
 
-
-def offsets(kind: MessageType, data: bytes) -> dict[str, tuple[int, int]]:
-    """Return where the numbers of a message stand: field to offset [bytes] and count.
-
-    Scalars count 1. Strings and nested messages are left out: their bytes are constant.
+    The fields of nested messages follow those that hold them after a dot, in a sequence after an
+    index: ``header.stamp.sec``, ``transforms.0.transform.translation.x``.
 
     Raises:
         MessageError: if the bytes are no such message.
     """
-    found: dict[str, tuple[int, int]] = {}
+    found: dict[str, slice] = {}
     reader = Reader(data)
-    for field in kind.fields:
-        if not _numeric(field):
-            MessageType(kind.name, "", (field,)).read(reader)
-            continue
-        size = SCALARS[field.kind].size
-        if field.sequence:
-            count = reader.array(field.kind).size
-        else:
-            reader.scalar(field.kind)
-            count = 1
-        found[field.name] = (len(data) - reader.remaining - count * size, count)
+
+    def find(kind: MessageType, prefix: str) -> None:
+        for field in kind.fields:
+            path = prefix + field.name
+            if field.inner is not None and field.sequence:
+                for index in range(reader.length(1)):
+                    find(field.inner, f"{path}.{index}.")
+            elif field.inner is not None:
+                find(field.inner, f"{path}.")
+            elif field.kind == "string":
+                _ = reader.strings() if field.sequence else reader.string()
+            else:
+                numbers = reader.array if field.sequence else reader.scalar
+                size = np.size(numbers(field.kind)) * SCALARS[field.kind].size
+                end = len(data) - reader.remaining
+                found[path] = slice(end - size, end)
+
+    find(kind, "")
     reader.finish()
     return found
 
 
-class Parts:
-    """The bytes of one message, cut so that every field that changes is a part of its own.
+class Template:
+    """A message, cut so that everything that changes is a piece of its own.
+
+    Measured with the states of 20 actuators: `MessageType.encode` takes 31 µs, this 3.5 µs. At
+    1 kHz and with three such messages a tick, that is 9 % of a processor or 1 %.
+
+    Args:
+        kind: Type of the message.
+        fields: Its fields. The values of those that change do not matter, their lengths do.
+        changing: Those that change, as in `places`, in the order of the definition; the beginning
+            of several that follow each other, such as `STAMP`, makes one piece of them.
 
     Attributes:
-        parts: The pieces in order; joined they are the message.
-        slots: Field to the index of its piece; ``stamp`` is the time in the header, which must be
-            the message's first field.
+        parts: Constant and changing pieces by turns, beginning and ending with a constant one;
+            joined they are the message.
+        size: Length of the message [bytes].
+
+    Raises:
+        ValueError: if they are in another order.
     """
 
-    def __init__(self, kind: MessageType, data: bytes) -> None:
-        sizes = {field.name: SCALARS[field.kind].size for field in kind.fields if _numeric(field)}
-        where = {"stamp": (_STAMP_OFFSET, _STAMP.size)} | {
-            name: (offset, count * sizes[name])
-            for name, (offset, count) in offsets(kind, data).items()
-        }
+    def __init__(
+        self, kind: MessageType, fields: Mapping[str, Any], changing: Iterable[str]
+    ) -> None:
+        data = kind.encode(fields)
+        where = places(kind, data)
         self.parts: list[bytes] = []
-        self.slots: dict[str, int] = {}
         position = 0
-        for name, (offset, size) in sorted(where.items(), key=lambda item: item[1][0]):
-            self.parts.append(data[position:offset])
-            self.slots[name] = len(self.parts)
-            self.parts.append(data[offset : offset + size])
-            position = offset + size
+        for name in changing:
+            found = [at for path, at in where.items() if f"{path}.".startswith(f"{name}.")]
+            begin, end = found[0].start, found[-1].stop
+            if begin < position:
+                raise ValueError(f"'{name}' is not in the order of the definition of {kind.name}")
+            self.parts += (data[position:begin], data[begin:end])
+            position = end
         self.parts.append(data[position:])
+        self.size = len(data)
+
+    def filled(self, pieces: Iterable[bytes]) -> bytes:
+        """Return the message with new values for all that changes, in its order.
+
+        Raises:
+            ValueError: if one has another length.
+        """
+        self.parts[1::2] = pieces
+        data = b"".join(self.parts)
+        if len(data) != self.size:
+            raise ValueError(f"{self.size} bytes expected, not {len(data)}")
+        return data
 
 
 def stamp_bytes(wall_ns: int) -> bytes:
@@ -87,28 +124,8 @@ def stamp_bytes(wall_ns: int) -> bytes:
 
 def joint_state_fields(names: Sequence[str], frame: str = "") -> dict[str, Any]:
     """Return the fields of a ``sensor_msgs/JointState`` full of zeros."""
-    zeros = np.zeros(len(names))
-    return {
-        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame},
-        "name": list(names),
-        "position": zeros,
-        "velocity": zeros,
-        "effort": zeros,
-    }
-
-
-def actuator_state_fields(names: Sequence[str]) -> dict[str, Any]:
-    """Return the fields of a ``rtee_msgs/ActuatorState`` full of zeros."""
-    zeros = np.zeros(len(names))
-    fields: Mapping[str, Any] = joint_state_fields(names)
-    return dict(fields) | {
-        "tick": 0,
-        "time": 0.0,
-        "current": zeros,
-        "temperature": zeros,
-        "grasped": np.full(len(names), -1, dtype=np.int8),
-        "fresh": np.zeros(len(names), dtype=bool),
-    }
+    zeros = dict.fromkeys(JOINT_ARRAYS, np.zeros(len(names)))
+    return {"header": header(0, frame), "name": list(names), **zeros}
 
 
 class JointStateEncoder:
@@ -121,9 +138,9 @@ class JointStateEncoder:
 
     def __init__(self, names: Sequence[str], frame: str = "") -> None:
         self._size = 8 * len(names)
-        data = Parts(JOINT_STATE, JOINT_STATE.encode(joint_state_fields(names, frame)))
-        self._parts = data.parts
-        self._slots = [data.slots[name] for name in ("stamp", "position", "velocity", "effort")]
+        fields = joint_state_fields(names, frame)
+        self._template = Template(JOINT_STATE, fields, (STAMP, *JOINT_ARRAYS))
+        self.size = self._template.size
 
     def encode(
         self, wall_ns: int, position: FloatArray, velocity: FloatArray, effort: FloatArray
@@ -141,10 +158,40 @@ class JointStateEncoder:
         """
         if not position.nbytes == velocity.nbytes == effort.nbytes == self._size:
             raise ValueError(f"{self._size // 8} values of float64 expected")
-        parts = self._parts
-        stamp, first, second, third = self._slots
-        parts[stamp] = _STAMP.pack(*divmod(wall_ns, _SECOND))
-        parts[first] = position.tobytes()
-        parts[second] = velocity.tobytes()
-        parts[third] = effort.tobytes()
-        return b"".join(parts)
+        return self._template.filled(
+            (stamp_bytes(wall_ns), position.tobytes(), velocity.tobytes(), effort.tobytes())
+        )
+
+
+class TransformsEncoder:
+    """Encodes the transforms of always the same frames as ``tf2_msgs/TFMessage``.
+
+    Args:
+        parents: The frame that each transform is relative to.
+        children: The frames.
+    """
+
+    def __init__(self, parents: Sequence[str], children: Sequence[str]) -> None:
+        turned = dict.fromkeys("xyzw", 0.0)
+        transform = {"translation": dict.fromkeys("xyz", 0.0), "rotation": turned}
+        transforms = [
+            {"header": header(0, parent), "child_frame_id": child, "transform": transform}
+            for parent, child in zip(parents, children, strict=True)
+        ]
+        changing = [f"{k}.{what}" for k in range(len(transforms)) for what in (STAMP, "transform")]
+        self._template = Template(
+            TF_MESSAGE, {"transforms": transforms}, [f"transforms.{each}" for each in changing]
+        )
+
+    def encode(self, wall_ns: int, translation: FloatArray, rotation: FloatArray) -> bytes:
+        """Return the CDR bytes of a message.
+
+        Args:
+            wall_ns: Its stamp since 1970 [ns].
+            translation: Where the frames' origins are in their parents ``(n, 3)`` [m].
+            rotation: How the frames are turned, unit quaternions (x, y, z, w) ``(n, 4)``.
+        """
+        stamp, size = stamp_bytes(wall_ns), translation.itemsize * _NUMBERS
+        data = np.hstack((translation, rotation)).tobytes()
+        rows = [data[begin : begin + size] for begin in range(0, len(data), size)]
+        return self._template.filled([piece for row in rows for piece in (stamp, row)])

@@ -8,9 +8,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 
-from rtee.messages.definitions import DEFINITIONS
 from rtee.messages.requests import REQUESTS, STATES
-from rtee.messages.schema import MessageType, message_type
+from rtee.messages.schema import DEFINITIONS, MessageType, message_type
 from rtee.messages.topics import PUBLISHED, TYPES, log_topic, network_key
 
 _HEAD = """\

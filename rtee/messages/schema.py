@@ -2,18 +2,52 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from importlib.resources import files
+from typing import Any, Final
+
+import numpy as np
 
 from rtee.errors import MessageError
-from rtee.messages.cdr import SCALARS, Reader, Writer
-from rtee.messages.definitions import DEFINITIONS
+from rtee.messages.cdr import DTYPES, SCALARS, Reader, Writer
 
-_LATER = {"rtee_msgs/msg/DeviceStatus": frozenset({"gain"})}
-"""Sequences at the end of messages that older recordings do not have."""
+_RULE = "=" * 80 + "\n"
+"""Stands before every definition but the first in a text of several, as in rosbag2's recordings."""
+
+_MOST_FIELDS = 1000
+"""Fields that a recorded definition may have with all nested ones: ten times those of the largest
+message of rtee; more would only make a damaged or malicious file slow to read."""
+
+
+def _full(name: str) -> str:
+    return name if "/msg/" in name else "/msg/".join(name.split("/"))
+
+
+def _short(name: str) -> str:
+    return name.replace("/msg/", "/")
+
+
+def sections(text: str, first: str = "") -> dict[str, str]:
+    """Return the definitions in a text of several, by the full names of their messages.
+
+    Args:
+        text: The definitions, each after a rule and a line ``MSG: package/Name``.
+        first: Name of the message that the text begins with, if it begins with one.
+    """
+    head, *rest = text.split(_RULE)
+    found = {first: head} if first else {}
+    for part in rest:
+        name, _, definition = part.partition("\n")
+        found[_full(name.removeprefix("MSG:").strip())] = definition
+    return found
+
+
+DEFINITIONS: Final = sections(files("rtee.messages").joinpath("definitions.msg").read_text("utf-8"))
+"""Full name of a message to its definition."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,22 +59,43 @@ class Field:
         kind: A primitive kind, ``string``, or the full name of a message.
         sequence: Whether it is a sequence of those.
         comment: What it is, as the definition says.
+        inner: The type of the messages that it holds, if it holds messages.
     """
 
     name: str
     kind: str
     sequence: bool
     comment: str = ""
+    inner: MessageType | None = field(default=None, repr=False)
 
     @property
     def nested(self) -> bool:
         """Whether it holds messages."""
-        return "/" in self.kind
+        return self.inner is not None
 
     @property
     def notation(self) -> str:
         """Its type as written in the definition."""
-        return self.kind.replace("/msg/", "/") + ("[]" if self.sequence else "")
+        return _short(self.kind) + ("[]" if self.sequence else "")
+
+    @property
+    def default(self) -> Any:
+        """What it holds in a message that was written before it was defined."""
+        if self.sequence:
+            return np.empty(0, DTYPES[self.kind]) if self.kind in DTYPES else []
+        if self.inner is not None:
+            return self.inner.completed({})
+        return {"string": "", "bool": False, "float32": math.nan, "float64": math.nan}.get(
+            self.kind, 0
+        )
+
+    def completed(self, value: Any) -> Any:
+        """Return what it holds in a message of another version; see `MessageType.completed`."""
+        if self.inner is None:
+            return value
+        return (
+            list(map(self.inner.completed, value)) if self.sequence else self.inner.completed(value)
+        )
 
 
 Write = Callable[[Writer, Any], None]
@@ -67,8 +122,8 @@ class MessageType:
 
     def __post_init__(self) -> None:
         """Work out how the fields are written and read."""
-        writers = tuple((one.name, _writer_of(one)) for one in self.fields)
-        readers = tuple((one.name, _reader_of(one)) for one in self.fields)
+        writers = tuple((one.name, writer_of(one)) for one in self.fields)
+        readers = tuple((one.name, reader_of(one)) for one in self.fields)
         object.__setattr__(self, "_writers", writers)
         object.__setattr__(self, "_readers", readers)
 
@@ -99,22 +154,12 @@ class MessageType:
         reader.finish()
         return values
 
-    def decode_older(self, data: bytes | bytearray | memoryview) -> dict[str, Any]:
-        """Return the fields of a message that may have been recorded by an older version.
-
-        Sequences that were added at its end since may be missing; they are empty then.
-
-        Raises:
-            MessageError: if the bytes are no such message.
-        """
-        reader = Reader(data)
-        later = _LATER.get(self.name, frozenset())
-        values = {
-            name: [] if name in later and reader.ended else read(reader)
-            for name, read in self._readers
+    def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the fields of a message of another version, with defaults for what it lacks."""
+        return {
+            one.name: one.completed(values[one.name]) if one.name in values else one.default
+            for one in self.fields
         }
-        reader.finish()
-        return values
 
     def write(self, writer: Writer, values: Mapping[str, Any]) -> None:
         """Append a message to a writer; see `encode`."""
@@ -131,7 +176,7 @@ class MessageType:
             raise MessageError(f"{self.name}.{name}: {error}") from error
 
     def read(self, reader: Reader) -> dict[str, Any]:
-        """Take a message from a reader; see `decode`."""
+        """Read a message; see `decode`."""
         return {name: read(reader) for name, read in self._readers}
 
     @property
@@ -139,9 +184,8 @@ class MessageType:
         """The types of its nested messages, each once, in order."""
         found: dict[str, MessageType] = {}
         for one in self.fields:
-            if one.nested:
-                inner = message_type(one.kind)
-                for part in (inner, *inner.parts):
+            if one.inner is not None:
+                for part in (one.inner, *one.inner.parts):
                     found.setdefault(part.name, part)
         return tuple(found.values())
 
@@ -150,17 +194,13 @@ class MessageType:
         """Definition with those of its nested messages after it, as recordings carry it."""
         texts = [DEFINITIONS[self.name]]
         texts += [f"MSG: {_short(part.name)}\n{DEFINITIONS[part.name]}" for part in self.parts]
-        return ("=" * 80 + "\n").join(texts)
+        return _RULE.join(texts)
 
 
-def _short(name: str) -> str:
-    return name.replace("/msg/", "/")
-
-
-def _writer_of(field: Field) -> Write:
-    kind = field.kind
-    if field.nested:
-        inner = message_type(kind)
+def writer_of(field: Field) -> Write:
+    """Return what writes the values of a field."""
+    kind, inner = field.kind, field.inner
+    if inner is not None:
 
         def write_all(writer: Writer, values: Any) -> None:
             writer.length(len(values))
@@ -172,13 +212,15 @@ def _writer_of(field: Field) -> Write:
         return Writer.strings if field.sequence else Writer.string
     if field.sequence:
         return lambda writer, values: writer.array(kind, values)
+    if kind == "float64":
+        return Writer.double
     return lambda writer, value: writer.scalar(kind, value)
 
 
-def _reader_of(field: Field) -> Read:
-    kind = field.kind
-    if field.nested:
-        inner = message_type(kind)
+def reader_of(field: Field) -> Read:
+    """Return what reads the values of a field."""
+    kind, inner = field.kind, field.inner
+    if inner is not None:
         if field.sequence:
             return lambda reader: [inner.read(reader) for _ in range(reader.length(1))]
         return inner.read
@@ -186,11 +228,20 @@ def _reader_of(field: Field) -> Read:
         return Reader.strings if field.sequence else Reader.string
     if field.sequence:
         return lambda reader: reader.array(kind)
+    if kind == "float64":
+        return Reader.double
     return lambda reader: reader.scalar(kind)
 
 
-def parse(name: str, definition: str) -> MessageType:
+def parse(
+    name: str, definition: str, nested: Callable[[str], MessageType] | None = None
+) -> MessageType:
     """Return the type that a definition describes.
+
+    Args:
+        name: Its full name.
+        definition: The definition.
+        nested: Returns the type of a nested message by its full name; `message_type` unless given.
 
     Raises:
         MessageError: if a line is outside the subset of the notation that is used here.
@@ -206,12 +257,13 @@ def parse(name: str, definition: str) -> MessageType:
             continue
         if len(words) != 2:
             raise MessageError(f"{name}: no field definition: '{line}'")
-        kind = words[0].removesuffix("[]")
+        kind, inner = words[0].removesuffix("[]"), None
         if "/" in kind:
-            kind = "/msg/".join(kind.split("/"))
+            kind = _full(kind)
+            inner = (nested or message_type)(kind)
         elif kind != "string" and kind not in SCALARS:
             raise MessageError(f"{name}: unknown type '{kind}'")
-        fields.append(Field(words[1], kind, words[0].endswith("[]"), comment.strip()))
+        fields.append(Field(words[1], kind, words[0].endswith("[]"), comment.strip(), inner))
     return MessageType(name, " ".join(summary), tuple(fields))
 
 
@@ -222,9 +274,49 @@ def message_type(name: str) -> MessageType:
     Raises:
         MessageError: if there is no such type.
     """
-    full = name if "/msg/" in name else "/msg/".join(name.split("/"))
+    full = _full(name)
     try:
         definition = DEFINITIONS[full]
     except KeyError:
         raise MessageError(f"there is no message type '{name}'") from None
     return parse(full, definition)
+
+
+def recorded_type(name: str, schema: str) -> MessageType:
+    """Return a type of messages as a recording defines it, which may be of another version.
+
+    Types of ROS itself are the same everywhere and are not read from there.
+
+    Args:
+        name: Its full name.
+        schema: Its definition in the recording, with those of its nested messages.
+
+    Raises:
+        MessageError: if there is no such type, or the definition makes no sense.
+    """
+    known = message_type(name)
+    if not known.name.startswith("rtee_msgs/") or schema == known.schema:
+        return known
+    texts = sections(schema, known.name)
+    count = 0
+
+    def made(full: str) -> MessageType:
+        nonlocal count
+        if full not in texts:
+            return message_type(full)
+        definition = texts.pop(full)  # a message that holds itself finds no definition any more
+        found = parse(full, definition, made)
+        texts[full] = definition
+        count += len(found.fields)
+        if count > _MOST_FIELDS:
+            raise MessageError(f"{name}: the recorded definition has too many fields")
+        notations = {one.name: one.notation for one in found.fields}
+        ours = message_type(full).fields if full in DEFINITIONS else ()
+        changed = [
+            one.name for one in ours if notations.get(one.name, one.notation) != one.notation
+        ]
+        if changed or len(notations) != len(found.fields):
+            raise MessageError(f"{name}: the recorded definition makes no sense")
+        return found
+
+    return made(known.name)

@@ -1,79 +1,47 @@
-"""The state of a hand as one message: everything measured and sent in one tick."""
+"""What is known of a hand at one tick as messages: what was measured, and all that besides."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtee.errors import MessageError
-from rtee.messages.cdr import HEADER
-from rtee.messages.convert import Data, header, wall_ns
-from rtee.messages.layout import offsets
+from rtee.messages.codec import Data, channel_fields, channels_of, header, wall_ns
+from rtee.messages.layout import STAMP, Template, stamp_bytes
 from rtee.messages.schema import message_type
-from rtee.types import BoolArray, FloatArray
+from rtee.sample import COLUMNS, MEASURED, TickRecord
+from rtee.types import FloatArray
 
+ACTUATOR_STATE = message_type("rtee_msgs/msg/ActuatorState")
 STATE = message_type("rtee_msgs/msg/State")
 
-_ARRAYS = (
-    "position",
-    "velocity",
-    "effort",
-    "current",
-    "temperature",
-    "grasped",
-    "fresh",
-    "reference_position",
-    "reference_velocity",
-    "reference_effort",
-)
+ACTUATOR_COLUMNS = (*MEASURED, "grasped", "fresh")
+"""The quantities in a ``rtee_msgs/ActuatorState``, in order."""
+
+_TICK = struct.Struct("<Q")
+_TIME = struct.Struct("<d")
+_actuator_arrays = attrgetter(*ACTUATOR_COLUMNS)
+_arrays = attrgetter(*COLUMNS)
 
 
-@dataclass(frozen=True, slots=True)
-class State:
-    """What is known of a hand at one tick; arrays ``(n,)`` in the order of ``names``.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State(TickRecord):
+    """What is known of a hand at one tick, with the names of its actuators and joints.
 
     Attributes:
-        tick: Number of the tick.
-        stamp: When it was due, CLOCK_MONOTONIC of the hand's computer [s].
-        wall_ns: The same since 1970 [ns].
-        names: The actuators.
-        position: Measured [rad | m]; ``NaN``: not measured, as for the others.
-        velocity: Measured [rad/s | m/s].
-        effort: Measured [N·m | N].
-        current: Measured [A].
-        temperature: Measured [°C].
-        grasped: The devices' own word: 1 holding, 0 not, -1 none given.
-        fresh: Measured since the last tick.
-        reference_position: Sent to the devices [rad | m].
-        reference_velocity: Its velocity [rad/s | m/s].
-        reference_effort: Effort limit sent [N·m | N]; ``inf``: the device's own.
+        names: The actuators, in the order of the arrays.
         joint_names: All moving joints.
         joint_position: Their positions ``(m,)`` [rad | m].
-        channels: Further measured channels, ``device/channel`` to values.
     """
 
-    tick: int
-    stamp: float
-    wall_ns: int
     names: tuple[str, ...]
-    position: FloatArray
-    velocity: FloatArray
-    effort: FloatArray
-    current: FloatArray
-    temperature: FloatArray
-    grasped: NDArray[np.int8]
-    fresh: BoolArray
-    reference_position: FloatArray
-    reference_velocity: FloatArray
-    reference_effort: FloatArray
     joint_names: tuple[str, ...]
     joint_position: FloatArray
-    channels: Mapping[str, FloatArray]
 
     @property
     def positions(self) -> dict[str, float]:
@@ -86,36 +54,33 @@ class State:
         return dict(zip(self.joint_names, self.joint_position.tolist(), strict=True))
 
 
-def encode_state(state: State) -> bytes:
-    """Return a ``rtee_msgs/State``."""
-    fields: dict[str, Any] = {name: getattr(state, name) for name in _ARRAYS}
-    values = list(state.channels.values())
-    return STATE.encode(
-        fields
-        | {
-            "header": header(state.wall_ns),
-            "tick": state.tick,
-            "time": state.stamp,
-            "name": state.names,
-            "joint": state.joint_names,
-            "joint_position": state.joint_position,
-            "channel": list(state.channels),
-            "channel_length": [len(value) for value in values],
-            "channel_value": np.concatenate(values) if values else (),
-        }
-    )
+def _fields(names: Sequence[str], columns: Iterable[str]) -> dict[str, Any]:
+    arrays = {name: np.zeros(len(names), COLUMNS[name].dtype) for name in columns}
+    return {"header": header(0), "tick": 0, "time": 0.0, "name": list(names), **arrays}
 
 
-_STAMP = struct.Struct("<iI")
-_TICK_AND_TIME = struct.Struct("<Qd")
-_DTYPES = {name: np.dtype(np.float64) for name in _ARRAYS} | {
-    "grasped": np.dtype(np.int8),
-    "fresh": np.dtype(np.bool_),
-}
+def actuator_state_fields(names: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of a ``rtee_msgs/ActuatorState`` full of zeros."""
+    return _fields(names, ACTUATOR_COLUMNS)
+
+
+def actuator_state_template(names: Sequence[str]) -> Template:
+    """Return the template of ``rtee_msgs/ActuatorState`` of some actuators.
+
+    What changes are the stamp and, after it, the `actuator_state_pieces`.
+    """
+    changing = (STAMP, "tick", "time", *ACTUATOR_COLUMNS)
+    return Template(ACTUATOR_STATE, actuator_state_fields(names), changing)
+
+
+def actuator_state_pieces(record: TickRecord) -> list[bytes]:
+    """Return what changes from message to message but for the stamp."""
+    arrays = [array.tobytes() for array in _actuator_arrays(record)]
+    return [_TICK.pack(record.tick), _TIME.pack(record.stamp), *arrays]
 
 
 class StateEncoder:
-    """Encodes states of always the same actuators and joints, many times faster.
+    """Encodes ``rtee_msgs/State`` of always the same actuators and joints.
 
     Args:
         names: The actuators.
@@ -123,69 +88,44 @@ class StateEncoder:
     """
 
     def __init__(self, names: Sequence[str], joints: Sequence[str]) -> None:
-        self.names = tuple(names)
-        self.joints = tuple(joints)
-        self._gaps: dict[tuple[tuple[str, int], ...], list[bytes]] = {}
+        self._fields = _fields(names, COLUMNS)
+        self._fields |= {"joint": list(joints), "joint_position": np.zeros(len(joints))}
+        self._templates: dict[tuple[tuple[str, int], ...], Template] = {}
 
-    def _layout(self, channels: tuple[tuple[str, int], ...]) -> list[bytes]:
-        """Return the constant bytes between the arrays, for channels of these lengths."""
-        zeros = np.zeros(len(self.names))
-        data = encode_state(
-            State(
-                tick=0,
-                stamp=0.0,
-                wall_ns=0,
-                names=self.names,
-                joint_names=self.joints,
-                joint_position=np.zeros(len(self.joints)),
-                channels={name: np.zeros(length) for name, length in channels},
-                **{name: zeros.astype(dtype) for name, dtype in _DTYPES.items()},
-            )
-        )
-        where = offsets(STATE, data)
-        gaps, end = [], where["time"][0] + 8
-        for name in (*_ARRAYS, "joint_position", "channel_value"):
-            offset, count = where[name]
-            gaps.append(data[end:offset])
-            end = offset + count * _DTYPES.get(name, _DTYPES["position"]).itemsize
-        begin = len(HEADER) + _STAMP.size
-        return [data[begin : where["tick"][0]], *gaps, data[end:]]
+    def _template(self, channels: Mapping[str, FloatArray]) -> Template:
+        """Return the layout for channels of these names and lengths."""
+        key = tuple((name, len(values)) for name, values in channels.items())
+        found = self._templates.get(key)
+        if found is None:
+            held = ("channel", "channel_length", "channel_value")
+            fields = self._fields | dict(zip(held, channel_fields(channels), strict=True))
+            changing = (STAMP, "tick", "time", *COLUMNS, "joint_position", "channel_value")
+            found = self._templates[key] = Template(STATE, fields, changing)
+        return found
 
-    def encode(self, state: State) -> bytes:
-        """Return a ``rtee_msgs/State``; its names and joints must be those of the encoder."""
-        values = list(state.channels.values())
-        key = tuple((name, len(value)) for name, value in state.channels.items())
-        gaps = self._gaps.get(key)
-        if gaps is None:
-            gaps = self._gaps.setdefault(key, self._layout(key))
-        seconds, nanoseconds = divmod(state.wall_ns, 1_000_000_000)
-        pieces = [
-            HEADER,
-            _STAMP.pack(seconds, nanoseconds),
-            gaps[0],
-            _TICK_AND_TIME.pack(state.tick, state.stamp),
-        ]
-        arrays = [getattr(state, name) for name in _ARRAYS]
-        arrays.append(state.joint_position)
-        for gap, array in zip(gaps[1:], arrays, strict=False):
-            pieces += (gap, array.tobytes())
-        pieces.append(gaps[-2])
-        pieces += [value.tobytes() for value in values]
-        pieces.append(gaps[-1])
-        return b"".join(pieces)
+    def encode(self, record: TickRecord, joint_position: FloatArray) -> bytes:
+        """Return the bytes of a message.
+
+        Args:
+            record: What was known at the tick.
+            joint_position: The positions of all moving joints ``(m,)`` [rad | m].
+
+        Raises:
+            ValueError: if an array has another length or type.
+        """
+        times = stamp_bytes(record.wall_ns), _TICK.pack(record.tick), _TIME.pack(record.stamp)
+        arrays = [array.tobytes() for array in (*_arrays(record), joint_position)]
+        channels = b"".join([values.tobytes() for values in record.channels.values()])
+        return self._template(record.channels).filled((*times, *arrays, channels))
 
 
 def decode_state(data: Data) -> State:
     """Return the state in a ``rtee_msgs/State``; raises `MessageError`."""
     fields = STATE.decode(data)
     names, joints = tuple(fields["name"]), tuple(fields["joint"])
-    lengths = [len(fields[name]) for name in _ARRAYS]
-    if set(lengths) != {len(names)} or len(fields["joint_position"]) != len(joints):
+    lengths = {len(fields[name]) for name in COLUMNS}
+    if lengths != {len(names)} or len(fields["joint_position"]) != len(joints):
         raise MessageError("the arrays of a state have different lengths")
-    counts = fields["channel_length"].tolist()
-    if len(counts) != len(fields["channel"]) or sum(counts) != len(fields["channel_value"]):
-        raise MessageError("the channels of a state and their values do not match")
-    split = np.split(fields["channel_value"], np.cumsum(counts)[:-1]) if counts else []
     return State(
         tick=fields["tick"],
         stamp=fields["time"],
@@ -193,6 +133,6 @@ def decode_state(data: Data) -> State:
         names=names,
         joint_names=joints,
         joint_position=fields["joint_position"],
-        channels=dict(zip(fields["channel"], split, strict=True)),
-        **{name: fields[name] for name in _ARRAYS},
+        channels=channels_of(fields["channel"], fields["channel_length"], fields["channel_value"]),
+        **{name: fields[name] for name in COLUMNS},
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rtee.errors import needing_extra
-from rtee.messages.definitions import DEFINITIONS
+from rtee.messages.schema import DEFINITIONS
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.files import read_bytes
 from rtee.hand.geometry import hull_of
-from rtee.hand.mesh_repair import mended
+from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import FORMATS, why_no_mesh
 from rtee.types import FloatArray
 
@@ -270,7 +270,7 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
             path=path,
         )
     if path.suffix.lower() != ".stl":  # a single part
-        mesh = mended(mesh, loader)
+        mesh = repaired(mesh, loader)
     corners = np.array(mesh.vertices())
     if not np.isfinite(corners).all():
         raise ModelError("the mesh has a corner that is not finite", path=path)

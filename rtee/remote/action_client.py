@@ -1,4 +1,4 @@
-"""The actions of a running hand, as a client sees and changes them."""
+"""Listing and changing the actions of a running hand."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ from rtee.actions.types import (
 from rtee.planning.apart import Question, question_about
 from rtee.planning.result import Ranking, from_document
 from rtee.remote.actions import action_fields, action_of, group_of
-from rtee.remote.monitoring import View
+from rtee.remote.link import Link
 
 _NOWHERE = Posture({}, ())
+"""Posture of an action that is sent: the hand works it out from the parts."""
 
 _PLANNED_WITHIN = 90.0
 """Time to wait for a plan [s]; others may wait before it."""
@@ -49,31 +50,40 @@ class GraspOptions(TypedDict, total=False):
     top: int
 
 
-class Library(View):
-    """A running hand with its actions."""
+class ActionClient:
+    """Lists, adds, stores, renames and removes the actions of a running hand.
+
+    A change takes effect for all clients at once.
+
+    Args:
+        link: The connection to the hand.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
 
     async def actions(
         self, kind: str = "", name: str = "", elements: Sequence[str] = ()
     ) -> list[Action]:
-        """Return the actions that pass a filter; see `ActionLibrary.all`."""
+        """Return the actions that match a filter; see `ActionLibrary.all`."""
         fields = {"kind": kind, "name": name, "elements": tuple(elements)}
         reply = await self._link.ask("actions", fields)
         return [action_of(entry) for entry in reply["actions"]]
 
     async def primitives(self) -> list[PrimitiveGroup]:
-        """Return the primitives as a user interface shows them, one group per name."""
+        """Return the primitives grouped by name, as a user interface shows them."""
         return [group_of(entry) for entry in (await self._link.ask("primitives"))["groups"]]
 
     async def partners(self, name: str, element: str) -> tuple[str, ...]:
-        """Return the elements that a primitive can be done with together with a given one."""
+        """Return the elements with which a given one can be combined in a primitive."""
         reply = await self._link.ask("partners", self._action(name, element))
         return tuple(reply["names"])
 
     async def trials(self) -> str:
-        """Return the text of the file with what trials of the actions found; empty for none.
+        """Return the text of the file with the results of trials; empty if there is none.
 
-        `rtee.trials.store.parse_results` reads it. After it stands what the hand's files are now,
-        as ``present``; trials ``made_with`` others are out of date.
+        `rtee.trials.store.parse_results` reads it. Its last line, ``present``, identifies the
+        hand's files as they are now; trials ``made_with`` other files are out of date.
         """
         return str((await self._link.ask("trials"))["data"])
 
@@ -107,17 +117,17 @@ class Library(View):
         store: bool = False,
         replace: bool = False,
     ) -> None:
-        """Add a generic action, at once for everybody.
+        """Add a generic action.
 
         Args:
             name: Its name.
-            set_points: Position of the involved actuators [rad | m].
+            set_points: Positions of the involved actuators [rad | m].
             description: One sentence for people.
             store: Also write it to the hand's folder.
             replace: Replace an action of the same name.
 
         Raises:
-            RequestRejected: if the hand refuses it, with the reason.
+            RequestRejected: if the hand refuses the action, with the reason.
         """
         posture = Posture(set_points, tuple(set_points))
         await self.add_action(Generic(name, posture, description), store=store, replace=replace)
@@ -132,7 +142,7 @@ class Library(View):
         store: bool = False,
         replace: bool = False,
     ) -> None:
-        """Add a composed action, at once for everybody; see `ActionLibrary.compose`."""
+        """Add a composed action; see `ActionLibrary.compose`."""
         action = Composed(name, tuple(parts), _NOWHERE, independent, description)
         await self.add_action(action, store=store, replace=replace)
 
@@ -145,7 +155,7 @@ class Library(View):
         store: bool = False,
         replace: bool = False,
     ) -> None:
-        """Add a timed action, at once for everybody; see `ActionLibrary.sequence`."""
+        """Add a timed action; see `ActionLibrary.sequence`."""
         made = (Step(s.use, s.alias, s.before, s.after, _NOWHERE) for s in steps)
         action = Timed(name, tuple(made), description)
         await self.add_action(action, store=store, replace=replace)
@@ -153,12 +163,12 @@ class Library(View):
     async def add_action(
         self, action: CustomAction, *, store: bool = False, replace: bool = False
     ) -> None:
-        """Add a composed, timed or generic action, at once for everybody.
+        """Add a composed, timed or generic action.
 
-        The hand looks up what it is made of, and works its postures out from that.
+        The hand looks up its parts and works out its postures from them.
         """
         fields = {
-            "client": self.client,
+            "client": self._link.client,
             "action": action_fields(action),
             "store": store,
             "replace": replace,
@@ -170,12 +180,12 @@ class Library(View):
         await self._link.ask("store", self._action(name))
 
     async def remove_action(self, name: str) -> None:
-        """Remove an action, and its file."""
+        """Remove an action and its file."""
         await self._link.ask("remove", self._action(name))
 
     async def rename_action(self, name: str, new_name: str) -> None:
-        """Give an action another name, everywhere it is used."""
+        """Rename an action, in all actions that use it, too."""
         await self._link.ask("rename", self._action(name, new_name))
 
     def _action(self, name: str, what: str = "") -> dict[str, str]:
-        return {"client": self.client, "name": name, "what": what}
+        return {"client": self._link.client, "name": name, "what": what}

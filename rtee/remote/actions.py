@@ -1,4 +1,4 @@
-"""Actions as fields of messages, both ways."""
+"""Conversion of actions to fields of messages and back."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _part_fields(
 
 
 def _known(value: float | None) -> float:
-    return math.nan if value is None else value
+    return math.nan if value is None else value  # messages have no optional numbers
 
 
 def _flat(pairs: Sequence[tuple[str, ...]]) -> list[str]:
@@ -117,9 +117,9 @@ def action_of(fields: Fields) -> Action:
     """Return the action in the fields of a ``rtee_msgs/Action``.
 
     Raises:
-        MessageError: if they describe none.
+        MessageError: if the fields do not describe an action.
     """
-    postures = [_posture_of(posture) for posture in fields["postures"]]
+    postures = [_posture_from(posture) for posture in fields["postures"]]
     name, kind, description = fields["name"], fields["kind"], fields["description"]
     if kind == "primitive":
         return _primitive_of(fields, postures)
@@ -137,7 +137,7 @@ def action_of(fields: Fields) -> Action:
     raise MessageError(f"no action of the kind '{kind}' with {len(postures)} postures")
 
 
-def _posture_of(fields: Fields) -> Posture:
+def _posture_from(fields: Fields) -> Posture:
     if len(fields["name"]) != len(fields["position"]):
         raise MessageError("a posture has another number of names than of positions")
     position = dict(zip(fields["name"], fields["position"].tolist(), strict=True))
@@ -152,6 +152,7 @@ def _use_of(fields: Fields) -> ActionReference:
 
 
 def _primitive_of(fields: Fields, postures: list[Posture]) -> Primitive:
+    # The name of a multi-pinch ends with the number of tips: MultiPinchTight_3.
     base = fields["name"].rstrip("0123456789").rstrip("_")
     try:
         kind = PrimitiveKind(base)
@@ -204,12 +205,12 @@ def made_of(library: ActionLibrary, fields: Fields) -> Action:
     """Make the composed, timed or generic action that a client describes.
 
     Args:
-        library: The hand's actions, to look the parts up.
-        fields: Of a ``rtee_msgs/Action``; postures of parts are worked out anew.
+        library: The hand's actions, in which the parts are looked up.
+        fields: Of a ``rtee_msgs/Action``; the postures of parts are worked out here.
 
     Raises:
         ActionError: if it cannot be made.
-        MessageError: if the fields are no action.
+        MessageError: if the fields do not describe an action.
     """
     name, description = fields["name"], fields["description"]
     match fields["kind"]:
@@ -226,7 +227,7 @@ def made_of(library: ActionLibrary, fields: Fields) -> Action:
         case "generic":
             if len(fields["postures"]) != 1:
                 raise MessageError("a generic action has one posture")
-            posture = _posture_of(fields["postures"][0])
+            posture = _posture_from(fields["postures"][0])
             chosen = {actuator: posture.position[actuator] for actuator in posture.involved}
             return generic(library.hand, name, chosen, description=description)
     raise ActionError(

@@ -9,45 +9,30 @@ from __future__ import annotations
 import atexit
 import contextlib
 import threading
-from collections.abc import (
-    AsyncGenerator,
-    AsyncIterator,
-    Callable,
-    Collection,
-    Coroutine,
-    Iterator,
-    Mapping,
-    Sequence,
-)
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Iterator
 from concurrent.futures import Future
-from functools import partial
-from typing import Any, Self, TypeVar, Unpack
+from functools import partial, wraps
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
 
 import anyio
 from anyio.from_thread import BlockingPortal
 
-from rtee.actions.build import StepPlan
-from rtee.actions.types import Action, ActionReference, CustomAction, PrimitiveGroup
-from rtee.messages.state import State
-from rtee.planning.result import Ranking
-from rtee.remote.action_client import GraspOptions
-from rtee.remote.client import GoalOptions, RemoteHand, connect
-from rtee.remote.goal import RunningGoal
-from rtee.remote.monitoring import READY_WITHIN, HandStatus
-from rtee.remote.planner import HandInfo
-from rtee.types import Event, Feedback, Result
+from rtee.remote.client import RemoteHand, connect
+from rtee.remote.goal import GoalOptions, RunningGoal
+from rtee.types import Feedback, Result
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 _ATTEMPTS = 100
-"""Attempts to close a generator whose step is still ending: together 1 s."""
+"""Attempts to close a generator whose last step is still ending: together 1 s."""
 
 _PAUSE = 0.01
 """Time between two of these attempts [s]."""
 
 
 class BlockingGoal:
-    """A goal that was taken; iterate over its feedback, then ask for its result."""
+    """A goal that the hand has accepted; iterate over its feedback, then ask for its result."""
 
     def __init__(self, portal: BlockingPortal, running: RunningGoal) -> None:
         self._portal = portal
@@ -56,26 +41,56 @@ class BlockingGoal:
 
     @property
     def done(self) -> bool:
-        """Whether it has ended."""
+        """Whether the goal has ended."""
         return self._running.done
 
     def __iter__(self) -> Iterator[Feedback]:
-        """Iterate over its feedback until it has ended."""
+        """Iterate over the feedback until the goal has ended."""
         return _iterate(self._portal, aiter(self._running))
 
     def result(self) -> Result:
-        """Wait until it has ended."""
+        """Wait until the goal has ended."""
         return _wait(self._portal, self._running.result)
 
     def cancel(self) -> None:
-        """Cancel it: the hand brakes and holds; the result says so."""
+        """Cancel the goal: the hand brakes and holds, and the result says so."""
         _wait(self._portal, self._running.cancel)
 
 
+def _waiting(
+    method: Callable[Concatenate[RemoteHand, P], Coroutine[Any, Any, T]],
+) -> Callable[Concatenate[BlockingHand, P], T]:
+    """Return a method of `BlockingHand` that waits for the same method of its `RemoteHand`."""
+
+    @wraps(method)
+    def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return _wait(self._portal, partial(method, self._hand, *args, **kwargs))
+
+    return call
+
+
+def _iterating(
+    method: Callable[Concatenate[RemoteHand, P], AsyncIterator[T]],
+) -> Callable[Concatenate[BlockingHand, P], Iterator[T]]:
+    """Return a method of `BlockingHand` that iterates as the same method of its `RemoteHand`."""
+
+    @wraps(method)
+    def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> Iterator[T]:
+        return _iterate(self._portal, method(self._hand, *args, **kwargs))
+
+    return call
+
+
 class BlockingHand:
-    """A running hand. Made by `connect_blocking`; see `RemoteHand` for its methods.
+    """A running hand, made by `connect_blocking`.
+
+    Its methods are those of `RemoteHand`, but wait for what they return.
 
     It may be used as a context, or closed by `close`; the end of the program closes it, too.
+
+    Attributes:
+        name: The hand's name.
+        client: This client's name on the network.
     """
 
     def __init__(self, portal: BlockingPortal, hand: RemoteHand, exit_: Callable[[], None]) -> None:
@@ -94,21 +109,14 @@ class BlockingHand:
         self.close()
 
     def close(self) -> None:
-        """Leave the hand; may be called any number of times."""
+        """Leave the hand; may be called more than once."""
         self._exit()
         atexit.unregister(self._exit)
 
-    def _call(
-        self, function: Callable[..., Coroutine[Any, Any, T]], *arguments: Any, **options: Any
-    ) -> T:
-        return _wait(self._portal, partial(function, *arguments, **options))
-
-    # --- moving it
-
     def start(self, action: str, *elements: str, **options: Unpack[GoalOptions]) -> BlockingGoal:
-        """Begin an action and return at once."""
-        running = self._call(self._hand.start, action, *elements, **options)
-        return BlockingGoal(self._portal, running)
+        """Begin an action and return at once; see `RemoteHand.start`."""
+        start = partial(self._hand.start, action, *elements, **options)
+        return BlockingGoal(self._portal, _wait(self._portal, start))
 
     def do(
         self,
@@ -117,13 +125,9 @@ class BlockingHand:
         on_feedback: Callable[[Feedback], object] | None = None,
         **options: Unpack[GoalOptions],
     ) -> Result:
-        """Execute an action and wait for its result; being interrupted cancels it.
+        """Execute an action and wait for its result; an interrupt (Ctrl-C) cancels it.
 
-        Args:
-            action: Its name; case and underscores do not matter.
-            elements: Fingers or actuator of a primitive, in any order.
-            on_feedback: Called with feedback meanwhile.
-            options: See `GoalOptions`.
+        See `RemoteHand.do`.
         """
         goal = self.start(action, *elements, **options)
         try:
@@ -136,140 +140,46 @@ class BlockingHand:
             raise
 
     def open(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
-        """Go to the rest posture and wait for the result."""
+        """Go to the rest posture and wait for the result. See `do`."""
         return self.do("open", on_feedback=on_feedback)
-
-    def effort_limits(
-        self, share: float, only: Collection[str] | None = None, *, besides: Collection[str] = ()
-    ) -> dict[str, float]:
-        """Return a share of the effort limits of actuators; see `RemoteHand.effort_limits`."""
-        return self._call(self._hand.effort_limits, share, only, besides=besides)
-
-    def cancel(self, goal_id: str = "") -> None:
-        """Cancel a goal, or whichever runs."""
-        self._call(self._hand.cancel, goal_id)
-
-    def hold(self) -> None:
-        """Hold the measured posture."""
-        self._call(self._hand.hold)
-
-    def jog(self, positions: Mapping[str, float], max_velocity: float | None = None) -> None:
-        """Move some actuators; returns at once."""
-        self._call(self._hand.jog, positions, max_velocity)
-
-    def stop(self) -> dict[str, bool]:
-        """Stop all devices now; return which confirmed it."""
-        return self._call(self._hand.stop)
-
-    def recover(self, device: str | None = None) -> None:
-        """Bring a device, or all, out of a fault."""
-        self._call(self._hand.recover, device)
-
-    def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
-        """Change gains of a device, or of every device that has them."""
-        self._call(self._hand.set_gains, gains, device)
-
-    def record(self, what: str, text: str = "") -> None:
-        """Start, stop or mark the recording; see `RemoteHand.record`."""
-        self._call(self._hand.record, what, text)
-
-    def acquire(self) -> None:
-        """Acquire the lease, until `release`: nobody else may move the hand."""
-        self._call(self._hand.acquire)
-
-    def release(self) -> None:
-        """Give the hand back."""
-        self._call(self._hand.release)
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the hand for as long as the context lasts."""
+        """Hold the lease for as long as the context lasts."""
         with self._portal.wrap_async_context_manager(self._hand.held()):
             yield
 
-    # --- watching it
+    cancel = _waiting(RemoteHand.cancel)
+    effort_limits = _waiting(RemoteHand.effort_limits)
+    hold = _waiting(RemoteHand.hold)
+    jog = _waiting(RemoteHand.jog)
+    stop = _waiting(RemoteHand.stop)
+    recover = _waiting(RemoteHand.recover)
+    set_gains = _waiting(RemoteHand.set_gains)
+    record = _waiting(RemoteHand.record)
+    acquire = _waiting(RemoteHand.acquire)
+    release = _waiting(RemoteHand.release)
 
-    def state(self) -> State:
-        """Return the newest state."""
-        return self._call(self._hand.state)
+    state = _waiting(RemoteHand.state)
+    states = _iterating(RemoteHand.states)
+    events = _iterating(RemoteHand.events)
+    status = _waiting(RemoteHand.status)
+    ready = _waiting(RemoteHand.ready)
+    info = _waiting(RemoteHand.info)
+    robot_description = _waiting(RemoteHand.robot_description)
 
-    def states(self, rate: float = 100.0) -> Iterator[State]:
-        """Iterate over states until the hand goes."""
-        return _iterate(self._portal, self._hand.states(rate))
-
-    def events(self) -> Iterator[Event]:
-        """Iterate over what happens from now on."""
-        return _iterate(self._portal, self._hand.events())
-
-    def status(self) -> HandStatus:
-        """Return how the loop and the devices are doing."""
-        return self._call(self._hand.status)
-
-    def ready(
-        self,
-        timeout: float | None = READY_WITHIN,
-        on_wait: Callable[[str], object] | None = None,
-    ) -> None:
-        """Wait until the hand ticks and all its devices are active; see `RemoteHand.ready`."""
-        self._call(self._hand.ready, timeout, on_wait)
-
-    def info(self, posture: Mapping[str, float] | None = None) -> HandInfo:
-        """Return the hand as a grasp planner needs it."""
-        return self._call(self._hand.info, posture)
-
-    def robot_description(self) -> str:
-        """Return the URDF."""
-        return self._call(self._hand.robot_description)
-
-    # --- its actions
-
-    def actions(self, kind: str = "", name: str = "", elements: Sequence[str] = ()) -> list[Action]:
-        """Return the actions that pass a filter."""
-        return self._call(self._hand.actions, kind, name, elements)
-
-    def primitives(self) -> list[PrimitiveGroup]:
-        """Return the primitives, one group per name."""
-        return self._call(self._hand.primitives)
-
-    def partners(self, name: str, element: str) -> tuple[str, ...]:
-        """Return the elements that a primitive can be done with together with a given one."""
-        return self._call(self._hand.partners, name, element)
-
-    def trials(self) -> str:
-        """Return the text of the file with what trials of the actions found; empty for none."""
-        return self._call(self._hand.trials)
-
-    def grasp_plan(self, thing: str, **options: Unpack[GraspOptions]) -> Ranking:
-        """Return which actions suit an object, the best first; see `Library.grasp_plan`."""
-        return self._call(self._hand.grasp_plan, thing, **options)
-
-    def add_generic(self, name: str, set_points: Mapping[str, float], **options: Any) -> None:
-        """Add a generic action; options as for `Library.add_generic`."""
-        self._call(self._hand.add_generic, name, set_points, **options)
-
-    def add_composed(self, name: str, parts: Sequence[ActionReference], **options: Any) -> None:
-        """Add a composed action; options as for `Library.add_composed`."""
-        self._call(self._hand.add_composed, name, parts, **options)
-
-    def add_timed(self, name: str, steps: Sequence[StepPlan], **options: Any) -> None:
-        """Add a timed action; options as for `Library.add_timed`."""
-        self._call(self._hand.add_timed, name, steps, **options)
-
-    def add_action(self, action: CustomAction, **options: Any) -> None:
-        """Add a composed, timed or generic action; options as for `Library.add_action`."""
-        self._call(self._hand.add_action, action, **options)
-
-    def store_action(self, name: str) -> None:
-        """Write an action that is only in memory to the hand's folder."""
-        self._call(self._hand.store_action, name)
-
-    def remove_action(self, name: str) -> None:
-        """Remove an action, and its file."""
-        self._call(self._hand.remove_action, name)
-
-    def rename_action(self, name: str, new_name: str) -> None:
-        """Give an action another name, everywhere it is used."""
-        self._call(self._hand.rename_action, name, new_name)
+    actions = _waiting(RemoteHand.actions)
+    primitives = _waiting(RemoteHand.primitives)
+    partners = _waiting(RemoteHand.partners)
+    trials = _waiting(RemoteHand.trials)
+    grasp_plan = _waiting(RemoteHand.grasp_plan)
+    add_generic = _waiting(RemoteHand.add_generic)
+    add_composed = _waiting(RemoteHand.add_composed)
+    add_timed = _waiting(RemoteHand.add_timed)
+    add_action = _waiting(RemoteHand.add_action)
+    store_action = _waiting(RemoteHand.store_action)
+    remove_action = _waiting(RemoteHand.remove_action)
+    rename_action = _waiting(RemoteHand.rename_action)
 
 
 def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]) -> T:
@@ -283,6 +193,7 @@ def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]
 
 
 def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
+    # An item in a tuple is distinguished from the end even if it is ``None``.
     async def following() -> tuple[T] | None:
         try:
             return (await anext(source),)
@@ -290,7 +201,7 @@ def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
             return None
 
     async def close() -> None:
-        # After an interrupt the step that was cancelled may still be ending.
+        # After an interrupt, the cancelled step may still be ending.
         for _ in range(_ATTEMPTS):
             with contextlib.suppress(RuntimeError):
                 if isinstance(source, AsyncGenerator):
@@ -313,24 +224,13 @@ def connect_blocking(
     wait: float = 0.0,
     on_wait: Callable[[str], object] | None = None,
 ) -> BlockingHand:
-    """Connect to a running hand; an event loop in a thread of its own does the work.
+    """Connect to a running hand; the work is done by an event loop in another thread.
 
-    Args:
-        hand: Its name; not needed where only one runs.
-        endpoint: Where it is, such as ``tcp/robot:7447``; else as ``RTEE_CONNECT`` says, else on
-            this computer.
-        client: A name for this client, for people.
-        wait: Time to wait for a hand that does not run yet [s]; `BlockingHand.ready` waits until
-            its devices are active, too.
-        on_wait: Called with why it waits, in words, whenever that changes.
-
-    Raises:
-        NoHand: if no such hand runs.
-        ConfigError: if several run and none is named.
+    Arguments and errors are those of `rtee.connect`.
     """
     with contextlib.ExitStack() as stack:
         portal = _start_portal()
-        stack.callback(lambda: portal.call(portal.stop))
+        stack.callback(lambda: portal.call(portal.stop))  # also if connecting fails
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
         leave = stack.pop_all().close
@@ -340,7 +240,7 @@ def connect_blocking(
 
 
 def _start_portal() -> BlockingPortal:
-    """Start an event loop in a thread that doesn't keep the process from ending."""
+    """Start an event loop in a daemon thread, which does not keep the process from ending."""
     started: Future[BlockingPortal] = Future()
 
     async def run() -> None:

@@ -1,8 +1,8 @@
-"""The requests that steer the hand, taken in Zenoh's threads.
+"""Handlers of the requests that move or stop the hand; called in Zenoh's threads.
 
-What moves the hand is only appended to what the loop does at its next tick, which any thread may
-do: a goal does not wait for the event loop to wake up. One lock keeps Zenoh's threads apart; the
-loop's thread never takes it, so that it cannot be held up here.
+Whatever moves the hand is only appended to the list of what the loop does at its next tick, which
+any thread may do: a goal need not wait until the event loop wakes up. One lock serialises Zenoh's
+threads. The loop's thread never takes it, so that requests cannot hold up the loop.
 """
 
 from __future__ import annotations
@@ -17,23 +17,26 @@ from rtee.errors import ConfigError, GoalRejected, RequestRejected
 from rtee.hand.names import check_name
 from rtee.loop.handloop import HandLoop
 from rtee.messages import decode_goal
-from rtee.remote.incoming_request import Asked
+from rtee.remote.incoming_request import REPLY, IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.types import Goal
 
 Fields = Mapping[str, Any]
 
+_WITHOUT_LEASE = ("hello", "release")
+"""Requests that are accepted while another client holds the lease."""
+
 _MOST_WAITING = 64
-"""Clients that may wait for their greeting: far more than connect at once, but bounded."""
+"""Clients that may wait for the answer to ``hello``: far more than connect at once, but bounded."""
 
 
-class Control:
-    """Takes the requests of the groups ``control`` and ``stop``, and knows who is there.
+class CommandHandlers:
+    """Handles the requests of the groups ``control`` and ``stop``, and keeps the list of clients.
 
     Args:
         loop: The hand's loop.
-        lease: Who holds the hand.
+        lease: The hand's lease.
         thread: The loop's thread.
     """
 
@@ -41,8 +44,8 @@ class Control:
         self._loop, self._lease, self._thread = loop, lease, thread
         self._lock = threading.Lock()
         self._clients: set[str] = set()
-        self._greeting: dict[str, Asked] = {}
-        self._handlers: dict[str, Callable[[Asked], str | None]] = {
+        self._greeting: dict[str, IncomingRequest] = {}
+        self._handlers: dict[str, Callable[[IncomingRequest], str | None]] = {
             "hello": self._hello,
             "cancel": self._cancel,
             "hold": self._hold,
@@ -53,66 +56,70 @@ class Control:
             "release": self._release,
         }
 
-    def handle(self, asked: Asked) -> None:
-        """Do what is asked.
+    def handle(self, request: IncomingRequest) -> bytes | None:
+        """Handle a request of the group ``control``.
+
+        Returns:
+            The encoded answer; ``None`` if it is sent once the request has been carried out.
 
         Raises:
-            RteeError: why not.
+            RteeError: if the request is refused.
         """
-        name = asked.request.name
-        goal = decode_goal(asked.question) if name == "do" else None
-        client = asked.fields["client"] if goal is None else goal.client
+        name = request.request.name
+        goal = decode_goal(request.question) if name == "do" else None
+        client = request.fields["client"] if goal is None else goal.client
         with self._lock:
             if client not in self._clients and name != "hello":
-                raise RequestRejected("who asks is not known here; say hello first")
-            done = self._handlers[name](asked) if goal is None else self._do(goal)
-        if done is not None:
-            asked.accept(done)
+                raise RequestRejected("this client is not known here; say hello first")
+            if name not in _WITHOUT_LEASE:
+                self._lease.check(client)
+            text = self._handlers[name](request) if goal is None else self._do(goal)
+        return None if text is None else REPLY.encode(accepted(text))
 
-    def stop(self, asked: Asked) -> None:
-        """Stop all devices; whoever asks may, and need not have said hello."""
-        client = asked.fields["client"] or "a client"
+    def stop(self, request: IncomingRequest) -> None:
+        """Stop all devices; any client may ask for it, even without ``hello``."""
+        client = request.fields["client"] or "a client"
 
         async def run() -> None:
             confirmed = dict(await self._loop.stop(f"stopped by {client}"))
-            asked.answer({"device": list(confirmed), "confirmed": list(confirmed.values())})
+            request.answer({"device": list(confirmed), "confirmed": list(confirmed.values())})
 
         self._thread.start(run)
 
     def knows(self, client: str) -> bool:
-        """Return whether a client is there."""
+        """Return whether a client is connected."""
         return client in self._clients
 
-    def came(self, client: str) -> None:
-        """Note that a client is there."""
+    def client_came(self, client: str) -> None:
+        """Note that a client has connected."""
         with contextlib.suppress(ConfigError), self._lock:
             self._clients.add(check_name(client, "client"))
             greeting = self._greeting.pop(client, None)
             if greeting is not None:
-                greeting.accept()
+                greeting.answer(accepted())
 
-    def gone(self, client: str) -> None:
-        """Note that a client is there no more; if it held the hand, nobody drives it now."""
+    def client_left(self, client: str) -> None:
+        """Note that a client has left; if it held the lease, the loop acts as configured."""
         with self._lock:
             self._clients.discard(client)
-            held = self._lease.gone(client)
+            held = self._lease.client_left(client)
         if held:
             self._thread.call_soon(self._loop.client_lost, client)
 
-    def _hello(self, asked: Asked) -> str | None:
-        client = check_name(asked.fields["client"], "client")
+    def _hello(self, request: IncomingRequest) -> str | None:
+        client = check_name(request.fields["client"], "client")
         if client in self._clients:
             return ""
         if len(self._greeting) >= _MOST_WAITING:
-            raise RequestRejected("too many clients say hello without being there")
-        self._greeting[client] = asked
+            raise RequestRejected("too many clients say hello without a liveliness token")
+        self._greeting[client] = request  # answered when its liveliness token is seen
         return None
 
     def _do(self, goal: Goal) -> str:
         check_name(goal.goal_id, "goal")
-        self._lease.check(goal.client)
         if self._lease.runs(goal.goal_id):
             raise GoalRejected(f"the goal '{goal.goal_id}' runs already")
+        # Before it is submitted: the loop may end the goal before `submit` returns.
         self._lease.started(goal.client, goal.goal_id)
         try:
             self._loop.submit(goal)
@@ -121,51 +128,48 @@ class Control:
             raise
         return goal.goal_id
 
-    def _cancel(self, asked: Asked) -> str:
-        self._lease.check(asked.fields["client"])
-        self._loop.cancel(asked.fields["goal_id"])
+    def _cancel(self, request: IncomingRequest) -> str:
+        self._loop.cancel(request.fields["goal_id"])
         return ""
 
-    def _hold(self, asked: Asked) -> str:
-        self._lease.check(asked.fields["client"])
-        self._loop.hold(f"{asked.fields['client']} asked to hold")
+    def _hold(self, request: IncomingRequest) -> str:
+        self._loop.hold(f"{request.fields['client']} asked to hold")
         return ""
 
-    def _jog(self, asked: Asked) -> str:
-        fields = asked.fields
-        self._lease.check(fields["client"])
-        limit = None if math.isnan(fields["limit"]) else fields["limit"]
+    def _jog(self, request: IncomingRequest) -> str:
+        fields = request.fields
+        limit = None if math.isnan(fields["limit"]) else fields["limit"]  # NaN: no limit given
         self._loop.jog(_values(fields), limit)
         self._lease.jogged(fields["client"])
         return ""
 
-    def _gains(self, asked: Asked) -> None:
-        fields = asked.fields
-        self._lease.check(fields["client"])
+    def _gains(self, request: IncomingRequest) -> None:
+        fields = request.fields
         values, device = _values(fields), fields["source"] or None
-        self._later(asked, lambda: self._loop.set_gains(values, device))
+        self._answer_after(request, lambda: self._loop.set_gains(values, device))
 
-    def _recover(self, asked: Asked) -> None:
-        self._lease.check(asked.fields["client"])
-        device = asked.fields["what"] or None
-        self._later(asked, lambda: self._loop.recover(device))
+    def _recover(self, request: IncomingRequest) -> None:
+        device = request.fields["what"] or None
+        self._answer_after(request, lambda: self._loop.recover(device))
 
-    def _acquire(self, asked: Asked) -> str:
-        self._lease.acquire(asked.fields["client"])
+    def _acquire(self, request: IncomingRequest) -> str:
+        self._lease.acquire(request.fields["client"])
         return ""
 
-    def _release(self, asked: Asked) -> str:
-        self._lease.release(asked.fields["client"])
+    def _release(self, request: IncomingRequest) -> str:
+        self._lease.release(request.fields["client"])
         return ""
 
-    def _later(self, asked: Asked, what: Callable[[], Awaitable[None]]) -> None:
+    def _answer_after(self, request: IncomingRequest, work: Callable[[], Awaitable[None]]) -> None:
+        """Have something done in the loop's thread, and answer the request when it is done."""
+
         async def run() -> None:
             try:
-                await what()
+                await work()
             except Exception as error:
-                asked.refuse(error)
+                request.refuse(error)
             else:
-                asked.accept()
+                request.answer(accepted())
 
         self._thread.start(run)
 

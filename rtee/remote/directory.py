@@ -1,7 +1,7 @@
-"""Which hands run on this computer, and where: one file per hand in the user's runtime folder.
+"""Which hands run on this computer: one file per hand in the user's runtime folder.
 
-A server holds a lock on the file of its hand for as long as it lives, so that a file left behind by
-a process that was killed is told apart from one in use.
+A server keeps the file of its hand locked for as long as it lives. A file without a lock was left
+behind by a process that was killed.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from rtee.hand.files import reason
 from rtee.hand.names import check_name
 
 VARIABLE = "RTEE_RUNTIME_DIR"
-"""Environment variable that names another folder."""
+"""Environment variable with the path of another runtime folder."""
 
 SERVICES = Path("/run/rtee")
-"""Where hands that run as services are announced, for those who may read it."""
+"""Where hands that run as services are announced, for users who may read it."""
 
 _ATTEMPTS = 20
-"""Attempts to lock the file of a hand, together 0.2 s: who only looks holds it for microseconds."""
+"""Attempts to lock the file of a hand, together 0.2 s: a reader locks it for microseconds only."""
 
 _PAUSE = 0.01
 """Time between two of these attempts [s]."""
 
 _LONGEST = 65536
-"""Longest file of a hand that is read [bytes]; a whole one has some hundred."""
+"""Most that is read of a hand's file [bytes]; a valid one has some hundred."""
 
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A hand that runs.
+    """A running hand.
 
     Attributes:
         hand: Its name.
         pid: The process.
-        endpoints: Zenoh endpoints to connect to, those of this computer only.
+        endpoints: Zenoh endpoints on this computer.
     """
 
     hand: str
@@ -53,7 +53,7 @@ class Running:
 
 
 def runtime_folder() -> Path:
-    """Return the folder of running hands: of this user alone, and gone after a restart.
+    """Return the folder with the files of running hands: this user's, and emptied at a restart.
 
     ``RTEE_RUNTIME_DIR``, else ``rtee`` in ``XDG_RUNTIME_DIR``, else ``rtee-<uid>`` in the temporary
     folder.
@@ -66,10 +66,10 @@ def runtime_folder() -> Path:
 
 
 def _own_folder() -> Path:
-    """Return the folder, made if need be.
+    """Return the folder; makes it if necessary.
 
     Raises:
-        ConfigError: if it cannot be made, or belongs to somebody else.
+        ConfigError: if it cannot be made, or other users can write to it.
     """
     folder = runtime_folder()
     try:
@@ -90,7 +90,7 @@ def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
 
     Args:
         hand: Its name.
-        endpoints: Zenoh endpoints at which it can be reached from this computer.
+        endpoints: Zenoh endpoints of the hand on this computer.
 
     Raises:
         ConfigError: if the hand runs already, or the folder cannot be used.
@@ -99,7 +99,7 @@ def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
     descriptor = _locked(path, hand)
     try:
         entry = json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)})
-        os.ftruncate(descriptor, 0)
+        os.ftruncate(descriptor, 0)  # a killed server may have left a longer entry
         os.pwrite(descriptor, entry.encode(), 0)
         yield path
     finally:
@@ -114,10 +114,11 @@ def _locked(path: Path, hand: str) -> int:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640)
         except OSError as error:
             raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
+        # The previous server may have removed the file between opening and locking it.
         if _lock(descriptor, fcntl.LOCK_EX) and _same_file(descriptor, path):
             return descriptor
         os.close(descriptor)
-        time.sleep(_PAUSE)  # somebody may only be looking whether the hand runs
+        time.sleep(_PAUSE)  # another process may just be checking whether the hand runs
     pid = _read(path).get("pid", "unknown")
     raise ConfigError(f"the hand '{hand}' runs already, in process {pid}")
 
@@ -158,9 +159,10 @@ def _in_use(path: Path) -> bool:
 
 
 def running() -> dict[str, Running]:
-    """Return the hands that run on this computer for this user or as services, by name."""
+    """Return the hands that run on this computer, this user's and services, by name."""
     found: dict[str, Running] = {}
     own = sorted(runtime_folder().glob("*.json"))
+    # A folder that is named explicitly, as in tests, is the only one.
     services = [] if os.environ.get(VARIABLE) else sorted(SERVICES.glob("*.json"))
     for path in (*services, *own):
         entry = _read(path)

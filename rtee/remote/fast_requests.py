@@ -1,7 +1,9 @@
-"""The short way to a hand: what is in a hurry is put, and answered under its number.
+"""Requests that are published instead of queried, because they reach the hand sooner.
 
-A goal that is put is answered 0.1 ms sooner than one that is asked by a query (1.75 and 1.85 ms in
-the median, 200 of each by turns on a busy computer with two cores).
+A goal that is published reaches the server's callback 0.11 ms sooner than one that is sent as a
+Zenoh query, and so do its answer and the first changed reference: 0.65 ms against 0.76 ms until the
+callback, 1.25 ms against 1.35 ms until the stamp of that reference (medians of 600 goals each, by
+turns, hand at 1 kHz on a busy computer with two cores).
 """
 
 from __future__ import annotations
@@ -17,22 +19,23 @@ from rtee.messages import network_key
 from rtee.messages.requests import ANSWERS, PUT, REQUESTS
 from rtee.remote.session import EXPRESS, direct
 
-_FOUND_WITHIN = 5.0
-"""Time until what is put arrives at the hand [s]: as long as a request waits for its answer."""
+_CONNECT_WITHIN = 5.0
+"""Time until publications must reach the hand [s]: as long as a request waits for its answer."""
 
 
-class Putting:
-    """Puts requests to one hand and waits for their answers.
+class FastRequests:
+    """Publishes requests to one hand and waits for their answers.
 
-    All that does not belong to one request is prepared here. All methods are called in the event
-    loop's thread.
+    Each request carries a number as its attachment, and its answer the same number. Whatever does
+    not depend on a single request is prepared when this object is made. All methods are called in
+    the event loop's thread.
 
     Args:
-        session: The network.
+        session: The Zenoh session.
         hand: The hand's name.
         client: This client's name on the network.
-        call_soon: Calls a function in the event loop's thread, from any.
-        error: Returns the exception that a refusal stands for.
+        call_soon: Calls a function in the event loop's thread, from any thread.
+        settle: Completes the future of an answer, see `Link`.
     """
 
     def __init__(
@@ -41,80 +44,77 @@ class Putting:
         hand: str,
         client: str,
         call_soon: Callable[..., None],
-        error: Callable[[bytes], Exception],
+        settle: Callable[[asyncio.Future[bytes], bool, bytes], None],
     ) -> None:
         self._hand, self._client = hand, client
-        self._call_soon, self._error = call_soon, error
+        self._call_soon, self._complete = call_soon, settle
         self._loop = asyncio.get_running_loop()
         self._numbers = itertools.count(1)
         self._waiting: dict[str, asyncio.Future[bytes]] = {}
         self._gone = False
-        self._sought = set(PUT)
-        self._found = asyncio.Event()
+        self._unmatched = set(PUT)
+        self._connected = asyncio.Event()
         self._publishers = {name: self._publisher(session, name) for name in PUT}
         self._answers = session.declare_subscriber(
-            network_key(hand, f"{ANSWERS}/{client}"), direct(self._answered)
+            network_key(hand, f"{ANSWERS}/{client}"), direct(self._on_answer)
         )
 
     def _publisher(self, session: zenoh.Session, name: str) -> zenoh.Publisher:
         publisher = session.declare_publisher(REQUESTS[name].key(self._hand), **EXPRESS)
 
-        def matched(status: zenoh.MatchingStatus) -> None:
+        def changed(status: zenoh.MatchingStatus) -> None:
             if status.matching:
-                self._call_soon(self._matched, name)
+                self._call_soon(self._on_match, name)
 
-        publisher.declare_matching_listener(direct(matched))
+        publisher.declare_matching_listener(direct(changed))
         return publisher
 
-    def _matched(self, name: str) -> None:
-        self._sought.discard(name)
-        if not self._sought:
-            self._found.set()
+    def _on_match(self, name: str) -> None:
+        self._unmatched.discard(name)
+        if not self._unmatched:
+            self._connected.set()
 
-    async def found(self) -> None:
-        """Wait until what is put arrives at the hand; raises `NoHand`."""
+    async def connected(self) -> None:
+        """Wait until publications reach the hand; raises `NoHand`."""
         try:
-            async with asyncio.timeout(_FOUND_WITHIN):
-                await self._found.wait()
+            async with asyncio.timeout(_CONNECT_WITHIN):
+                await self._connected.wait()
         except TimeoutError:
-            raise self._error(b"") from None
+            raise NoHand(f"the hand '{self._hand}' does not answer") from None
 
     def send(self, name: str, question: bytes, within: float) -> asyncio.Future[bytes]:
-        """Put a request and return its answer to come; see `Link.send`."""
+        """Publish a request and return the future of its answer; see `Link.send`."""
         if self._gone:
-            raise self._error(b"")
+            raise NoHand(f"the hand '{self._hand}' does not answer")
         number = str(next(self._numbers))
         try:
             self._publishers[name].put(question, attachment=f"{number} {self._client}")
         except zenoh.ZError as error:
             raise NoHand(f"the hand '{self._hand}' cannot be asked: {error}") from None
-        # An answer comes in this thread, later.
+        # The answer is delivered in this thread, so it cannot come before the future is there.
         future = self._waiting[number] = self._loop.create_future()
-        patience = self._loop.call_later(within, self._settle, number, False, b"")
-        future.add_done_callback(lambda _: self._forget(number, patience))
+        timer = self._loop.call_later(within, self._settle, number, False, b"")
+        future.add_done_callback(lambda _: self._forget(number, timer))
         return future
 
-    def _forget(self, number: str, patience: asyncio.TimerHandle) -> None:
-        patience.cancel()
+    def _forget(self, number: str, timer: asyncio.TimerHandle) -> None:
+        timer.cancel()
         self._waiting.pop(number, None)
 
-    def _answered(self, sample: zenoh.Sample) -> None:
+    def _on_answer(self, sample: zenoh.Sample) -> None:
         if sample.attachment is not None:
             number = sample.attachment.to_string()
             data = sample.payload.to_bytes()
+            # The first character says whether the request was accepted.
             self._call_soon(self._settle, number[1:], number[:1] == "+", data)
 
     def _settle(self, number: str, ok: bool, data: bytes) -> None:
         future = self._waiting.pop(number, None)
-        if future is None or future.done():
-            return
-        if ok:
-            future.set_result(data)
-        else:
-            future.set_exception(self._error(data))
+        if future is not None:
+            self._complete(future, ok, data)
 
-    def lost(self) -> None:
-        """Note that the hand is there no more: what waits for its answer gets none."""
+    def fail_all(self) -> None:
+        """End all waiting requests with an error, and refuse new ones: the hand has gone."""
         self._gone = True
         for number in tuple(self._waiting):
             self._settle(number, False, b"")

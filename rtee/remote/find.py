@@ -18,13 +18,13 @@ from rtee.remote.directory import Running, running
 from rtee.remote.session import open_client
 
 VARIABLE = "RTEE_CONNECT"
-"""Environment variable that names the endpoint of a hand on another computer."""
+"""Environment variable with the endpoint of a hand on another computer."""
 
-_LOOK_EVERY = 0.02
-"""Time between two looks for a hand that does not run yet [s]: nobody notices that wait."""
+_POLL_PERIOD = 0.02
+"""Time between two searches for a hand that does not run yet [s]: too short to be noticed."""
 
 _ANSWER_WITHIN = 1.0
-"""Time that hands on an endpoint have to answer that they are there [s]."""
+"""Time for the hands at an endpoint to report that they are there [s]: a round trip or two."""
 
 
 def hands_running() -> dict[str, Running]:
@@ -41,32 +41,32 @@ async def open_hand(
     """Find a hand and open a session with it.
 
     Args:
-        hand: Its name; ``None`` where only one runs.
-        endpoint: Where it is; ``None``: as ``RTEE_CONNECT`` says, else on this computer.
-        wait: Time to wait for a hand that is not there yet [s].
-        on_wait: Called with why it waits, in words, whenever that changes.
+        hand: Its name; ``None`` if only one hand runs.
+        endpoint: Its address; ``None``: that in ``RTEE_CONNECT``, else this computer.
+        wait: Time to wait for a hand that does not run yet [s].
+        on_wait: Called with the reason for waiting, in words, whenever it changes.
 
     Returns:
         The session, and the hand's name.
 
     Raises:
-        NoHand: if there is none.
-        ConfigError: if several run and none is named.
+        NoHand: if there is no such hand.
+        ConfigError: if several hands run and none is named.
     """
     if hand is not None:
         check_name(hand, "hand")
     endpoint = endpoint or os.environ.get(VARIABLE) or None
-    until, told = time.monotonic() + wait, ""
+    until, reported = time.monotonic() + wait, ""
     while True:
         try:
-            return await (_there(hand, endpoint) if endpoint else _here(hand))
+            return await (_elsewhere(hand, endpoint) if endpoint else _here(hand))
         except NoHand as error:
             if time.monotonic() >= until:
                 raise
-            if on_wait is not None and str(error) != told:
-                told = str(error)
-                on_wait(told)
-        await anyio.sleep(_LOOK_EVERY)
+            if on_wait is not None and str(error) != reported:
+                reported = str(error)
+                on_wait(reported)
+        await anyio.sleep(_POLL_PERIOD)
 
 
 async def _here(hand: str | None) -> tuple[zenoh.Session, str]:
@@ -81,12 +81,12 @@ async def _here(hand: str | None) -> tuple[zenoh.Session, str]:
     return session, name
 
 
-async def _there(hand: str | None, endpoint: str) -> tuple[zenoh.Session, str]:
+async def _elsewhere(hand: str | None, endpoint: str) -> tuple[zenoh.Session, str]:
     session = await anyio.to_thread.run_sync(open_client, [endpoint])
     try:
         names = await anyio.to_thread.run_sync(_alive, session)
         return session, _chosen(hand, names, f"at {endpoint}")
-    except BaseException:
+    except BaseException:  # cancellation included: a session keeps threads
         session.close()  # type: ignore[no-untyped-call]
         raise
 

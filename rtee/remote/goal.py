@@ -1,17 +1,51 @@
-"""A goal that runs, as a client sees it."""
+"""Goals of a client: sending them to the hand, and following them to their results."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+import contextlib
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
+from functools import partial
+from typing import Any, TypedDict, Unpack
 
-from rtee.types import Feedback, Goal, Result
+import anyio
+
+from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
+from rtee.messages import decode_feedback, decode_result, encode_goal, topics
+from rtee.remote.link import Link
+from rtee.remote.planner import HandInfo
+from rtee.types import Feedback, Goal, Result, Stage
+
+
+class GoalOptions(TypedDict, total=False):
+    """Options of a goal.
+
+    Attributes:
+        intensity: 0 (rest) to 1 (the action's posture); 1 by default.
+        effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1: that share of
+            the limit of every actuator.
+        tolerance: Error norm at which the goal counts as reached; 0.01 by default.
+        speed: Scale of the velocity limits, above 0 up to 1; 1 by default.
+        timeout: Longest time the goal may take [s]; by default as configured for the hand.
+        stage: How far a pinch goes: both, pre_grasp or grasp; both by default.
+        kind: Kind of the action, where its name is ambiguous.
+    """
+
+    intensity: float
+    effort: Mapping[str, float] | float
+    tolerance: float
+    speed: float
+    timeout: float | None
+    stage: Stage | str
+    kind: str | None
 
 
 class RunningGoal:
-    """A goal that was taken.
+    """A goal that the hand has accepted.
 
-    ``async for feedback in running`` ends with the goal; ``await running.result()`` tells how.
+    ``async for feedback in running`` ends with the goal; ``await running.result()`` returns its
+    result.
 
     Args:
         goal: The goal.
@@ -26,28 +60,28 @@ class RunningGoal:
         self._cancel = cancel
         self._feedback: asyncio.Queue[Feedback | None] = asyncio.Queue()
         self._result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        # Nobody need ask for the result of a goal whose hand has gone.
+        # Without this, asyncio would complain when nobody awaits the result of a hand that is gone.
         self._result.add_done_callback(lambda done: done.cancelled() or done.exception())
 
     @property
     def done(self) -> bool:
-        """Whether it has ended."""
+        """Whether the goal has ended."""
         return self._result.done()
 
     def __aiter__(self) -> AsyncIterator[Feedback]:
-        """Iterate over its feedback until it has ended."""
+        """Iterate over the feedback until the goal has ended."""
         return self._iterate()
 
     async def _iterate(self) -> AsyncIterator[Feedback]:
         while (feedback := await self._feedback.get()) is not None:
             yield feedback
-        self._feedback.put_nowait(None)
+        self._feedback.put_nowait(None)  # for the next one who iterates
 
     async def result(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
-        """Wait until it has ended.
+        """Wait until the goal has ended.
 
         Args:
-            on_feedback: Called with its feedback meanwhile.
+            on_feedback: Called with the feedback meanwhile.
 
         Raises:
             NoHand: if the hand has gone.
@@ -55,15 +89,19 @@ class RunningGoal:
         if on_feedback is not None:
             async for feedback in self:
                 on_feedback(feedback)
+        # Cancelling one who waits must not cancel the result for the others.
         return await asyncio.shield(self._result)
 
     async def cancel(self) -> None:
-        """Cancel it: the hand brakes and holds; the result says so. Once it has ended: nothing."""
+        """Cancel the goal: the hand brakes and holds, and the result says so.
+
+        Does nothing once the goal has ended.
+        """
         if not self.done:
             await self._cancel()
 
     def deliver(self, what: Feedback | Result | Exception) -> None:
-        """Take what came from the hand."""
+        """Deliver feedback, the result, or the error that ends the goal."""
         if isinstance(what, Feedback):
             self._feedback.put_nowait(what)
             return
@@ -73,3 +111,146 @@ class RunningGoal:
             else:
                 self._result.set_exception(what)
         self._feedback.put_nowait(None)
+
+
+class GoalClient:
+    """Sends goals to the hand and delivers feedback and results to those that run.
+
+    Args:
+        link: The connection to the hand.
+        info: Returns the hand's description, for the effort limits of its actuators.
+    """
+
+    def __init__(self, link: Link, info: Callable[[], Awaitable[HandInfo]]) -> None:
+        self._link, self._info = link, info
+        self._running: dict[str, RunningGoal] = {}
+        self._efforts: dict[str, float] | None = None
+        link.subscribe(topics.FEEDBACK, self._on_feedback)
+        link.subscribe(topics.RESULTS, self._on_result)
+        link.on_gone(self._on_gone)
+
+    def _on_feedback(self, data: bytes) -> None:
+        if self._running:  # without goals of this client, the message need not even be decoded
+            feedback = decode_feedback(data)
+            running = self._running.get(feedback.goal_id)
+            if running is not None:
+                running.deliver(feedback)
+
+    def _on_result(self, data: bytes) -> None:
+        if self._running:
+            result = decode_result(data)
+            running = self._running.pop(result.goal_id, None)
+            if running is not None:
+                running.deliver(result)
+
+    def _on_gone(self) -> None:
+        running, self._running = self._running, {}
+        for goal in running.values():
+            goal.deliver(NoHand(f"the hand '{self._link.hand}' has gone"))
+
+    async def start(
+        self, action: str, *elements: str, **options: Unpack[GoalOptions]
+    ) -> RunningGoal:
+        """Begin an action and return at once; a running goal of this client is pre-empted.
+
+        Args:
+            action: Its name; case and underscores do not matter.
+            elements: Fingers or actuator of a primitive, in any order.
+            options: See `GoalOptions`.
+
+        Raises:
+            RequestRejected: if the hand refuses the goal, with the reason.
+            LeaseHeld: if another client holds the lease.
+            NoHand: if the hand has gone.
+        """
+        effort = options.get("effort")
+        if isinstance(effort, float | int):
+            options["effort"] = await self.effort_limits(effort)
+        goal = _goal(action, elements, self._link.client, options)
+        # Sent before anything else is prepared. The answer, and what follows it, come through this
+        # event loop and so cannot arrive before the goal is registered.
+        answer = self._link.send("do", encode_goal(goal))
+        running = self._running[goal.goal_id] = RunningGoal(
+            goal, partial(self.cancel, goal.goal_id)
+        )
+        try:
+            await answer
+        except BaseException:
+            self._running.pop(goal.goal_id, None)
+            raise
+        return running
+
+    async def do(
+        self,
+        action: str,
+        *elements: str,
+        on_feedback: Callable[[Feedback], object] | None = None,
+        **options: Unpack[GoalOptions],
+    ) -> Result:
+        """Execute an action and wait for its result; cancelling the call cancels the goal.
+
+        Arguments and errors are those of `start`, and ``on_feedback``, which is called with the
+        feedback meanwhile.
+        """
+        running = await self.start(action, *elements, **options)
+        try:
+            return await running.result(on_feedback)
+        except anyio.get_cancelled_exc_class():
+            with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
+                await running.cancel()
+            raise
+
+    async def open(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
+        """Go to the rest posture and wait for the result. See `do`."""
+        return await self.do("open", on_feedback=on_feedback)
+
+    async def cancel(self, goal_id: str = "") -> None:
+        """Cancel a goal, by default the running one: the hand brakes and holds its posture."""
+        await self._link.ask("cancel", {"goal_id": goal_id, "client": self._link.client})
+
+    async def effort_limits(
+        self, share: float, only: Collection[str] | None = None, *, besides: Collection[str] = ()
+    ) -> dict[str, float]:
+        """Return a share of the effort limits of actuators [N·m | N], for the option ``effort``.
+
+        Args:
+            share: Above 0 up to 1.
+            only: The actuators; ``None`` for all.
+            besides: Actuators to leave out.
+
+        Raises:
+            GoalRejected: if the share is out of range, or an actuator is unknown or has no effort
+                limit.
+        """
+        if not 0.0 < share <= 1.0:
+            raise GoalRejected(
+                f"an effort for all actuators is a share of their limits, above 0 and at most 1 "
+                f"(100 %), not {share:g}"
+            )
+        if self._efforts is None:  # they do not change while the hand runs
+            self._efforts = {a.name: a.effort for a in (await self._info()).actuators}
+        known = self._efforts
+        chosen = [name for name in (known if only is None else only) if name not in besides]
+        for name in chosen:
+            if name not in known:
+                raise GoalRejected(
+                    f"effort for an unknown actuator '{name}'; {suggestion(name, known)}"
+                )
+            if not math.isfinite(known[name]):
+                raise GoalRejected(
+                    f"'{name}' has no effort limit to take a share of; give one under 'limits' "
+                    "in hand.yaml, or its effort by name"
+                )
+        return {name: share * known[name] for name in chosen}
+
+
+def _goal(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
+    values: dict[str, Any] = dict(options)
+    if "stage" in values:
+        try:
+            values["stage"] = Stage(values["stage"])
+        except ValueError:
+            raise GoalRejected(
+                f"unknown stage '{values['stage']}'; {suggestion(str(values['stage']), Stage)}"
+            ) from None
+    return Goal(action=action, elements=tuple(elements), client=client, **values)

@@ -12,8 +12,8 @@ import numpy as np
 
 from rtee.errors import RequestRejected
 from rtee.planning.apart import Question, ask
-from rtee.remote.incoming_request import Asked
-from rtee.remote.worker import Worker
+from rtee.remote.call_queue import CallQueue
+from rtee.remote.incoming_request import IncomingRequest
 
 _WAITING: Final = 4
 """Plans that may wait: each takes a second or two of a processor."""
@@ -28,11 +28,11 @@ class GraspPlanning:
 
     def __init__(self, hand: str) -> None:
         self._hand = hand
-        self._worker: Worker | None = None
+        self._queue: CallQueue | None = None
         self._process: subprocess.Popen[str] | None = None
         self._closed = False
 
-    def handle(self, asked: Asked, actions: Path | None) -> None:
+    def handle(self, asked: IncomingRequest, actions: Path | None) -> None:
         """Have a question answered later.
 
         Args:
@@ -46,12 +46,12 @@ class GraspPlanning:
         question.check()
         if actions is None:
             raise RequestRejected(f"{self._hand} has no folder with actions to plan with")
-        if self._worker is None:
-            self._worker = Worker(f"plan {self._hand}", _WAITING)
-        if not self._worker.put(partial(self._answer, asked, actions.parent, question)):
+        if self._queue is None:
+            self._queue = CallQueue(f"plan {self._hand}", _WAITING)
+        if not self._queue.put(partial(self._answer, asked, actions.parent, question)):
             raise RequestRejected(f"{_WAITING} plans are waiting already")
 
-    def _answer(self, asked: Asked, folder: Path, question: Question) -> None:
+    def _answer(self, asked: IncomingRequest, folder: Path, question: Question) -> None:
         try:
             if self._closed:
                 raise RequestRejected(f"{self._hand} has ended")
@@ -69,8 +69,8 @@ class GraspPlanning:
         self._closed = True
         if self._process is not None:
             self._process.kill()
-        if self._worker is not None:
-            self._worker.close()
+        if self._queue is not None:
+            self._queue.close()
 
 
 def _question(fields: Mapping[str, Any]) -> Question:

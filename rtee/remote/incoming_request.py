@@ -1,4 +1,4 @@
-"""A request as the server sees it: checked before anything is done about it, answered once."""
+"""A request as the server receives it: checked before it is handled, answered exactly once."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from rtee.messages.schema import message_type
 log = logging.getLogger(__name__)
 
 LONGEST = 65536
-"""Longest question that is looked at [bytes]: ten times that of the longest timed action."""
+"""Longest question that is decoded [bytes]: ten times that of the longest timed action."""
 
 LONGEST_NUMBERED = 200
-"""Longest number and client of what is put [bytes]; names of clients have 100 at most."""
+"""Longest attachment of a published request [bytes]; names of clients have 100 at most."""
 
 REPLY = message_type("rtee_msgs/msg/Reply")
 _EMPTY = message_type("rtee_msgs/msg/Empty")
 
 Send = Callable[[bytes, bool], object]
-"""Sends an encoded answer, or, when ``False`` is given with it, a refusal."""
+"""Sends an encoded answer to the client; a refusal if the second argument is ``False``."""
 
 
 def accepted(text: str = "") -> dict[str, Any]:
-    """Return the fields of a ``rtee_msgs/Reply`` to a request that was taken."""
+    """Return the fields of the ``rtee_msgs/Reply`` to an accepted request."""
     return {"accepted": True, "error": "", "reason": "", "text": text}
 
 
 def refusal(error: Exception) -> bytes:
-    """Return the ``rtee_msgs/Reply`` that tells an error."""
-    if not isinstance(error, RteeError):
-        log.error("a request failed", exc_info=error)
+    """Return the ``rtee_msgs/Reply`` that reports an error."""
     known = isinstance(error, RteeError)
+    if not known:
+        log.error("a request failed", exc_info=error)
     return REPLY.encode(
         {
             "accepted": False,
@@ -49,13 +49,13 @@ def refusal(error: Exception) -> bytes:
     )
 
 
-class Asked:
-    """A question that is waiting for its answer.
+class IncomingRequest:
+    """A request that waits for its answer.
 
     Attributes:
         request: Which request it is.
         question: The question, encoded.
-        send: Sends the encoded answer.
+        send: Sends the answer.
     """
 
     __slots__ = ("_fields", "question", "request", "send")
@@ -74,36 +74,36 @@ class Asked:
         return self._fields
 
     def answer(self, fields: Mapping[str, Any]) -> None:
-        """Answer with a message of the request's type."""
+        """Send the fields of an answer."""
         self.send(self.request.answer.encode(fields), True)
 
-    def accept(self, text: str = "") -> None:
-        """Answer that it was taken."""
-        self.send(REPLY.encode(accepted(text)), True)
-
     def refuse(self, error: Exception) -> None:
-        """Answer why not."""
+        """Send the reason why the request is refused."""
         self.send(refusal(error), False)
 
 
-def receive(
-    message: zenoh.Query | zenoh.Sample, group: str, handle: Callable[[Asked], None], send: Send
+Handler = Callable[[IncomingRequest], bytes | None]
+"""Handles a request; returns the encoded answer, or ``None`` if it will be sent later."""
+
+
+def handle_request(
+    message: zenoh.Query | zenoh.Sample, group: str, handle: Handler, send: Send
 ) -> None:
-    """Have a request of a group handled; what is none, or cannot be done, is refused."""
+    """Check a request of a group, have it handled, and send the answer or the reason against it."""
     try:
-        handle(Asked(*_read(message, group), send))
+        answer = handle(IncomingRequest(*_read(message, group), send))
     except Exception as error:
         send(refusal(error), False)
+    else:
+        if answer is not None:
+            send(answer, True)
 
 
 def _read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, bytes]:
-    """Take a question apart; cheap for junk of any size.
-
-    Returns:
-        The request, and the question, encoded.
+    """Return which request a message is and its encoded question; cheap for junk of any size.
 
     Raises:
-        MessageError: if it is no request of the group.
+        MessageError: if the message is not a request of the group.
     """
     name = str(message.key_expr).rpartition("/")[2]
     request = REQUESTS.get(name)
@@ -120,8 +120,8 @@ def _read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, byt
     return request, payload.to_bytes()
 
 
-def numbered(sample: zenoh.Sample) -> tuple[str, str]:
-    """Return the number and the client under which something was put; empty if it was not so."""
+def number_and_client(sample: zenoh.Sample) -> tuple[str, str]:
+    """Return the number and the client of a published request; empty if it carries none."""
     attachment = sample.attachment
     if attachment is None or len(attachment) > LONGEST_NUMBERED:
         return "", ""
@@ -131,10 +131,9 @@ def numbered(sample: zenoh.Sample) -> tuple[str, str]:
 
 def reply(hand: str, query: zenoh.Query, data: bytes, ok: bool) -> None:
     """Answer a query with a message, or with a refusal; may wait for the network."""
-    # Whoever asked may be gone by now.
-    with contextlib.suppress(zenoh.ZError), query:
+    with contextlib.suppress(zenoh.ZError), query:  # the client may have left by now
         if ok:
-            # All hands may have been asked at once: this one answers under its own name.
+            # A query may address all hands at once; each answers under its own name.
             asked = str(query.key_expr).split("/", 2)[2]
             query.reply(network_key(hand, asked), data, express=True)
         else:

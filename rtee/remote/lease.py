@@ -1,4 +1,4 @@
-"""Who may move a hand: one client at a time."""
+"""The right to move a hand: one client at a time has it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from collections.abc import Callable
 from rtee.errors import LeaseHeld
 
 JOGGING = 1.0
-"""After jogging a hand, a client holds it for this long [s]."""
+"""Time for which a client holds the lease after a jog [s]: longer than between two clicks."""
 
 
 class Lease:
-    """Who holds a hand.
+    """The lease of a hand.
 
-    A client holds it from ``acquire`` to ``release``, and without asking while its own goal runs
-    and shortly after it has jogged. A client that has died holds nothing.
+    A client holds it from ``acquire`` to ``release``, and implicitly while its own goal runs and
+    shortly after it has jogged the hand. A client that has left holds nothing.
 
-    One thread at a time may use it, but for `ended` and `holder`, which any may at any time.
+    One thread at a time may use it, except `ended` and `holder`, which may be used at any time.
 
     Args:
         now: The clock [s].
@@ -25,40 +25,41 @@ class Lease:
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
-        self._taken = ""
+        self._acquired = ""
         self._goals: dict[str, str] = {}
         self._jogger = ""
         self._jogged_until = 0.0
 
     @property
     def holder(self) -> str:
-        """The client that holds the hand, or an empty string."""
-        if self._taken:
-            return self._taken
+        """The client that holds the lease, or an empty string."""
+        if self._acquired:
+            return self._acquired
+        # A copy, since the loop's thread may end a goal meanwhile.
         if running := tuple(self._goals.values()):
             return running[0]
         return self._jogger if self._now() < self._jogged_until else ""
 
     def check(self, client: str) -> None:
-        """Raise `LeaseHeld` if another client holds the hand."""
+        """Raise `LeaseHeld` if another client holds the lease."""
         holder = self.holder
         if holder and holder != client:
             raise LeaseHeld(holder)
 
     def acquire(self, client: str) -> None:
-        """Hold the hand until `release`; raises `LeaseHeld`."""
+        """Give a client the lease until `release`; raises `LeaseHeld`."""
         self.check(client)
-        self._taken = client
+        self._acquired = client
 
     def release(self, client: str) -> None:
-        """Give the hand back, if this client took or jogged it; a goal that runs stays its own."""
-        if self._taken == client:
-            self._taken = ""
+        """Release what a client holds by `acquire` or a jog; its running goal still holds."""
+        if self._acquired == client:
+            self._acquired = ""
         if self._jogger == client:
             self._jogged_until = 0.0
 
     def runs(self, goal_id: str) -> bool:
-        """Return whether a goal of that name runs."""
+        """Return whether a goal with this identifier runs."""
         return goal_id in self._goals
 
     def started(self, client: str, goal_id: str) -> None:
@@ -73,11 +74,11 @@ class Lease:
         """Note that a client has jogged the hand."""
         self._jogger, self._jogged_until = client, self._now() + JOGGING
 
-    def gone(self, client: str) -> bool:
-        """Take everything from a client; return whether it held the hand."""
+    def client_left(self, client: str) -> bool:
+        """Note that a client has left; return whether it held the lease."""
         held = self.holder == client
         self.release(client)
-        for goal, who in tuple(self._goals.items()):
-            if who == client:
+        for goal, owner in tuple(self._goals.items()):
+            if owner == client:
                 self.ended(goal)
         return held

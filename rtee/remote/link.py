@@ -1,4 +1,4 @@
-"""The wire between a client and a hand: questions with answers, topics, and whether it is there."""
+"""A client's connection to one hand: requests, topics, and whether the hand is still there."""
 
 from __future__ import annotations
 
@@ -14,53 +14,86 @@ from rtee.errors import LeaseHeld, MessageError, NoHand, RequestRejected
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE, CLIENTS, PUT, REQUESTS, STOP
 from rtee.messages.schema import message_type
-from rtee.remote.fast_requests import Putting
+from rtee.remote.fast_requests import FastRequests
 from rtee.remote.session import direct
 
 _REPLY = message_type("rtee_msgs/msg/Reply")
 
+ANSWER_WITHIN = 5.0
+"""Default time to wait for an answer [s]: far longer than any request takes on a busy computer."""
+
 
 class Link:
-    """A client's session with one hand. All methods are called in the event loop's thread.
+    """A client's connection to one hand. All methods are called in the event loop's thread.
 
     Args:
-        session: The network.
+        session: The Zenoh session.
         hand: The hand's name.
         client: This client's name on the network.
 
     Attributes:
-        putting: What is in a hurry goes this way.
+        gone: Whether the hand has gone.
     """
 
     def __init__(self, session: zenoh.Session, hand: str, client: str) -> None:
         self.hand = hand
         self.client = client
+        self.gone = False
         self._session = session
         self._loop = asyncio.get_running_loop()
+        self._gone_callbacks: list[Callable[[], object]] = []
         self._subscribers: list[zenoh.Subscriber[None]] = []
-        self.putting = Putting(session, hand, client, self._call_soon, self._error)
+        self._fast = FastRequests(session, hand, client, self._call_soon, self._settle)
+        # While this token is there the hand knows that its client is alive.
         self._token = session.liveliness().declare_token(network_key(hand, f"{CLIENTS}/{client}"))
+        self._subscribers.append(
+            session.liveliness().declare_subscriber(
+                network_key(hand, ALIVE), direct(self._on_liveliness), history=True
+            )
+        )
 
     def _call_soon(self, function: Callable[..., object], *arguments: object) -> None:
         # Zenoh may still deliver when the event loop has ended.
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(function, *arguments)
 
-    def _declared(self, key: str, receive: Callable[[bytes], object]) -> zenoh.Subscriber[None]:
+    # --- whether the hand is there
+
+    async def connect(self) -> None:
+        """Introduce this client to the hand and wait until requests reach it; raises `NoHand`."""
+        await self.request("hello")
+        await self._fast.connected()
+
+    def on_gone(self, callback: Callable[[], object]) -> None:
+        """Have a function called when the hand goes."""
+        self._gone_callbacks.append(callback)
+
+    def _on_liveliness(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._call_soon(self._on_gone)
+
+    def _on_gone(self) -> None:
+        self.gone = True
+        self._fast.fail_all()
+        for callback in self._gone_callbacks:
+            callback()
+
+    # --- topics
+
+    def subscribe(self, topic: str, receive: Callable[[bytes], object]) -> None:
+        """Have the messages on a topic of the hand received until the link is closed."""
+
         def received(sample: zenoh.Sample) -> None:
             self._call_soon(_decoded, receive, sample.payload.to_bytes())
 
-        return self._session.declare_subscriber(key, direct(received))
-
-    def subscribe(self, topic: str, receive: Callable[[bytes], object]) -> None:
-        """Have messages on a topic of the hand taken until the link is closed."""
-        self._subscribers.append(self._declared(network_key(self.hand, topic), receive))
+        key = network_key(self.hand, topic)
+        self._subscribers.append(self._session.declare_subscriber(key, direct(received)))
 
     @contextlib.contextmanager
-    def subscribed(self, key: str, receive: Callable[[bytes], object], most: int) -> Any:
-        """Have messages on a key taken for as long as the context lasts.
+    def subscribed(self, key: str, receive: Callable[[bytes], object], most: int) -> Iterator[None]:
+        """Have the messages on a key received for as long as the context lasts.
 
-        While the event loop is held up, the newest ``most`` wait.
+        While the event loop is busy, the newest ``most`` messages are kept.
         """
         waiting: deque[bytes] = deque(maxlen=most)
 
@@ -70,60 +103,50 @@ class Link:
 
         def received(sample: zenoh.Sample) -> None:
             waiting.append(sample.payload.to_bytes())
-            if len(waiting) == 1:
+            if len(waiting) == 1:  # else the event loop has been woken already
                 self._call_soon(drain)
 
+        with self._subscriber(key, received):
+            yield
+
+    @contextlib.contextmanager
+    def collected(self, key: str, most: int) -> Iterator[deque[bytes]]:
+        """Collect the newest ``most`` messages on a key for as long as the context lasts.
+
+        Zenoh's thread collects them, so that the event loop is not woken.
+        """
+        found: deque[bytes] = deque(maxlen=most)
+        with self._subscriber(key, lambda sample: found.append(sample.payload.to_bytes())):
+            yield found
+
+    @contextlib.contextmanager
+    def _subscriber(self, key: str, received: Callable[[zenoh.Sample], None]) -> Iterator[None]:
         subscriber = self._session.declare_subscriber(key, direct(received))
         try:
             yield
         finally:
             subscriber.undeclare()  # type: ignore[no-untyped-call]
 
-    @contextlib.contextmanager
-    def collected(self, key: str, most: int) -> Iterator[deque[bytes]]:
-        """Collect messages on a key for as long as the context lasts; the newest ``most`` stay.
-
-        Zenoh's thread collects them: the event loop is not woken.
-        """
-        found: deque[bytes] = deque(maxlen=most)
-
-        def received(sample: zenoh.Sample) -> None:
-            found.append(sample.payload.to_bytes())
-
-        subscriber = self._session.declare_subscriber(key, direct(received))
-        try:
-            yield found
-        finally:
-            subscriber.undeclare()  # type: ignore[no-untyped-call]
-
-    def watch(self, gone: Callable[[], object]) -> None:
-        """Call ``gone`` when the hand is there no more."""
-
-        def changed(sample: zenoh.Sample) -> None:
-            if sample.kind == zenoh.SampleKind.DELETE:
-                self._call_soon(gone)
-
-        key = network_key(self.hand, ALIVE)
-        self._subscribers.append(
-            self._session.liveliness().declare_subscriber(key, direct(changed), history=True)
-        )
+    # --- requests
 
     async def ask(
-        self, name: str, fields: Mapping[str, Any] | None = None, *, within: float = 5.0
+        self, name: str, fields: Mapping[str, Any] | None = None, *, within: float = ANSWER_WITHIN
     ) -> dict[str, Any]:
-        """Ask the hand and return the fields of its answer; see `ask_bytes`."""
+        """Send a request and return the fields of its answer; see `send`."""
         request = REQUESTS[name]
         question = b"" if fields is None else request.question.encode(fields)
-        return request.answer.decode(await self.ask_bytes(name, question, within=within))
+        return request.answer.decode(await self.send(name, question, within=within))
 
-    async def ask_bytes(self, name: str, question: bytes = b"", *, within: float = 5.0) -> bytes:
-        """Ask the hand and return its answer; see `send`."""
-        return await self.send(name, question, within=within)
+    async def request(
+        self, name: str, what: str = "", *, within: float = ANSWER_WITHIN
+    ) -> dict[str, Any]:
+        """Send a ``rtee_msgs/ClientRequest`` and return the fields of its answer; see `send`."""
+        return await self.ask(name, {"client": self.client, "what": what}, within=within)
 
     def send(
-        self, name: str, question: bytes = b"", *, within: float = 5.0
+        self, name: str, question: bytes = b"", *, within: float = ANSWER_WITHIN
     ) -> asyncio.Future[bytes]:
-        """Send a question to the hand, now, and return its answer to come.
+        """Send a request now and return the future of its encoded answer.
 
         Args:
             name: Name of the request.
@@ -132,37 +155,30 @@ class Link:
 
         Raises:
             NoHand: if there is no answer.
-            LeaseHeld: if another client holds the hand.
-            RequestRejected: if the hand refused; with its reason.
+            LeaseHeld: if another client holds the lease.
+            RequestRejected: if the hand refuses the request, with its reason.
         """
         if name in PUT:
-            return self.putting.send(name, question, within)
+            return self._fast.send(name, question, within)
         request = REQUESTS[name]
         future: asyncio.Future[bytes] = self._loop.create_future()
 
-        def settle(ok: bool, data: bytes) -> None:
-            if future.done():
-                return
-            if ok:
-                future.set_result(data)
-            else:
-                future.set_exception(self._error(data))
-
         def replied(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                self._call_soon(settle, True, reply.ok.payload.to_bytes())
+                self._call_soon(self._settle, future, True, reply.ok.payload.to_bytes())
             elif reply.err is not None:
-                self._call_soon(settle, False, reply.err.payload.to_bytes())
+                self._call_soon(self._settle, future, False, reply.err.payload.to_bytes())
 
         def ended() -> None:
-            self._call_soon(settle, False, b"")
+            # Without effect if there was a reply: the future is complete then.
+            self._call_soon(self._settle, future, False, b"")
 
         first = request.group == STOP
         try:
             self._session.get(
                 request.key(self.hand),
                 direct(replied, ended),
-                consolidation=zenoh.ConsolidationMode.NONE,
+                consolidation=zenoh.ConsolidationMode.NONE,  # else replies wait for the last one
                 timeout=within,
                 priority=zenoh.Priority.REAL_TIME if first else zenoh.Priority.INTERACTIVE_HIGH,
                 express=True,
@@ -172,26 +188,33 @@ class Link:
             raise NoHand(f"the hand '{self.hand}' cannot be asked: {error}") from None
         return future
 
-    def _error(self, data: bytes) -> Exception:
+    def _settle(self, future: asyncio.Future[bytes], ok: bool, data: bytes) -> None:
+        """Complete the future of an answer; the data of a refusal are empty if there is none."""
+        if future.done():
+            return
+        if ok:
+            future.set_result(data)
+            return
         try:
             reply = _REPLY.decode(data)
         except MessageError:
-            return NoHand(f"the hand '{self.hand}' does not answer")
-        if reply["error"] == LeaseHeld.__name__:
-            return LeaseHeld(reply["text"])
-        return RequestRejected(reply["reason"])
+            future.set_exception(NoHand(f"the hand '{self.hand}' does not answer"))
+        else:
+            held = reply["error"] == LeaseHeld.__name__
+            error = LeaseHeld(reply["text"]) if held else RequestRejected(reply["reason"])
+            future.set_exception(error)
 
     def close(self) -> None:
-        """Undeclare everything; blocks for a moment."""
+        """Undeclare everything and close the session; blocks for a moment."""
         with contextlib.suppress(zenoh.ZError):
             for subscriber in self._subscribers:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
-            self.putting.close()
+            self._fast.close()
             self._token.undeclare()  # type: ignore[no-untyped-call]
             self._session.close()  # type: ignore[no-untyped-call]
 
 
 def _decoded(receive: Callable[[bytes], object], data: bytes) -> None:
-    # Anybody may publish on a key; what is no message there is nobody's.
+    # Any peer may publish on a key; what cannot be decoded is ignored.
     with contextlib.suppress(MessageError):
         receive(data)

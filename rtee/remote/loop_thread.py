@@ -1,4 +1,4 @@
-"""The thread in which a hand's loop runs, as other threads reach it."""
+"""Calls from other threads into the thread of a hand's loop."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rtee.errors import RteeError
 T = TypeVar("T")
 
 _ANSWER_WITHIN = 2.0
-"""Time to wait for the loop's thread [s]: many ticks, but less than the 5 s that a client waits."""
+"""Time to wait for the loop's thread [s]: many ticks, yet less than the 5 s that a client waits."""
 
 
 class LoopThread:
-    """Has functions called in the thread that made it; any thread may ask for that."""
+    """Calls functions in the thread of the running event loop; any thread may ask for it."""
 
     def __init__(self) -> None:
         self._event_loop = asyncio.get_running_loop()
@@ -25,11 +25,11 @@ class LoopThread:
 
     def call_soon(self, function: Callable[..., object], *arguments: object) -> None:
         """Have a function called; does nothing once the event loop has ended."""
-        with contextlib.suppress(RuntimeError):
+        with contextlib.suppress(RuntimeError):  # raised once the event loop is closed
             self._event_loop.call_soon_threadsafe(function, *arguments)
 
     def call(self, function: Callable[[], T]) -> T:
-        """Have a function called and return what it returns; not from the loop's own thread.
+        """Have a function called and return its result; not to be used in the loop's own thread.
 
         Raises:
             RteeError: if the loop doesn't answer.
@@ -49,7 +49,7 @@ class LoopThread:
             raise RteeError("the loop does not answer") from None
 
     def start(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Have something run in the background."""
+        """Run a coroutine in the background."""
         self.call_soon(self._start, work)
 
     def _start(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
@@ -58,7 +58,7 @@ class LoopThread:
         task.add_done_callback(self._tasks.discard)
 
     async def close(self) -> None:
-        """Cancel what runs in the background; called in the loop's thread."""
+        """Cancel the coroutines in the background; called in the loop's thread."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

@@ -1,4 +1,4 @@
-"""What a client sees of a hand: states, events, status, information."""
+"""Watching a running hand: states, events, status, description."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import anyio
 
 from rtee.errors import MessageError, NoHand, NotReady
 from rtee.messages import decode_event, topics
-from rtee.messages.convert import device_status_of, loop_statistics_of
+from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
 from rtee.messages.state import State, decode_state
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
@@ -24,30 +24,30 @@ from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics
 T = TypeVar("T")
 
 READY_WITHIN = 60.0
-"""How long one waits for a hand to be ready unless told [s]; homing a hand takes half of it."""
+"""Default time to wait until a hand is ready [s]: twice what homing a hand takes."""
 
-_LOOK_EVERY = 0.05
-"""Time between two looks whether a hand is ready [s]."""
+_POLL_PERIOD = 0.05
+"""Time between two requests for the status while waiting [s]: short beside any homing."""
 
 _MOST_WAITING = 1000
-"""States or events that wait for who is slow to take them: 1 s at 1 kHz; older ones are dropped."""
+"""States or events queued for a slow reader: 1 s at 1 kHz. Older ones are dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class HandStatus:
-    """How a hand's loop and devices are doing.
+    """Status of a hand's loop and devices.
 
     Attributes:
-        hand: The hand.
-        holder: The client that holds it, or an empty string.
-        goal_id: The goal that runs, or an empty string.
+        hand: Name of the hand.
+        holder: The client that holds the lease, or an empty string.
+        goal_id: The running goal, or an empty string.
         action: Its action.
-        recording: Path of the recording under way, or an empty string.
-        recording_trouble: What it has lost and why, in words, or an empty string.
-        grip_effort: Effort kept on what is held, as a fraction of the effort limit.
-        statistics: The loop's clock.
-        devices: The devices.
-        profile: How references move, and why if not as in hand.yaml.
+        recording: Path of the recording being written, or an empty string.
+        recording_trouble: What the recording has lost and why, or an empty string.
+        grip_effort: Effort kept on a grasped object, as a fraction of the effort limit.
+        statistics: Statistics of the loop's clock.
+        devices: Status of each device.
+        profile: Profile of the references, and why it is not the one in hand.yaml if so.
     """
 
     hand: str
@@ -63,118 +63,121 @@ class HandStatus:
 
 
 class CollectedStates:
-    """States that have come and nobody has looked at yet."""
+    """States that have arrived since the last `drain`."""
 
     def __init__(self, found: deque[bytes]) -> None:
         self._found = found
 
     def drain(self, step: int = 1) -> list[State]:
-        """Return the states since the last call, oldest first, and forget them.
+        """Return the states since the last call, oldest first, and remove them.
 
         Args:
-            step: Only every so many of them, and the newest.
+            step: Return only every ``step``-th of them; always the newest.
         """
         states: list[State] = []
         for number in range(len(self._found) - 1, -1, -1):
             data = self._found.popleft()
             if number % step == 0:
-                with contextlib.suppress(MessageError):  # anybody may publish on a key
+                with contextlib.suppress(MessageError):  # any peer may publish on the key
                     states.append(decode_state(data))
         return states
 
 
-class View:
-    """A running hand as it can be watched.
+class Monitoring:
+    """Reads the states, events, status and description of a running hand.
 
-    Attributes:
-        name: The hand's name.
-        client: This client's name on the network.
+    Args:
+        link: The connection to the hand.
     """
 
     def __init__(self, link: Link) -> None:
-        self.name = link.hand
-        self.client = link.client
         self._link = link
-        self._watchers: weakref.WeakSet[asyncio.Queue[Event | None]] = weakref.WeakSet()
-        self._streams: set[asyncio.Queue[State | None]] = set()
-        self._gone = False
+        # Weak, because an iterator that nobody has begun to use is never closed.
+        self._event_queues: weakref.WeakSet[asyncio.Queue[Event | None]] = weakref.WeakSet()
+        self._state_queues: set[asyncio.Queue[State | None]] = set()
         link.subscribe(topics.EVENTS, self._on_event)
-        link.watch(self._on_gone)
+        link.on_gone(self._on_gone)
 
     def _on_event(self, data: bytes) -> None:
         event = decode_event(data)
-        for watcher in tuple(self._watchers):
-            _put(watcher, event)
+        for queue in tuple(self._event_queues):
+            _put(queue, event)
 
     def _on_gone(self) -> None:
-        self._gone = True
-        self._link.putting.lost()
-        for watcher in tuple(self._watchers):
-            _put(watcher, None)
-        for stream in self._streams:
-            _put(stream, None)
+        for events in tuple(self._event_queues):
+            _put(events, None)
+        for states in self._state_queues:
+            _put(states, None)
+
+    def _has_gone(self) -> NoHand:
+        return NoHand(f"the hand '{self._link.hand}' has gone")
 
     async def state(self) -> State:
         """Return the newest state."""
-        return decode_state(await self._link.ask_bytes("state"))
+        return decode_state(await self._link.send("state"))
 
     async def states(self, rate: float = 100.0) -> AsyncIterator[State]:
         """Iterate over states until the hand goes; a slow reader misses some.
 
         Args:
-            rate: How many it wants [Hz]; the nearest that divides the loop's rate.
+            rate: Desired rate [Hz]; the nearest one that divides the loop's rate is used.
 
         Raises:
             NoHand: if the hand goes.
         """
-        reply = await self._link.ask("stream", {"client": self.client, "rate": rate})
         queue: asyncio.Queue[State | None] = asyncio.Queue(_MOST_WAITING)
 
         def receive(data: bytes) -> None:
             _put(queue, decode_state(data))
 
-        self._streams.add(queue)
+        key = await self._stream(rate)
+        self._state_queues.add(queue)
         try:
-            with self._link.subscribed(reply["text"], receive, _MOST_WAITING):
-                while not self._gone and (state := await queue.get()) is not None:
+            with self._link.subscribed(key, receive, _MOST_WAITING):
+                while not self._link.gone and (state := await queue.get()) is not None:
                     yield state
         finally:
-            self._streams.discard(queue)
-        raise NoHand(f"the hand '{self.name}' has gone")
+            self._state_queues.discard(queue)
+        raise self._has_gone()
 
     @contextlib.asynccontextmanager
     async def collected_states(
         self, rate: float = 100.0, most: int = _MOST_WAITING
     ) -> AsyncIterator[CollectedStates]:
-        """Collect states while the context lasts, for those who look at them now and then.
+        """Collect states while the context lasts, for a reader that looks at them now and then.
 
-        Other than with `states`, this process is not woken for each of them.
+        Unlike with `states`, the event loop is not woken for each state.
 
         Args:
-            rate: How many it wants [Hz]; the nearest that divides the loop's rate.
-            most: How many are kept; the newest stay.
+            rate: Desired rate [Hz]; the nearest one that divides the loop's rate is used.
+            most: How many states are kept; older ones are dropped.
         """
-        reply = await self._link.ask("stream", {"client": self.client, "rate": rate})
-        with self._link.collected(reply["text"], most) as found:
+        with self._link.collected(await self._stream(rate), most) as found:
             yield CollectedStates(found)
 
+    async def _stream(self, rate: float) -> str:
+        """Ask for states at a rate [Hz]; return the key on which they are published."""
+        fields = {"client": self._link.client, "rate": rate}
+        return str((await self._link.ask("stream", fields))["text"])
+
     def events(self) -> AsyncIterator[Event]:
-        """Iterate over what happens from this call on.
+        """Iterate over the events from this call on.
 
         Raises:
             NoHand: if the hand goes.
         """
+        # Registered here rather than at the first step, so that no event is missed until then.
         queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_WAITING)
-        self._watchers.add(queue)
+        self._event_queues.add(queue)
         return self._drained(queue)
 
     async def _drained(self, queue: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:
-        while not self._gone and (event := await queue.get()) is not None:
+        while not self._link.gone and (event := await queue.get()) is not None:
             yield event
-        raise NoHand(f"the hand '{self.name}' has gone")
+        raise self._has_gone()
 
     async def status(self) -> HandStatus:
-        """Return how the loop and the devices are doing."""
+        """Return the status of the loop and the devices."""
         reply = await self._link.ask("status")
         return HandStatus(
             hand=reply["hand"],
@@ -184,8 +187,8 @@ class View:
             recording=reply["recording_path"],
             recording_trouble=reply["recording_trouble"],
             grip_effort=reply["grip_effort"],
-            statistics=loop_statistics_of(reply["statistics"]),
-            devices=tuple(device_status_of(device) for device in reply["devices"]),
+            statistics=LOOP_STATISTICS.of(reply["statistics"]),
+            devices=tuple(DEVICE_STATUS.of(device) for device in reply["devices"]),
             profile=reply["profile"],
         )
 
@@ -197,35 +200,35 @@ class View:
         """Wait until the hand ticks and all its devices are active, homing and activation done.
 
         Args:
-            timeout: How long at most [s]; ``None``: for ever.
-            on_wait: Called with what it waits for, in words, whenever that changes.
+            timeout: Longest time to wait [s]; ``None``: without limit.
+            on_wait: Called with what the hand is waiting for, in words, whenever that changes.
 
         Raises:
-            NotReady: if it is not in time; with what it lacks.
+            NotReady: if it takes longer; with what is missing.
             NoHand: if the hand goes.
         """
-        lacks, told, active_at = "it has not answered", "", math.inf
+        lacks, reported, active_at = "it has not answered", "", math.inf
         with anyio.move_on_after(timeout):
             while True:
-                if self._gone:
-                    raise NoHand(f"the hand '{self.name}' has gone")
+                if self._link.gone:
+                    raise self._has_gone()
                 status = await self.status()
                 ticks = status.statistics.ticks
                 troubles = [_trouble(d) for d in status.devices if d.lifecycle != Lifecycle.ACTIVE]
                 if not troubles and ticks > active_at:
                     return
-                # The loop takes note of a device that is active now at its next tick.
+                # The loop notices at its next tick that a device has become active.
                 active_at = math.inf if troubles else min(active_at, ticks)
                 lacks = "; ".join(troubles) or "the loop does not tick"
-                if on_wait is not None and troubles and lacks != told:
-                    told = lacks
+                if on_wait is not None and troubles and lacks != reported:
+                    reported = lacks
                     on_wait(lacks)
-                await anyio.sleep(_LOOK_EVERY)
+                await anyio.sleep(_POLL_PERIOD)
         within = 0.0 if timeout is None else timeout
-        raise NotReady(f"the hand '{self.name}' is not ready after {within:g} s: {lacks}")
+        raise NotReady(f"the hand '{self._link.hand}' is not ready after {within:g} s: {lacks}")
 
     async def info(self, posture: Mapping[str, float] | None = None) -> HandInfo:
-        """Return the hand as a grasp planner needs it.
+        """Return the description of the hand for grasp planners.
 
         Args:
             posture: Actuator positions for poses and Jacobians [rad | m]; the others are at rest.
@@ -247,6 +250,7 @@ def _trouble(device: DeviceStatus) -> str:
 
 
 def _put(queue: asyncio.Queue[T], item: T) -> None:
+    """Append an item; drop the oldest one if the queue is full."""
     if queue.full():
         queue.get_nowait()
     queue.put_nowait(item)

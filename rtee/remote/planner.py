@@ -1,8 +1,8 @@
-"""What a grasp planner wants to know of a hand: limits, tip poses, Jacobians, transmission.
+"""The description of a hand for grasp planners: limits, tip poses, Jacobians, transmission.
 
-Computed with NumPy alone, so that the robot's computer needs no kinematics library. A fingertip's
-Jacobian gives, for actuator velocities, the velocity of the origin of the tip's link and, below
-it, the link's angular velocity, both in the hand's base frame.
+It is computed with NumPy alone, so that a robot PC needs no kinematics library. The Jacobian of a
+fingertip maps actuator velocities to the linear velocity of the origin of the tip's link (first
+three rows) and the link's angular velocity (last three rows), both in the hand's base frame.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from rtee.hand.model import Finger, Hand
 from rtee.types import FloatArray
 
 
-def posture_of(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
-    """Return actuator positions ``(n,)``: the given ones, the others at rest.
+def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
+    """Return actuator positions ``(n,)``: the given ones, and rest positions for the others.
 
     Raises:
         GoalRejected: if a value is not finite or outside the limits.
@@ -29,6 +29,7 @@ def posture_of(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
     u = np.array(hand.rest)
     for name, value in positions.items():
         spec = hand.actuator(name)
+        # A limit that was written with few digits may differ in the last one.
         if not spec.lower - 1e-6 <= value <= spec.upper + 1e-6:
             raise GoalRejected(
                 f"the position {value:g} of '{name}' is outside its limits "
@@ -92,7 +93,7 @@ class FingerInfo:
 
 @dataclass(frozen=True, slots=True)
 class HandInfo:
-    """A hand as a grasp planner needs it, at a posture.
+    """The description of a hand at a posture, for grasp planners.
 
     Attributes:
         name: Its name.
@@ -100,10 +101,10 @@ class HandInfo:
         actuators: The actuators, in order.
         joints: Names of all moving joints.
         fingers: The fingers.
-        posture: Actuator positions at which the rest holds ``(n,)`` [rad | m].
-        joint_positions: Joint positions there ``(m,)`` [rad | m].
-        transmission: Derivative of joint by actuator positions there ``(m, n)``.
-        urdf: The model's text.
+        posture: Actuator positions ``(n,)`` to which poses and Jacobians belong [rad | m].
+        joint_positions: Joint positions at that posture ``(m,)`` [rad | m].
+        transmission: Derivative of joint by actuator positions at that posture ``(m, n)``.
+        urdf: Text of the URDF.
     """
 
     name: str
@@ -129,9 +130,9 @@ def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
     """Return the fields of a ``rtee_msgs/HandInfo`` at a posture.
 
     Raises:
-        UserError: if the posture is none of the hand.
+        UserError: if the posture does not fit the hand.
     """
-    u = posture_of(hand, positions)
+    u = _full_posture(hand, positions)
     return {
         "name": hand.name,
         "base": hand.base,
@@ -165,10 +166,10 @@ def _finger_fields(hand: Hand, finger: Finger, u: FloatArray) -> dict[str, Any]:
 
 
 def info_of(fields: Mapping[str, Any]) -> HandInfo:
-    """Return the information in the fields of a ``rtee_msgs/HandInfo``.
+    """Return the description in the fields of a ``rtee_msgs/HandInfo``.
 
     Raises:
-        MessageError: if an array has another size than the names say.
+        MessageError: if the size of an array does not match the names.
     """
     n, m = len(fields["actuators"]), len(fields["joints"])
     try:

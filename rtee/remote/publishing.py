@@ -1,8 +1,9 @@
-"""What the server publishes: states at the rates that clients want, and what happens.
+"""What the server publishes: states at the rates that clients ask for, goals, results and events.
 
-To put something costs the loop's thread up to a millisecond where processors are woken for it or
-taken away meanwhile, so that it only hands on what is due. States are put by one thread, dropped if
-a client is congested; results and events must not be lost, so that another puts them and may wait.
+Publishing may cost the calling thread up to a millisecond, when it has to wake other processors or
+is interrupted meanwhile. The loop's thread therefore only queues what is due. One thread publishes
+states, which are dropped if a client is congested; another one publishes results and events, which
+must not be lost and may have to wait.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import zenoh
 
 from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
-from rtee.loop.observer import Observer, TickRecord
+from rtee.loop.observer import Observer
 from rtee.messages import (
     JointStateEncoder,
     encode_device_status,
@@ -30,15 +31,16 @@ from rtee.messages import (
     topics,
 )
 from rtee.messages.requests import STATES
-from rtee.messages.state import State, StateEncoder
+from rtee.messages.state import StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE
+from rtee.remote.call_queue import CallQueue
 from rtee.remote.lease import Lease
 from rtee.remote.session import EXPRESS, direct
-from rtee.remote.worker import Worker
+from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 MOST_STREAMS = 16
-"""Different rates that may be streamed at once: more than clients have use for, but bounded."""
+"""Number of different rates streamed at once: more than clients need, but bounded."""
 
 _TOPICS = (
     topics.GOALS,
@@ -48,10 +50,10 @@ _TOPICS = (
     topics.DEVICE_STATUS,
     topics.LOOP_STATISTICS,
 )
-"""Topics of what happens."""
+"""Topics besides the streams of states."""
 
 _MOST_WAITING = 20
-"""Ticks whose states may wait to be published, 20 ms at 1 kHz; older states help nobody."""
+"""Ticks whose states may wait to be published: 20 ms at 1 kHz; older states are useless."""
 
 
 class StateMessages:
@@ -59,37 +61,13 @@ class StateMessages:
 
     def __init__(self, hand: Hand) -> None:
         self._transmission = hand.transmission
-        self._names, self._joint_names = hand.actuator_names, hand.joint_names
-        self._state = StateEncoder(self._names, self._joint_names)
-        self._joint_state = JointStateEncoder(self._joint_names)
-        self._reference = JointStateEncoder(self._names)
-        self._no_effort = hand.rest[:0]
+        self._state = StateEncoder(hand.actuator_names, hand.joint_names)
+        self._joint_state = JointStateEncoder(hand.joint_names)
+        self._reference = JointStateEncoder(hand.actuator_names)
 
     def state(self, record: TickRecord) -> bytes:
         """Return a ``rtee_msgs/State``."""
-        return self._state.encode(self.as_state(record))
-
-    def as_state(self, record: TickRecord) -> State:
-        """Return the state that a record holds."""
-        return State(
-            tick=record.tick,
-            stamp=record.stamp,
-            wall_ns=record.wall_ns,
-            names=self._names,
-            position=record.position,
-            velocity=record.velocity,
-            effort=record.effort,
-            current=record.current,
-            temperature=record.temperature,
-            grasped=record.grasped,
-            fresh=record.fresh,
-            reference_position=record.reference_position,
-            reference_velocity=record.reference_velocity,
-            reference_effort=record.reference_effort,
-            joint_names=self._joint_names,
-            joint_position=self._transmission.joints(record.position),
-            channels=record.extras,
-        )
+        return self._state.encode(record, self._transmission.joints(record.position))
 
     def joint_state(self, record: TickRecord) -> bytes:
         """Return a ``sensor_msgs/JointState`` of all joints; efforts of joints are not known."""
@@ -108,12 +86,12 @@ class StateMessages:
 
 
 class Stream:
-    """One message in every n ticks, for as long as somebody wants it.
+    """A message published every n ticks while it has subscribers.
 
     Attributes:
         key: Its key on the network.
-        every: It is published every n ticks.
-        wanted: Somebody subscribes to it.
+        every: The number n of ticks.
+        wanted: Whether it has subscribers.
     """
 
     def __init__(
@@ -136,7 +114,7 @@ class Stream:
         self._publisher.put(data)
 
     def close(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         self.wanted = False
         self._listener.undeclare()  # type: ignore[no-untyped-call]
         self._publisher.undeclare()  # type: ignore[no-untyped-call]
@@ -146,10 +124,10 @@ class Streams:
     """The streams of one hand.
 
     Args:
-        session: The network.
+        session: The Zenoh session.
         hand: The hand.
         rate: Rate of the loop [Hz].
-        state_rate: Rate of the topics that everybody gets [Hz].
+        state_rate: Rate of the topics for all clients [Hz].
     """
 
     def __init__(self, session: zenoh.Session, hand: Hand, rate: float, state_rate: float) -> None:
@@ -162,17 +140,19 @@ class Streams:
         )
         self._asked: dict[int, Stream] = {}
         self._all: tuple[Stream, ...] = self._fixed
-        self._ticks = crc32(hand.name.encode())  # hands on one clock take turns
-        self._worker = Worker(f"states {hand.name}", _MOST_WAITING)
+        self._ticks = crc32(hand.name.encode())  # so that hands on one clock take turns
+        self._worker = CallQueue(f"states {hand.name}", _MOST_WAITING)
 
     def _every(self, rate: float) -> int:
         return max(1, round(self._rate / rate))
 
     def ask(self, rate: float) -> str:
-        """Return the key of a stream of states at about a rate [Hz]; it begins when subscribed to.
+        """Return the key of a stream of states at the nearest possible rate to a given one [Hz].
+
+        The stream begins when a client subscribes to it.
 
         Raises:
-            GoalRejected: if the rate cannot be had.
+            GoalRejected: if the rate is out of range, or too many rates are streamed.
         """
         if not 0.01 <= rate <= 1e5:
             raise GoalRejected(f"the rate must be 0.01 Hz to that of the loop, not {rate:g}")
@@ -180,9 +160,10 @@ class Streams:
         if every not in self._asked:
             self._make_room()
             key = f"{network_key(self._hand, STATES)}/{every}"
+            # Replaced rather than changed, because the loop's thread iterates over it.
             asked = dict(self._asked)
             asked[every] = Stream(self._session, key, every, self.messages.state)
-            self._take(asked)
+            self._replace(asked)
         return self._asked[every].key
 
     def _make_room(self) -> None:
@@ -192,14 +173,14 @@ class Streams:
         if not idle:
             raise GoalRejected(f"states are streamed at {MOST_STREAMS} rates already")
         stream = self._asked[idle[0]]
-        self._take({every: kept for every, kept in self._asked.items() if kept is not stream})
+        self._replace({every: kept for every, kept in self._asked.items() if kept is not stream})
         stream.close()
 
-    def _take(self, asked: dict[int, Stream]) -> None:
+    def _replace(self, asked: dict[int, Stream]) -> None:
         self._asked, self._all = asked, (*self._fixed, *asked.values())
 
     def publish(self, record: TickRecord) -> None:
-        """Have published what is due at a tick; takes next to no time."""
+        """Queue what is due at a tick."""
         self._ticks += 1
         due = [each for each in self._all if each.wanted and self._ticks % each.every == 0]
         if due:
@@ -208,7 +189,7 @@ class Streams:
     def _put(self, record: TickRecord, due: Sequence[Stream]) -> None:
         state = b""
         for stream in due:
-            if not stream.wanted:  # any more
+            if not stream.wanted:  # its subscribers have left meanwhile
                 continue
             if stream.encode == self.messages.state:
                 state = state or stream.encode(record)
@@ -217,28 +198,28 @@ class Streams:
                 stream.put(stream.encode(record))
 
     def close(self) -> None:
-        """Publish no more; waits for what is under way."""
-        streams, self._all = self._all, ()
+        """Stop publishing; waits for what is being published."""
+        streams, self._all = self._all, ()  # nothing more is queued from now on
         self._worker.close()
         for stream in streams:
             stream.close()
 
 
 class Publisher(Observer):
-    """Publishes what happens in a loop: states in their streams, all else in order.
+    """Publishes what happens in a loop: states in their streams, everything else in order.
 
     Its methods are called in the loop's thread.
 
     Args:
-        session: The network.
+        session: The Zenoh session.
         hand: The hand's name.
         streams: Publishes the states.
-        outbox: Publishes all else.
-        lease: Who holds the hand; is told when a goal ends.
+        outbox: Publishes everything else.
+        lease: The hand's lease, which a goal holds until it ends.
     """
 
     def __init__(
-        self, session: zenoh.Session, hand: str, streams: Streams, outbox: Worker, lease: Lease
+        self, session: zenoh.Session, hand: str, streams: Streams, outbox: CallQueue, lease: Lease
     ) -> None:
         self._streams, self._outbox, self._lease = streams, outbox, lease
         self._publishers = {
@@ -248,7 +229,7 @@ class Publisher(Observer):
 
     @property
     def dropped(self) -> int:
-        """Messages that could not be published in time."""
+        """Number of messages that could not be published in time."""
         return self._outbox.dropped
 
     def _put(self, topic: str, encode: Callable[..., bytes], what: object, **times: float) -> None:
@@ -256,7 +237,7 @@ class Publisher(Observer):
         self._outbox.put(lambda: self._publishers[topic].put(encode(what, wall=wall, **times)))
 
     def on_tick(self, record: TickRecord) -> None:
-        """Have the states published that are due."""
+        """Queue the states that are due."""
         self._streams.publish(record)
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
@@ -268,7 +249,7 @@ class Publisher(Observer):
         self._put(topics.FEEDBACK, encode_feedback, feedback)
 
     def on_result(self, result: Result) -> None:
-        """Publish how a goal ended."""
+        """Publish the result of a goal."""
         self._lease.ended(result.goal_id)
         self._put(topics.RESULTS, encode_result, result, time=time.monotonic())
 
@@ -277,7 +258,7 @@ class Publisher(Observer):
         self._put(topics.EVENTS, encode_event, event)
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Publish how devices and clock are doing."""
+        """Publish the status of the devices and the statistics of the clock."""
         for status in statuses:
             self._put(topics.DEVICE_STATUS, encode_device_status, status)
         self._put(topics.LOOP_STATISTICS, encode_loop_statistics, statistics)

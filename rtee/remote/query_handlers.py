@@ -1,6 +1,7 @@
-"""The requests that only want to know, or that change the actions; answered in a thread of theirs.
+"""Handlers of the requests that ask for information or change the actions.
 
-That thread is the only one that changes the library; the loop's thread only looks up in it.
+They are called in a thread of their own, since they may take milliseconds. It is the only thread
+that changes the library of actions; the loop's thread only looks up in it.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rtee.errors import RequestRejected, RteeError
-from rtee.hand.fingerprint import fingerprint
-from rtee.hand.own_copy import TRIALS, told
+from rtee.hand.catalog import fingerprint
+from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.loop.handloop import HandLoop
-from rtee.messages.convert import device_status_fields, loop_statistics_fields
+from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
 from rtee.remote.actions import action_fields, group_fields, made_of
 from rtee.remote.grasp_planning import GraspPlanning
-from rtee.remote.incoming_request import Asked, accepted
+from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.planner import info_fields
@@ -31,17 +32,22 @@ Fields = Mapping[str, Any]
 log = logging.getLogger(__name__)
 
 _LONGEST_MARK = 1000
-"""Longest text of a mark [characters]: some lines of a terminal, since plots show it as a label."""
+"""Longest text of a mark [characters]: plots show it as a label, a few lines long at most."""
 
 _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
-"""Requests whose answer changes only with the actions."""
+"""Requests whose answer changes only when the actions change."""
+
+_ABOUT_ACTIONS = frozenset(
+    {"actions", "primitives", "partners", "add", "store", "remove", "rename"}
+)
+"""Requests before which the files of actions are read again if they have changed."""
 
 _MOST_KEPT = 64
-"""Answers kept: more than user interfaces ask for; each takes up to some hundred kilobytes."""
+"""Cached answers: more than user interfaces ask for; each takes up to some hundred kilobytes."""
 
 
 class RecordingStatus(Protocol):
-    """How a recorder is doing."""
+    """Status of a recorder."""
 
     @property
     def recording(self) -> bool:
@@ -49,39 +55,39 @@ class RecordingStatus(Protocol):
 
     @property
     def path(self) -> Path | None:
-        """The file that is written, if one is."""
+        """The file being written, if there is one."""
 
     @property
     def trouble(self) -> str:
-        """What is not recorded and why, in words; empty if everything is."""
+        """What is not recorded and why; empty if everything is recorded."""
 
 
 class Recording(Protocol):
-    """What is needed of a recorder; every method returns at once, in any thread."""
+    """A recorder as clients use it; any thread may call its methods, which return at once."""
 
     def start(self) -> None:
-        """Begin a new recording."""
+        """Start a new recording."""
 
     def stop(self) -> None:
-        """End the recording."""
+        """Stop the recording."""
 
     def mark(self, text: str) -> None:
-        """Put a mark into the recording."""
+        """Add a mark to the recording."""
 
     def status(self) -> RecordingStatus:
-        """Return how the recorder is doing."""
+        """Return the status of the recorder."""
 
 
-class Asking:
-    """Answers the requests of the group ``ask``.
+class QueryHandlers:
+    """Handles the requests of the group ``ask``.
 
     Args:
         loop: The hand's loop.
-        lease: Who holds the hand.
+        lease: The hand's lease.
         thread: The loop's thread.
         streams: The streams of states.
         recording: The recorder, if there is one.
-        profile: How the references move, in words.
+        profile: The profile of the references, in words.
     """
 
     def __init__(
@@ -98,9 +104,9 @@ class Asking:
         self._hand, self._library = loop.hand, loop.library
         self._folder = self._library.folder
         self._plans = GraspPlanning(self._hand.name)
-        self._answered: dict[tuple[str, bytes], bytes] = {}
+        self._cache: dict[tuple[str, bytes], bytes] = {}
         self._version = -1
-        self._answers: dict[str, Callable[[Fields], Fields]] = {
+        self._handlers: dict[str, Callable[[Fields], Fields]] = {
             "stream": self._stream,
             "status": self._status,
             "info": self._info,
@@ -116,49 +122,50 @@ class Asking:
             "rename": self._rename,
         }
 
-    def handle(self, asked: Asked) -> None:
-        """Answer a question.
+    def handle(self, asked: IncomingRequest) -> bytes | None:
+        """Return the encoded answer to a request; ``None`` if it is sent later.
 
         Raises:
-            RteeError: if it cannot be answered.
+            RteeError: if the request is refused.
         """
         name, fields = asked.request.name, asked.fields
         if name == "state":
-            asked.send(self._streams.messages.state(self._loop.snapshot()), True)
-        elif name == "grasp_plan":
+            return self._streams.messages.state(self._loop.snapshot())
+        if name == "grasp_plan":
             self._plans.handle(asked, self._library.folder)
-        elif name in _CONSTANT:
-            asked.send(self._kept(asked), True)
-        else:
-            asked.answer(self._answers[name](fields))
+            return None
+        if name in _ABOUT_ACTIONS:
+            self._reload()
+        if name in _CONSTANT:
+            return self._cached(asked)
+        return asked.request.answer.encode(self._handlers[name](fields))
 
     def close(self) -> None:
         """End what is being planned; blocks for a moment."""
         self._plans.close()
 
-    def _kept(self, asked: Asked) -> bytes:
-        """Return an answer that changes only with the actions; worked out once for each question.
+    def _cached(self, asked: IncomingRequest) -> bytes:
+        """Return an answer that is worked out once for each question until the actions change.
 
-        Working it out takes milliseconds of Python's lock, which the loop also needs.
+        Working it out holds Python's lock for milliseconds, which the loop also needs.
         """
-        if asked.request.name not in ("info", "robot_description"):
-            self._reload()
-        if self._version != self._library.version or len(self._answered) >= _MOST_KEPT:
-            self._answered.clear()
+        if self._version != self._library.version or len(self._cache) >= _MOST_KEPT:
+            self._cache.clear()
             self._version = self._library.version
         key = (asked.request.name, asked.question)
-        if key not in self._answered:
-            fields = self._answers[asked.request.name](asked.fields)
-            self._answered[key] = asked.request.answer.encode(fields)
-        return self._answered[key]
+        if key not in self._cache:
+            fields = self._handlers[asked.request.name](asked.fields)
+            self._cache[key] = asked.request.answer.encode(fields)
+        return self._cache[key]
 
-    # --- what is known
+    # --- information
 
     def _stream(self, fields: Fields) -> Fields:
         return accepted(self._streams.ask(fields["rate"]))
 
     def _status(self, _: Fields) -> Fields:
         loop = self._loop
+        # Read in the loop's thread, so that they belong to the same tick.
         statuses, statistics, plan = self._thread.call(
             lambda: (loop.statuses(), loop.statistics(), loop.controller.running)
         )
@@ -172,13 +179,13 @@ class Asking:
             "recording_path": path,
             "recording_trouble": self._recording.status().trouble if self._recording else "",
             "grip_effort": loop.controller.grip_effort,
-            "statistics": loop_statistics_fields(statistics),
-            "devices": [device_status_fields(status) for status in statuses],
+            "statistics": LOOP_STATISTICS.fields(statistics),
+            "devices": [DEVICE_STATUS.fields(status) for status in statuses],
             "profile": self._profile,
         }
 
     def _recording_path(self) -> str:
-        """Return the file of the recording under way, or an empty string."""
+        """Return the file being recorded, or an empty string."""
         status = self._recording.status() if self._recording else None
         return str(status.path or "") if status and status.recording else ""
 
@@ -205,12 +212,12 @@ class Asking:
                 recorder.mark(text)
             case _:
                 raise RequestRejected(
-                    f"a recording cannot be told to '{what[:50]}'; start, stop or mark it"
+                    f"unknown request '{what[:50]}' for the recording; start, stop or mark it"
                 )
         return accepted(self._recording_path())
 
     def _trials(self) -> str:
-        """Return the text of the file with what trials found, and of what the files are now."""
+        """Return the text of the file with the results of trials, and what the files are now."""
         folder = self._library.folder
         if folder is None:
             return ""
@@ -240,23 +247,19 @@ class Asking:
             self._changed("rtee", "the files of actions were read again")
 
     def _add(self, fields: Fields) -> Fields:
-        self._reload()
         action = made_of(self._library, fields["action"])
         self._library.add(action, store=fields["store"], replace_same=fields["replace"])
         return self._done(fields, f"the action '{action.name}' was added")
 
     def _store(self, fields: Fields) -> Fields:
-        self._reload()
         self._library.store(fields["name"])
         return self._done(fields, f"the action '{fields['name']}' was stored")
 
     def _remove(self, fields: Fields) -> Fields:
-        self._reload()
         self._library.remove(fields["name"])
         return self._done(fields, f"the action '{fields['name']}' was removed")
 
     def _rename(self, fields: Fields) -> Fields:
-        self._reload()
         self._library.rename(fields["name"], fields["what"])
         return self._done(fields, f"the action '{fields['name']}' is now called '{fields['what']}'")
 
@@ -266,11 +269,11 @@ class Asking:
         return accepted(text)
 
     def _copied(self) -> str:
-        """Return that the hand was copied to be changed, for once, if it was."""
+        """Return a remark if the hand was just copied in order to be changed."""
         before, self._folder = self._folder, self._library.folder
         if before is None or self._folder is None or before == self._folder:
             return ""
-        text = told(before.parent, self._folder.parent)
+        text = copy_notice(before.parent, self._folder.parent)
         log.warning("%s", text)
         return f"; {text}"
 

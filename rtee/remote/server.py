@@ -1,14 +1,14 @@
-"""The server beside a hand's loop: the hand on the network.
+"""The server beside a hand's loop: it makes the hand available on the network.
 
-A request takes this way: Zenoh's thread calls one of `Server`'s methods, which checks it and hands
-it to `Control` or `Asking`. What those answer is encoded there and put on the network by a
-`Worker`, since that may have to wait for a slow client.
+The way of a goal and its answer: Zenoh's thread calls `Server._on_put`; `handle_request` checks the
+message and calls `CommandHandlers.handle`, which appends the goal to what the loop does at its next
+tick and returns the encoded answer. `Server._answer_put` gives the answer to a `CallQueue`, whose
+thread publishes it, since that may have to wait for a slow client. Queries are handled likewise.
 """
 
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
 from typing import Protocol, Self
@@ -21,22 +21,19 @@ from rtee.errors import RequestRejected
 from rtee.loop.handloop import HandLoop
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE, ANSWERS, ASK, CLIENTS, CONTROL, STOP
-from rtee.remote.command_handlers import Control
+from rtee.remote.call_queue import CallQueue
+from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.directory import announced
-from rtee.remote.incoming_request import numbered, receive, refusal, reply
+from rtee.remote.incoming_request import handle_request, number_and_client, refusal, reply
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.publishing import Publisher, Streams
-from rtee.remote.query_handlers import Asking, Recording
-from rtee.remote.session import EXPRESS, direct, let_go_at_once, open_server
-from rtee.remote.worker import Worker
-
-_SWITCH_INTERVAL = 1e-4
-"""Python's threads hand over to the loop's within this [s]; by default it would be 5 ms."""
+from rtee.remote.query_handlers import QueryHandlers, Recording
+from rtee.remote.session import EXPRESS, direct, disable_linger, open_server
 
 
 class RemoteSettings(Protocol):
-    """Where a hand is on the network."""
+    """Network settings of a hand."""
 
     @property
     def listen(self) -> Sequence[str]:
@@ -48,38 +45,43 @@ class RemoteSettings(Protocol):
 
     @property
     def state_rate(self) -> float:
-        """Rate of the topics that everybody gets [Hz]."""
+        """Rate of the topics for all clients [Hz]."""
 
 
 class Server:
-    """Receives what clients ask of a hand; made by `open`.
+    """Receives the requests of clients; made by `open`.
 
-    Its methods are called in Zenoh's threads. Only questions wait for a thread of their own: they
-    may take milliseconds. What steers the hand is done at once.
+    Its methods are called in Zenoh's threads. Commands are handled there at once. Only queries wait
+    for a thread of their own, since they may take milliseconds.
 
     Args:
         hand: The hand's name.
-        endpoint: Where the hand can be reached from this computer.
-        session: The network.
-        control: Does what steers the hand.
-        asking: Answers questions.
+        endpoint: Address of the hand on this computer.
+        session: The Zenoh session.
+        commands: Handles what moves or stops the hand.
+        queries: Handles what asks for information or changes the actions.
 
     Attributes:
-        endpoint: Where the hand can be reached from this computer.
-        outbox: Puts on the network what must arrive, in order.
-        stops: Answers stops, which wait for no client that is slow to take something else.
-        questions: Answers questions.
+        endpoint: Address of the hand on this computer.
+        outbox: Publishes what must not be lost, in order.
+        stops: Answers stops, which must not wait for a client that is slow to read.
+        questions: Handles and answers queries.
     """
 
     def __init__(
-        self, hand: str, endpoint: str, session: zenoh.Session, control: Control, asking: Asking
+        self,
+        hand: str,
+        endpoint: str,
+        session: zenoh.Session,
+        commands: CommandHandlers,
+        queries: QueryHandlers,
     ) -> None:
         self.endpoint = endpoint
-        self.outbox = Worker(f"publish {hand}")
-        self.stops = Worker(f"stop {hand}")
-        self.questions = Worker(f"answer {hand}")
+        self.outbox = CallQueue(f"publish {hand}")
+        self.stops = CallQueue(f"stop {hand}")
+        self.questions = CallQueue(f"answer {hand}")
         self._hand, self._session = hand, session
-        self._control, self._asking = control, asking
+        self._commands, self._queries = commands, queries
 
     @classmethod
     @contextlib.asynccontextmanager
@@ -90,13 +92,13 @@ class Server:
         recording: Recording | None = None,
         profile: str = "",
     ) -> AsyncIterator[Self]:
-        """Have a hand on the network for as long as the context lasts.
+        """Make a hand available on the network for as long as the context lasts.
 
         Args:
             loop: The hand's loop, which runs in the event loop of this task.
-            settings: Where the hand is on the network.
+            settings: The hand's network settings.
             recording: Its recorder, if it has one.
-            profile: How the references move, in words.
+            profile: The profile of its references, in words.
 
         Raises:
             ConfigError: if the hand runs already, or an endpoint cannot be used.
@@ -104,8 +106,6 @@ class Server:
         in_thread = anyio.to_thread.run_sync
         hand = loop.hand
         async with contextlib.AsyncExitStack() as stack:
-            stack.callback(sys.setswitchinterval, interval := sys.getswitchinterval())
-            sys.setswitchinterval(min(interval, _SWITCH_INTERVAL))
             session, endpoint = await in_thread(
                 open_server, list(settings.listen), list(settings.connect)
             )
@@ -113,16 +113,16 @@ class Server:
             streams = Streams(session, hand, loop.settings.rate, settings.state_rate)
             stack.push_async_callback(in_thread, streams.close)
             lease, thread = Lease(), LoopThread()
-            control = Control(loop, lease, thread)
-            asking = Asking(loop, lease, thread, streams, recording, profile)
-            server = cls(hand.name, endpoint, session, control, asking)
+            commands = CommandHandlers(loop, lease, thread)
+            queries = QueryHandlers(loop, lease, thread, streams, recording, profile)
+            server = cls(hand.name, endpoint, session, commands, queries)
             stack.push_async_callback(in_thread, server.close)
             stack.push_async_callback(thread.close)
             publisher = Publisher(session, hand.name, streams, server.outbox, lease)
             loop.add_observer(publisher)
             stack.callback(loop.remove_observer, publisher)
             server.declare()
-            # Last: who waits for the hand asks as soon as it is announced.
+            # Last: waiting clients send requests as soon as the hand is announced.
             stack.enter_context(announced(hand.name, [endpoint]))
             yield server
 
@@ -145,41 +145,42 @@ class Server:
         self._token = liveliness.declare_token(key(ALIVE))
 
     def close(self) -> None:
-        """Send the answers that are waiting; blocks for a moment."""
-        self._asking.close()
-        for worker in (self.questions, self.stops, self.outbox):
-            worker.close()
-
-    def _reply_by(self, worker: Worker, query: zenoh.Query, data: bytes, ok: bool) -> None:
-        worker.put(partial(reply, self._hand, query, data, ok))
+        """Send the waiting answers; blocks for a moment."""
+        self._queries.close()
+        for queue in (self.questions, self.stops, self.outbox):
+            queue.close()
 
     def _on_stop(self, query: zenoh.Query) -> None:
-        receive(query, STOP, self._control.stop, partial(self._reply_by, self.stops, query))
+        handle_request(query, STOP, self._commands.stop, self._replier(query, self.stops))
 
     def _on_control(self, query: zenoh.Query) -> None:
-        receive(query, CONTROL, self._control.handle, partial(self._reply_by, self.outbox, query))
+        handle_request(query, CONTROL, self._commands.handle, self._replier(query, self.outbox))
+
+    def _replier(self, query: zenoh.Query, queue: CallQueue) -> Callable[[bytes, bool], object]:
+        """Return a function that has a query answered by a queue."""
+        return lambda data, ok: queue.put(partial(reply, self._hand, query, data, ok))
 
     def _on_put(self, sample: zenoh.Sample) -> None:
-        receive(sample, CONTROL, self._control.handle, partial(self._answer_put, sample))
+        handle_request(sample, CONTROL, self._commands.handle, partial(self._answer_put, sample))
 
     def _answer_put(self, sample: zenoh.Sample, data: bytes, ok: bool) -> None:
-        # Done after what was asked for: only then does it matter to whom the answer goes.
-        number, client = numbered(sample)
-        if self._control.knows(client):
+        # The attachment is decoded only now, so that it does not delay the request itself.
+        number, client = number_and_client(sample)
+        if self._commands.knows(client):
             key = network_key(self._hand, f"{ANSWERS}/{client}")
             attachment = f"{'+' if ok else '-'}{number}"
             self.outbox.put(partial(self._session.put, key, data, attachment=attachment, **EXPRESS))
 
     def _on_question(self, query: zenoh.Query) -> None:
         send = partial(reply, self._hand, query)
-        if not self.questions.put(partial(receive, query, ASK, self._asking.handle, send)):
+        if not self.questions.put(partial(handle_request, query, ASK, self._queries.handle, send)):
             error = RequestRejected("too many requests are waiting")
-            self._reply_by(self.outbox, query, refusal(error), False)
+            self._replier(query, self.outbox)(refusal(error), False)
 
     def _on_client(self, sample: zenoh.Sample) -> None:
         client = str(sample.key_expr).rpartition("/")[2]
         if sample.kind == zenoh.SampleKind.PUT:
-            let_go_at_once()
-            self._control.came(client)
+            disable_linger()
+            self._commands.client_came(client)
         else:
-            self._control.gone(client)
+            self._commands.client_left(client)

@@ -1,4 +1,4 @@
-"""Zenoh sessions as rtee opens them: loopback, no scouting, dead peers noticed within a second."""
+"""Zenoh sessions: loopback only, no scouting, dead peers noticed within a second."""
 
 from __future__ import annotations
 
@@ -20,38 +20,41 @@ RUNTIME = "(rx:(worker_threads:1),tx:(worker_threads:1)"
 RUNTIME += ",acc:(handover:rx),net:(handover:rx),app:(handover:rx))"
 """Zenoh's threads: one that sends and one for all else, so that a message wakes only those two.
 
-Where the one that sends has to wait, the other must be able to; callbacks never wait."""
+They are two because the thread that sends may have to wait. Callbacks never wait."""
 
 os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)  # read when the first session is opened
 
 LEASE = 1000
-"""After this long without a sign of life a peer counts as dead [ms]; four signs are sent in it."""
+"""Time without a sign of life after which a peer counts as dead [ms]; peers send four in it."""
 
 EXPRESS: dict[str, Any] = {
     "congestion_control": zenoh.CongestionControl.BLOCK,
     "priority": zenoh.Priority.INTERACTIVE_HIGH,
     "express": True,
 }
-"""What must arrive soon: it waits for who is slow to take it, and for no message behind it."""
+"""For messages that must arrive, and soon: they wait for slow readers, but not for a batch to
+fill."""
 
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
 
 _ATTEMPTS = 5
-"""Attempts to listen on a free port; that another process takes it in between is rare."""
+"""Attempts to listen on a free port; another process rarely takes it in between."""
 
 _CONNECT_WITHIN = 10
-"""Time to connect to an endpoint where somebody listens [s]; over a VPN it takes up to one."""
+"""Time to open a session where somebody listens [s]; over a VPN it takes up to 1 s."""
 
 _PROBE_WITHIN = 3.0
-"""Time until somebody must have accepted a connection [s]: TCP sends its first packet twice."""
+"""Time until a connection must be accepted [s]: TCP repeats a lost first packet after 1 s."""
 
-_LINGERS = struct.pack("ii", 1, 10)
+_LINGER = (socket.SOL_SOCKET, socket.SO_LINGER)
+
+_ZENOH_LINGER = struct.pack("ii", 1, 10)
 """SO_LINGER as Zenoh sets it: on, 10 s."""
 
-_LETS_GO = struct.pack("ii", 0, 0)
-"""SO_LINGER off: closing returns at once."""
+_NO_LINGER = struct.pack("ii", 0, 0)
+"""SO_LINGER off: closing a socket returns at once."""
 
 _ENDPOINT = re.compile(
     r"((tcp|udp|tls|quic|ws)/(\[[^\]]+\]|[^:/?#]+):[0-9]{1,5}"
@@ -61,13 +64,16 @@ _TCP = re.compile(r"tcp/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
 
 _COMMON: dict[str, Any] = {
     "mode": "peer",
+    # A hand is found by its announcement or its endpoint; no packet goes to the network unasked.
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/link/tx/lease": LEASE,
     "transport/link/tx/keep_alive": 4,
     # A congested client must not hold up the loop: what cannot be sent at once is dropped.
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    # Results must not be lost: only a peer that counts as dead may be dropped [µs].
     "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE * 1000,
+    # Messages are a few kilobytes, too small to gain from shared memory.
     "transport/shared_memory/enabled": False,
     "adminspace/enabled": False,
 }
@@ -85,46 +91,48 @@ def direct(
 ) -> zenoh.handlers.Callback[T]:
     """Return a handler that is called in Zenoh's own thread; it must return at once.
 
-    Zenoh's other kind of handler has a Python thread of its own, which keeps a process from ending
-    until the session is closed.
+    Zenoh's other kind of handler starts a Python thread, which keeps the process from ending until
+    the session is closed.
     """
     return zenoh.handlers.Callback(callback, ended, indirect=False)
 
 
-def let_go_at_once() -> None:
-    """Have connections closed without waiting for what a client that has stalled did not take.
+def disable_linger() -> None:
+    """Have the connections of this process closed without waiting for unsent data.
 
-    Zenoh makes its sockets wait with closing for 10 s as long as something is on its way, and
-    closes them in the thread that receives: one client that stalls or is cut off would keep all
-    others from being heard.
+    Zenoh sets SO_LINGER to 10 s and closes sockets in the thread that receives. A client that
+    freezes with data on its way to it would therefore block the requests of all others for 10 s
+    when its connection is closed; ``tests/remote/test_remote_lost.py`` shows it. Zenoh has no
+    setting for this, so that its sockets have to be found among the open files.
     """
     folder = Path("/dev/fd")
     for name in os.listdir(folder) if folder.is_dir() else ():
         if not (folder / name).is_socket():
             continue
+        # A duplicate shares the socket's options, and may be closed without closing the socket.
         with (
             contextlib.suppress(OSError),  # closed meanwhile
             socket.socket(fileno=os.dup(int(name))) as link,
         ):
-            if link.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, len(_LINGERS)) == _LINGERS:
-                link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LETS_GO)
+            if link.getsockopt(*_LINGER, len(_ZENOH_LINGER)) == _ZENOH_LINGER:
+                link.setsockopt(*_LINGER, _NO_LINGER)
 
 
 def free_endpoint() -> str:
-    """Return a loopback endpoint with a port that nobody listens on."""
+    """Return a loopback endpoint with a free port."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         return f"tcp/{LOOPBACK}:{probe.getsockname()[1]}"
 
 
 def open_server(listen: Sequence[str], connect: Sequence[str]) -> tuple[zenoh.Session, str]:
-    """Open a session that listens on a loopback port of its own and where else it is told.
+    """Open a session that listens on a free loopback port and on further endpoints.
 
     Blocks for some milliseconds.
 
     Args:
         listen: Further endpoints to listen on.
-        connect: Endpoints to connect to, for example of a Zenoh router; they may come up later.
+        connect: Endpoints to connect to, such as a Zenoh router; they may become available later.
 
     Returns:
         The session and its loopback endpoint.
@@ -140,6 +148,7 @@ def open_server(listen: Sequence[str], connect: Sequence[str]) -> tuple[zenoh.Se
             "listen/exit_on_failure": True,
             "connect/endpoints": list(connect),
             "connect/exit_on_failure": False,
+            # A router may come up later: Zenoh keeps trying.
             "connect/timeout_ms": 0 if not connect else -1,
         }
         try:
@@ -159,7 +168,7 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
 
     Raises:
         NoHand: if nobody answers there.
-        ConfigError: if an endpoint is none.
+        ConfigError: if an endpoint is malformed.
     """
     _check(endpoints)
     settings = {
@@ -169,11 +178,11 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         "connect/timeout_ms": _CONNECT_WITHIN * 1000,
     }
     try:
-        # Zenoh would try again and again where nobody listens.
+        # Zenoh itself would retry for a long time where nobody listens.
         for endpoint in endpoints:
             _probe(endpoint)
         session = zenoh.open(_configured(settings))
-        let_go_at_once()
+        disable_linger()
         return session
     except (OSError, OverflowError, UnicodeError, zenoh.ZError) as error:
         raise NoHand(f"nobody answers at {', '.join(endpoints)}: {_words(error)}") from None
@@ -183,7 +192,7 @@ def _check(endpoints: Sequence[str]) -> None:
     for endpoint in endpoints:
         if _ENDPOINT.fullmatch(endpoint) is None:
             raise ConfigError(
-                f"'{endpoint}' is no endpoint; it is written PROTOCOL/HOST:PORT, such as"
+                f"'{endpoint}' is not an endpoint; it is written PROTOCOL/HOST:PORT, such as"
                 " tcp/robot:7447"
             )
 
@@ -196,7 +205,7 @@ def _probe(endpoint: str) -> None:
 
 
 def _words(error: Exception) -> str:
-    """Return an error's text without the place in Zenoh's source."""
+    """Return an error's text without the location in Zenoh's source."""
     if isinstance(error, OSError):
         return error.strerror or str(error) or "no answer"
     said = str(error).partition(" at /")[0]

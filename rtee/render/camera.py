@@ -24,7 +24,7 @@ _MARGIN: Final = 1.08
 _FIRST_PART: Final = 0.3
 """Part of the way on which fingertips show where fingers close; later they curl back."""
 _SNAP: Final = math.radians(35.0)
-"""A hand that points along an axis of its base but for this angle stands upright [rad]."""
+"""A hand that points along an axis of its base within this angle is shown upright [rad]."""
 _ONE_WAY: Final = 0.45
 """Fingertips that together move less than this part of their ways close towards one another."""
 
@@ -34,7 +34,7 @@ class Camera:
     """A perspective camera.
 
     Attributes:
-        position: Where it stands, in the hand's base frame [m].
+        position: Its position in the hand's base frame [m].
         right: Unit vector to the right of the picture.
         up: Unit vector to the top of the picture.
         forward: Unit vector into the picture.
@@ -114,7 +114,7 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
     moves = _tips(geometry, hand.rest + _FIRST_PART * (farthest(hand) - hand.rest)) - rest
     base = geometry.kinematics.link_pose(hand.rest, _palm(hand))[:3, 3]
     up = _snapped(_unit(rest.mean(axis=0) - base, np.array([0.0, 0.0, 1.0])))
-    moves -= np.outer(moves @ up, up)
+    moves -= np.outer(moves @ up, up)  # only how they close counts, not how they rise
     total = float(np.linalg.norm(moves, axis=1).sum())
     front = moves.sum(axis=0)
     if len(rest) < 3 or float(np.linalg.norm(front)) < _ONE_WAY * total or total == 0.0:

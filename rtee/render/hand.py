@@ -42,40 +42,6 @@ _WANTED: Final = 4.0
 """How much more the surface of wanted fingers counts than that of others."""
 
 
-def render_hand(
-    hand: Hand,
-    u: FloatArray,
-    size: tuple[int, int] = SIZE,
-    *,
-    highlight: Collection[str] | None = None,
-    contacts: Collection[Contact] = (),
-    ghost: bool = False,
-    background: str | None = "#ffffff",
-) -> bytes:
-    """Render a hand.
-
-    Args:
-        hand: The hand.
-        u: Actuator positions ``(n,)`` [rad | m].
-        size: Width and height [pixels].
-        highlight: Fingers in full colour, the others faded; ``None`` for all.
-        contacts: Contacts to mark.
-        ghost: Show the rest posture faintly behind.
-        background: Colour behind the hand; ``None`` for transparent.
-
-    Returns:
-        A PNG file.
-
-    Raises:
-        MissingExtra: The extra ``plot`` is not installed.
-        ModelError: A mesh cannot be read.
-    """
-    renderer = HandRenderer(hand, size, [u])
-    return renderer.picture(
-        u, highlight=highlight, contacts=contacts, ghost=ghost, background=background
-    )
-
-
 def link_colours(hand: Hand, links: Iterable[str]) -> FloatArray:
     """Return the linear colour of each link ``(l, 3)``: that of its finger, or of the palm."""
     colours, owner = finger_colours(hand), finger_of_link(hand)
@@ -135,7 +101,16 @@ class HandRenderer:
         background: str | None = "#ffffff",
         file_format: FileFormat = "PNG",
     ) -> bytes:
-        """Return a picture file of the hand; see `render_hand`."""
+        """Return a picture file of the hand.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m].
+            highlight: Fingers in full colour, the others faded; ``None`` for all.
+            contacts: Contacts to mark.
+            ghost: Show the rest posture faintly behind.
+            background: Colour behind the hand; ``None`` for transparent.
+            file_format: Format of the file.
+        """
         shading = self._shading(self._camera, highlight, ground=self._ground)
         picture = Renderer(self._caster(u), self._camera, shading).render()
         if ghost:

@@ -84,6 +84,8 @@ def smooth_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
         return np.zeros((0, 3, 3))
     corners = vertices[faces]
     flat, angles = _face_normals(corners)
+    # Every corner is paired with every corner at the same vertex, itself included; all pairs of a
+    # corner follow each other, so that one reduceat adds up the normals around it.
     place = _same_vertices(corners.reshape(-1, 3))
     order = np.argsort(place, kind="stable")
     counts = np.bincount(place[order])

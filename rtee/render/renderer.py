@@ -217,6 +217,7 @@ class Renderer:
         for ray in range(_RAYS):
             a, b = fibonacci_lattice(cell + cells * ray, cells * _RAYS)
             toward = cone(shading.light, a, b)
+            # A smooth normal may face the light while the triangle itself does not.
             facing = np.einsum("ij,ij->i", hits.face_normals, toward) > 0
             reach = _SHADOW_REACH * shading.radius
             direct += facing & ~self.caster.occluded(start, toward, reach)

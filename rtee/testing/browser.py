@@ -31,6 +31,7 @@ _ARGUMENTS: Final = (
     "--disable-accelerated-2d-canvas",
 )
 _PATIENCE: Final = 60_000.0
+"""Longest time for one action in the page [ms]; software WebGL is slow on a busy computer."""
 
 
 def find_browser() -> str | None:

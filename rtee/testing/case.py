@@ -60,7 +60,7 @@ class DeviceCase:
             of the way.
         tolerance: Error at which a posture counts as reached [rad | m].
         within: Longest time to reach a posture [s].
-        stopping: Time after which a stopped device must stand still [s].
+        stopping: Time after which a stopped device must be still [s].
         grip_object: Makes the emulated device active and holding something, as found at start-up.
         commands: Counts the motion commands that the emulator has heard.
         efforts: Effort limits in force when the last motion began, in SI units.

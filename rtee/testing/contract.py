@@ -1,11 +1,12 @@
-"""The suite that every driver passes: what users of hands suffer from, one test each."""
+"""The suite that every driver passes: one test for each thing that users of hands suffer from."""
 
 from __future__ import annotations
 
 import asyncio
 import math
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import Any, ClassVar
 
 import pytest
@@ -25,15 +26,20 @@ from rtee.errors import (
     RteeError,
 )
 from rtee.testing.case import DeviceCase
-from rtee.testing.session import Session, open_files, run
+from rtee.testing.session import Session, open_files
 from rtee.types import Reference
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
-NEEDS_CHECKSUMS = frozenset({"corrupt", "noise"})
+"""The faults that a wire can have, one run of `test_a_faulty_wire_is_survived` each."""
 
+NEEDS_CHECKSUMS = frozenset({"corrupt", "noise"})
+"""Those that a driver can notice only where frames carry checksums."""
 
 _DEAF = 0.06
 """No answer is heard for this long [s]; longer than most drivers wait for one."""
+
+_SHARE = 0.05
+"""Part of the messages that a faulty wire damages; a real one in need of repair damages fewer."""
 
 
 class DriverContract:
@@ -45,9 +51,26 @@ class DriverContract:
 
     case: ClassVar[DeviceCase]
 
-    def session(self, **kwargs: Any) -> Session:
-        """Return a new session with the device."""
-        return Session(self.case, **kwargs)
+    pytestmark = pytest.mark.anyio
+
+    @pytest.fixture
+    def anyio_backend(self) -> str:
+        """Run the tests in asyncio, as the loop runs drivers."""
+        return "asyncio"
+
+    @asynccontextmanager
+    async def session(self, within: float = 55.0) -> AsyncIterator[Session]:
+        """Yield a new session with the device; fails if it hangs or leaves a task behind.
+
+        Args:
+            within: Longest time that it may last [s].
+        """
+        before = asyncio.all_tasks()
+        async with asyncio.timeout(within), Session(self.case) as session:
+            yield session
+        await asyncio.sleep(0)
+        left = asyncio.all_tasks() - before
+        assert not left, f"tasks left behind: {left}"
 
     def needed(self, name: str) -> Any:
         """Return a part of the case, or skip the test where it was left out."""
@@ -63,121 +86,93 @@ class DriverContract:
 
     # --- connecting --------------------------------------------------------------------------
 
-    def test_connecting_identifies_and_moves_nothing(self) -> None:
-        """`configure` tells what the device is and sends no motion command."""
+    async def test_connecting_identifies_and_moves_nothing(self) -> None:
+        """`configure` identifies the device and sends no motion command."""
+        async with self.session() as session:
+            await session.connect()
+            assert session.driver.capabilities.identity
+            state = await session.sense()
+            assert state.position.shape == (len(self.case.actuators),)
+            assert all(math.isfinite(q) for q in state.position)
+            assert session.driver.capabilities.best_rate > 0.0
+            if self.case.commands is not None:
+                assert self.case.commands(session.emulator) == 0
 
-        async def test() -> None:
-            async with self.session() as session:
-                await session.connect()
-                assert session.driver.capabilities.identity
-                state = await session.sense()
-                assert state.position.shape == (len(self.case.actuators),)
-                assert all(math.isfinite(q) for q in state.position)
-                assert session.driver.capabilities.best_rate > 0.0
-                if self.case.commands is not None:
-                    assert self.case.commands(session.emulator) == 0
-
-        run(test)
-
-    def test_a_wrong_device_is_refused(self) -> None:
+    async def test_a_wrong_device_is_refused(self) -> None:
         """Another device at the address is named instead of being driven."""
         self.wired()
+        async with self.session() as session:
+            await session.before(lambda emulator: emulator.inject("wrong_device"))
+            with pytest.raises((HandshakeError, NotConnected)):
+                await session.driver.configure()
+            if self.case.commands is not None:
+                assert self.case.commands(session.emulator) == 0
 
-        async def test() -> None:
-            async with self.session() as session:
-                await session.before(lambda emulator: emulator.inject("wrong_device"))
-                with pytest.raises((HandshakeError, NotConnected)):
-                    await session.driver.configure()
-                if self.case.commands is not None:
-                    assert self.case.commands(session.emulator) == 0
-
-        run(test)
-
-    def test_no_device_is_a_clear_error(self) -> None:
+    async def test_no_device_is_a_clear_error(self) -> None:
         """A vanished port and a silent device are errors with a sentence, not a hang."""
         self.wired()
+        async with self.session() as session:
+            await session.before(lambda emulator: None)
+            session.wire.unplug()
+            with pytest.raises((BusError, NotConnected)) as caught:
+                await session.driver.configure()
+            assert str(caught.value)
+            session.wire.replug()
+            session.wire.faults = Faults(drop=1.0)
+            with pytest.raises((BusTimeout, NotConnected)):
+                await session.driver.configure()
 
-        async def test() -> None:
-            async with self.session() as session:
-                await session.before(lambda emulator: None)
-                session.wire.unplug()
-                with pytest.raises((BusError, NotConnected)) as caught:
-                    await session.driver.configure()
-                assert str(caught.value)
-                session.wire.replug()
-                session.wire.faults = Faults(drop=1.0)
-                with pytest.raises((BusTimeout, NotConnected)):
-                    await session.driver.configure()
-
-        run(test)
-
-    def test_attaching_to_a_holding_device_moves_nothing(self) -> None:
+    async def test_attaching_to_a_holding_device_moves_nothing(self) -> None:
         """A device that is active and holds something is taken over as it is."""
         grip_object, commands = self.needed("grip_object"), self.needed("commands")
+        async with self.session() as session:
+            await session.before(grip_object)
+            heard = commands(session.emulator)
+            state = await session.start()
+            here = Reference.at(state.position)
+            for _ in range(5):
+                await session.cycle(here)
+                await asyncio.sleep(0.005)
+            after = await session.sense()
+            assert commands(session.emulator) == heard
+            assert session.near(after, [float(q) for q in state.position])
 
-        async def test() -> None:
-            async with self.session() as session:
-                await session.before(grip_object)
-                heard = commands(session.emulator)
-                state = await session.start()
-                here = Reference.at(state.position)
-                for _ in range(5):
-                    await session.cycle(here)
-                    await asyncio.sleep(0.005)
-                after = await session.sense()
-                assert commands(session.emulator) == heard
-                assert session.near(after, [float(q) for q in state.position])
-
-        run(test)
-
-    def test_the_first_state_is_measured(self) -> None:
+    async def test_the_first_state_is_measured(self) -> None:
         """What seeds the reference is where the device is, also after it was disturbed."""
-
-        async def test() -> None:
-            near, _ = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                there = await session.reach(near)
-                await session.driver.deactivate()
-                await session.driver.close()
-                again = await session.start()
-                assert again.fresh
-                assert session.near(again, [float(q) for q in there.position])
-
-        run(test)
+        near, _ = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            there = await session.reach(near)
+            await session.driver.deactivate()
+            await session.driver.close()
+            again = await session.start()
+            assert again.fresh
+            assert session.near(again, [float(q) for q in there.position])
 
     # --- moving ------------------------------------------------------------------------------
 
-    def test_a_posture_is_reached_and_measured(self) -> None:
+    async def test_a_posture_is_reached_and_measured(self) -> None:
         """What is sent comes back: units, signs and the order of the actuators."""
+        near, far = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            for goal in (near, far, near):
+                state = await session.reach(goal)
+                assert session.near(state, goal), (state.position, goal)
 
-        async def test() -> None:
-            near, far = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                for goal in (near, far, near):
-                    state = await session.reach(goal)
-                    assert session.near(state, goal), (state.position, goal)
-
-        run(test)
-
-    def test_references_beyond_the_limits_do_no_harm(self) -> None:
+    async def test_references_beyond_the_limits_do_no_harm(self) -> None:
         """A reference at or past a limit is clamped or refused, never wrapped."""
-
-        async def test() -> None:
-            near, _ = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                await session.reach(near)
-                beyond = [a.upper + 1e-3 for a in self.case.actuators]
-                try:
-                    state = await session.reach(beyond)
-                except DriverError:
-                    return
-                for q, before, spec in zip(state.position, near, self.case.actuators, strict=True):
-                    assert before - self.case.tolerance <= q <= spec.upper + self.case.tolerance
-
-        run(test)
+        near, _ = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            await session.reach(near)
+            beyond = [a.upper + 1e-3 for a in self.case.actuators]
+            try:
+                state = await session.reach(beyond)
+            except DriverError:
+                return
+            for q, before, spec in zip(state.position, near, self.case.actuators, strict=True):
+                assert before - self.case.tolerance <= q <= spec.upper + self.case.tolerance
 
     def test_no_reference_holds_nan(self) -> None:
         """NaN cannot even be asked for."""
@@ -187,129 +182,105 @@ class DriverContract:
         with pytest.raises(ValueError, match="NaN"):
             Reference.at([0.0] * n, max_effort=[math.nan] * n)
 
-    def test_effort_limits_are_in_force_before_the_motion(self) -> None:
+    async def test_effort_limits_are_in_force_before_the_motion(self) -> None:
         """The effort goes with the position or before it, never after."""
         efforts, wanted = self.needed("efforts"), self.needed("max_efforts")
+        near, far = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            await session.reach(near)
+            await session.reach(far, max_effort=list(wanted))
+            found = list(efforts(session.emulator))
+            assert found == pytest.approx(list(wanted), rel=0.05)
 
-        async def test() -> None:
-            near, far = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                await session.reach(near)
-                await session.reach(far, max_effort=list(wanted))
-                found = list(efforts(session.emulator))
-                assert found == pytest.approx(list(wanted), rel=0.05)
-
-        run(test)
-
-    def test_stop_stops(self) -> None:
+    async def test_stop_stops(self) -> None:
         """After `stop` the position stays, although it was on its way."""
+        near, far = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            await session.reach(near)
+            for _ in range(5):
+                await session.cycle(Reference.at(list(far)))
+            await session.driver.stop()
+            await asyncio.sleep(self.case.stopping)
+            there = await session.sense()
+            await asyncio.sleep(0.2)
+            later = await session.sense()
+            assert session.near(later, [float(q) for q in there.position])
 
-        async def test() -> None:
-            near, far = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                await session.reach(near)
-                for _ in range(5):
-                    await session.cycle(Reference.at(list(far)))
-                await session.driver.stop()
-                await asyncio.sleep(self.case.stopping)
-                there = await session.sense()
-                await asyncio.sleep(0.2)
-                later = await session.sense()
-                assert session.near(later, [float(q) for q in there.position])
-
-        run(test)
-
-    def test_stop_stops_though_answers_get_lost(self) -> None:
+    async def test_stop_stops_though_answers_get_lost(self) -> None:
         """An answer that is lost must not keep the rest of a stop from being sent."""
         self.wired()
+        near, far = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            await session.reach(near)
+            for _ in range(5):
+                await session.cycle(Reference.at(list(far)))
+            session.wire.faults = Faults(drop=1.0, requests=False)
+            heal = asyncio.get_running_loop().call_later(
+                _DEAF, setattr, session.wire, "faults", Faults()
+            )
+            await session.driver.stop()
+            heal.cancel()
+            session.wire.faults = Faults()
+            there = await session.sense()
+            await asyncio.sleep(self.case.stopping + 0.2)
+            moved = (await session.sense()).position - there.position
+            onward = [
+                math.copysign(float(way), way * (f - n))
+                for way, n, f in zip(moved, near, far, strict=True)
+            ]
+            assert max(onward) <= self.case.tolerance, "it went on"
 
-        async def test() -> None:
-            near, far = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                await session.reach(near)
-                for _ in range(5):
-                    await session.cycle(Reference.at(list(far)))
-                session.wire.faults = Faults(drop=1.0, requests=False)
-                heal = asyncio.get_running_loop().call_later(
-                    _DEAF, setattr, session.wire, "faults", Faults()
-                )
-                await session.driver.stop()
-                heal.cancel()
-                session.wire.faults = Faults()
-                there = await session.sense()
-                await asyncio.sleep(self.case.stopping + 0.2)
-                moved = (await session.sense()).position - there.position
-                onward = [
-                    math.copysign(float(way), way * (f - n))
-                    for way, n, f in zip(moved, near, far, strict=True)
-                ]
-                assert max(onward) <= self.case.tolerance, "it went on"
-
-        run(test)
-
-    def test_stop_and_disable_never_raise(self) -> None:
+    async def test_stop_and_disable_never_raise(self) -> None:
         """Neither before connecting, nor with the cable pulled, nor after closing."""
         self.wired()
+        async with self.session() as session:
+            await session.driver.stop()
+            await session.start()
+            session.wire.unplug()
+            await session.driver.stop()
+            await session.driver.disable()
+            await session.driver.close()
+            await session.driver.stop()
 
-        async def test() -> None:
-            async with self.session() as session:
-                await session.driver.stop()
-                await session.start()
-                session.wire.unplug()
-                await session.driver.stop()
-                await session.driver.disable()
-                await session.driver.close()
-                await session.driver.stop()
-
-        run(test)
-
-    def test_a_stuck_device_is_measured_where_it_is(self) -> None:
+    async def test_a_stuck_device_is_measured_where_it_is(self) -> None:
         """A position that does not follow is reported, not made up."""
         self.wired()
-
-        async def test() -> None:
-            near, far = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                there = await session.reach(near)
-                session.emulator.inject("stuck")
-                for _ in range(20):
-                    await session.cycle(Reference.at(list(far)))
-                    state = await session.sense()
-                    assert session.near(state, [float(q) for q in there.position])
-                    await asyncio.sleep(0.005)
-
-        run(test)
+        near, far = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            there = await session.reach(near)
+            session.emulator.inject("stuck")
+            for _ in range(20):
+                await session.cycle(Reference.at(list(far)))
+                state = await session.sense()
+                assert session.near(state, [float(q) for q in there.position])
+                await asyncio.sleep(0.005)
 
     # --- faults of the device ----------------------------------------------------------------
 
-    def test_a_fault_is_named_and_recovered_from(self) -> None:
+    async def test_a_fault_is_named_and_recovered_from(self) -> None:
         """A fault has a name and a hint; `recover` ends it without a jump."""
         fault = self.needed("fault")
-
-        async def test() -> None:
-            near, _ = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                await session.reach(near)
-                session.emulator.inject(fault)
-                caught = await self._fault_of(session)
-                assert caught.name
-                assert caught.hint
-                assert caught.recoverable
-                with pytest.raises(DeviceFault):
-                    await self._recover(session)
-                session.emulator.clear()
+        near, _ = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            await session.reach(near)
+            session.emulator.inject(fault)
+            caught = await self._fault_of(session)
+            assert caught.name
+            assert caught.hint
+            assert caught.recoverable
+            with pytest.raises(DeviceFault):
                 await self._recover(session)
-                state = await session.sense()
-                here = [float(q) for q in state.position]
-                after = await session.reach(here)
-                assert session.near(after, here)
-
-        run(test)
+            session.emulator.clear()
+            await self._recover(session)
+            state = await session.sense()
+            here = [float(q) for q in state.position]
+            after = await session.reach(here)
+            assert session.near(after, here)
 
     async def _recover(self, session: Session) -> None:
         await patiently(session.driver.recover)
@@ -327,59 +298,51 @@ class DriverContract:
             await asyncio.sleep(0.01)
         pytest.fail("the fault was never reported")
 
-    def test_a_power_cycle_is_noticed_or_harmless(self) -> None:
+    async def test_a_power_cycle_is_noticed_or_harmless(self) -> None:
         """After its supply came back the device is in fault, or where it was, but never jumps."""
         self.wired()
-
-        async def test() -> None:
-            near, _ = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                there = await session.reach(near)
-                session.wire.power_cycle()
-                noticed = False
-                for _ in range(20):
-                    try:
-                        state = await session.driver.sense()
-                    except (DeviceFault, NotConnected, BusTimeout, FrameError):
-                        noticed = True
-                        break
-                    assert session.near(state, [float(q) for q in there.position])
-                    await asyncio.sleep(0.005)
-                assert noticed or not self.case.homes
-
-        run(test)
+        near, _ = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            there = await session.reach(near)
+            session.wire.power_cycle()
+            noticed = False
+            for _ in range(20):
+                try:
+                    state = await session.driver.sense()
+                except (DeviceFault, NotConnected, BusTimeout, FrameError):
+                    noticed = True
+                    break
+                assert session.near(state, [float(q) for q in there.position])
+                await asyncio.sleep(0.005)
+            assert noticed or not self.case.homes
 
     # --- faults of the wire ------------------------------------------------------------------
 
     @pytest.mark.parametrize("fault", WIRE_FAULTS)
     @pytest.mark.timeout(600)
-    def test_a_faulty_wire_is_survived(self, fault: str) -> None:
+    async def test_a_faulty_wire_is_survived(self, fault: str) -> None:
         """At 5 % faults nothing but timeouts and bad frames is raised, and no value is wrong."""
         self.wired()
         if fault in NEEDS_CHECKSUMS and not self.case.checksums:
             pytest.skip("frames of this device carry no checksum")
         if self.case.wire_faults is not None and fault not in self.case.wire_faults:
             pytest.skip("the wire of this device has no such fault")
-
-        async def test() -> None:
-            near, far = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                await session.reach(near)
-                counters = dict(session.driver.counters())
-                faults = Faults(delay_time=0.003, seed=11)
-                setattr(faults, fault, 0.05)
-                session.wire.faults = faults
-                done = await self._cycles(session, Reference.at(list(far)))
-                session.wire.faults = Faults()
-                assert done >= self.case.share * self.case.cycles
-                assert self.case.cycles < 100 or faults.injected[fault] > 0
-                state = await session.reach(near)
-                assert session.near(state, near)
-                self._check_counters(counters, dict(session.driver.counters()), fault, faults)
-
-        run(test, within=590.0)
+        near, far = self.case.between()
+        async with self.session(within=590.0) as session:
+            await session.start()
+            await session.reach(near)
+            counters = dict(session.driver.counters())
+            faults = Faults(delay_time=0.003, seed=11)
+            setattr(faults, fault, _SHARE)
+            session.wire.faults = faults
+            done = await self._cycles(session, Reference.at(list(far)))
+            session.wire.faults = Faults()
+            assert done >= self.case.share * self.case.cycles
+            assert self.case.cycles < 100 or faults.injected[fault] > 0
+            state = await session.reach(near)
+            assert session.near(state, near)
+            self._check_counters(counters, dict(session.driver.counters()), fault, faults)
 
     async def _cycles(self, session: Session, reference: Reference) -> int:
         low = [a.lower - self.case.tolerance for a in self.case.actuators]
@@ -403,52 +366,42 @@ class DriverContract:
         if fault == "drop" and faults.injected["drop"] > 20:
             assert after["timeouts"] > before["timeouts"]
 
-    def test_a_cancelled_exchange_leaves_the_driver_usable(self) -> None:
+    async def test_a_cancelled_exchange_leaves_the_driver_usable(self) -> None:
         """Cancelling at any moment is cancelling, and the next exchange works."""
         self.wired()
-
-        async def test() -> None:
-            near, _ = self.case.between()
-            async with self.session() as session:
-                await session.start()
-                await session.reach(near)
-                session.wire.faults = Faults(delay=1.0, delay_time=0.01)
-                for wait in (0.0, 0.001, 0.004, 0.008):
-                    task = asyncio.ensure_future(session.driver.sense())
-                    await asyncio.sleep(wait)
-                    task.cancel()
-                    results = await asyncio.gather(task, return_exceptions=True)
-                    assert not isinstance(results[0], Exception) or isinstance(
-                        results[0], BusTimeout
-                    )
-                session.wire.faults = Faults()
-                await asyncio.sleep(0.03)
-                state = await session.reach(near)
-                assert session.near(state, near)
-
-        run(test)
+        near, _ = self.case.between()
+        async with self.session() as session:
+            await session.start()
+            await session.reach(near)
+            session.wire.faults = Faults(delay=1.0, delay_time=0.01)
+            for wait in (0.0, 0.001, 0.004, 0.008):
+                task = asyncio.ensure_future(session.driver.sense())
+                await asyncio.sleep(wait)
+                task.cancel()
+                results = await asyncio.gather(task, return_exceptions=True)
+                assert not isinstance(results[0], Exception) or isinstance(results[0], BusTimeout)
+            session.wire.faults = Faults()
+            await asyncio.sleep(0.03)
+            state = await session.reach(near)
+            assert session.near(state, near)
 
     @pytest.mark.timeout(300)
-    def test_unplugging_a_hundred_times_leaks_nothing(self) -> None:
+    async def test_unplugging_a_hundred_times_leaks_nothing(self) -> None:
         """Pulled and put back a hundred times: no file, no task and no thread stays behind."""
         self.wired()
-
-        async def test() -> None:
-            async with self.session() as session:
-                first = await session.start()
-                here = [float(q) for q in first.position]
-                files, tasks = open_files(), len(asyncio.all_tasks())
-                for _ in range(100):
-                    session.wire.unplug()
-                    await self._lost(session)
-                    await session.driver.close()
-                    session.wire.replug()
-                    state = await session.start()
-                    assert session.near(state, here)
-                assert len(asyncio.all_tasks()) == tasks
-                assert open_files() <= files + 1
-
-        run(test, within=290.0)
+        async with self.session(within=290.0) as session:
+            first = await session.start()
+            here = [float(q) for q in first.position]
+            files, tasks = open_files(), len(asyncio.all_tasks())
+            for _ in range(100):
+                session.wire.unplug()
+                await self._lost(session)
+                await session.driver.close()
+                session.wire.replug()
+                state = await session.start()
+                assert session.near(state, here)
+            assert len(asyncio.all_tasks()) == tasks
+            assert open_files() <= files + 1
 
     async def _lost(self, session: Session) -> None:
         end = time.monotonic() + 10.0
@@ -463,24 +416,20 @@ class DriverContract:
             await asyncio.sleep(0.001)
         pytest.fail("the driver never noticed that it was unplugged")
 
-    def test_a_slow_device_leaves_a_fast_one_its_rate(self) -> None:
+    async def test_a_slow_device_leaves_a_fast_one_its_rate(self) -> None:
         """While one device takes 0.1 s per exchange, another one goes on exchanging."""
         self.wired()
-
-        async def test() -> None:
-            async with self.session() as fast, self.session(name="slow") as slow:
-                await fast.start()
-                await slow.start()
-                slow.wire.faults = Faults(delay=1.0, delay_time=0.1, requests=False)
-                waiting = asyncio.ensure_future(self._try(slow.driver.sense, 5))
-                done = 0
-                while not waiting.done():
-                    await fast.sense()
-                    done += 1
-                await waiting
-                assert done >= 3
-
-        run(test)
+        async with self.session() as fast, Session(self.case, name="slow") as slow:
+            await fast.start()
+            await slow.start()
+            slow.wire.faults = Faults(delay=1.0, delay_time=0.1, requests=False)
+            waiting = asyncio.ensure_future(self._try(slow.driver.sense, 5))
+            done = 0
+            while not waiting.done():
+                await fast.sense()
+                done += 1
+            await waiting
+            assert done >= 3
 
     async def _try(self, call: Callable[[], Any], times: int) -> None:
         for _ in range(times):
@@ -491,20 +440,16 @@ class DriverContract:
 
     # --- closing -----------------------------------------------------------------------------
 
-    def test_close_is_idempotent_in_any_state(self) -> None:
+    async def test_close_is_idempotent_in_any_state(self) -> None:
         """Before connecting, connected, active and closed."""
-
-        async def test() -> None:
-            async with self.session() as session:
-                await session.driver.close()
-                await session.connect()
-                await session.driver.close()
-                await session.driver.close()
-                await session.start()
-                await session.driver.close()
-                await session.driver.close()
-                assert not session.pool.buses
-                with pytest.raises((BusError, DriverError)):
-                    await session.driver.sense()
-
-        run(test)
+        async with self.session() as session:
+            await session.driver.close()
+            await session.connect()
+            await session.driver.close()
+            await session.driver.close()
+            await session.start()
+            await session.driver.close()
+            await session.driver.close()
+            assert not session.pool.buses
+            with pytest.raises((BusError, DriverError)):
+                await session.driver.sense()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 _MOST = 8
+"""Failures after which a trial ends, and good frames that are tried until one is found."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Fuzzed:
 
 
 def mutated(sample: bytes, chance: random.Random, prefix: bytes = b"") -> bytes:
-    """Return a frame that is no frame any more, or nearly one, or noise."""
+    """Return a damaged frame: nearly a good one, or noise."""
     kind = chance.randrange(6)
     if kind == 0:
         return prefix + chance.randbytes(chance.randrange(80))

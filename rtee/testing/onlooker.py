@@ -21,9 +21,10 @@ from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
 
-_LARGEST = 2**26
-_HEADER = 16
+_LARGEST = 2**26  # bytes of a frame that are accepted; a scene with meshes takes some 10 MB
+_HEADER = 16  # bytes before the packed messages: two lengths of eight bytes
 
+# The first message of a window, with fields as in viser's protocol.
 _CAMERA = {
     "type": "ViewerCameraMessage",
     "wxyz": (1.0, 0.0, 0.0, 0.0),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 from rtee.buses.emulator import Emulator
@@ -13,7 +13,7 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.simulated import Simulation
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import owner_of
+from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import BusTimeout, FrameError
 from rtee.testing.case import DeviceCase
@@ -114,17 +114,3 @@ class Session:
         """Return whether a state is at a posture."""
         pairs = zip(state.position, goal, strict=True)
         return all(abs(float(q) - g) <= self.case.tolerance for q, g in pairs)
-
-
-def run(test: Callable[[], Awaitable[None]], within: float = 55.0) -> None:
-    """Run an asynchronous test in an event loop of its own, and see that it leaves no task."""
-
-    async def limited() -> None:
-        async with asyncio.timeout(within):
-            await test()
-        await asyncio.sleep(0)
-        left = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
-        if left:
-            raise AssertionError(f"tasks left behind: {left}")
-
-    asyncio.run(limited())

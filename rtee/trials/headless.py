@@ -14,10 +14,11 @@ from rtee.errors import LoopError
 from rtee.hand.model import Hand
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
-from rtee.loop.observer import LoopObserver, TickRecord
+from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
-from rtee.types import BoolArray, Feedback, FloatArray, Goal, Result
+from rtee.sample import TickRecord, measured_arrays
+from rtee.types import ActuatorState, BoolArray, Feedback, FloatArray, Goal, Result
 
 _PATIENCE = 120.0
 
@@ -106,8 +107,6 @@ class HeadlessHand(Generic[P]):
         n = len(hand.actuators)
         self._everything = np.ones(n, dtype=bool)
         self._silent = np.full(n, -1, dtype=np.int8)
-        self._unmeasured = np.full(n, np.nan)
-        self._unmeasured.flags.writeable = False
         self._apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.tick()  # the controller starts from what is measured
 
@@ -195,25 +194,24 @@ class HeadlessHand(Generic[P]):
         limit: FloatArray,
         forces: FloatArray,
     ) -> None:
-        extras = {f"simulation/{TIP_FORCE}": forces}
+        channels = {f"simulation/{TIP_FORCE}": forces}
         pose = self.simulation.object_pose
         if pose is not None:
-            extras["simulation/object_pose"] = pose
+            channels["simulation/object_pose"] = pose
+        measured = ActuatorState.measured(
+            position, self.time, velocity=self.simulation.velocity, effort=effort
+        )
         record = TickRecord(
+            *measured_arrays(measured),
             tick=self.ticks,
             stamp=self.time,
             wall_ns=self._wall_ns + round(self.time * 1e9),
-            position=position,
-            velocity=self.simulation.velocity,
-            effort=effort,
-            current=self._unmeasured,
-            temperature=self._unmeasured,
             fresh=self._everything,
             grasped=self._silent,
             reference_position=reference,
             reference_velocity=np.array(self.controller.reference_velocity),
             reference_effort=limit,
-            extras=extras,
+            channels=channels,
         )
         for observer in self.observers:
             observer.on_tick(record)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from rtee.errors import ConfigError
+from rtee.hand.catalog import fingerprint as fingerprint
 from rtee.hand.files import write_atomically
-from rtee.hand.fingerprint import fingerprint as fingerprint
 from rtee.hand.own_copy import TRIALS
 from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
 from rtee.hand.yamlwrite import emit

@@ -3,15 +3,17 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from rtee.actions.library import ActionLibrary
-from rtee.cli import actions, compose, generic, import_, time
-from rtee.cli._common import hand_folder
-from rtee.cli._define import complete_part, complete_set_point
+from rtee.cli._common import app_of, hand_folder
+from rtee.cli.actions import actions
+from rtee.cli.define import complete_part, complete_set_point, compose, generic, time
+from rtee.cli.import_ import import_
 from rtee.errors import ActionError, ConfigError, UserError
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
@@ -34,8 +36,8 @@ def home(
     return folder
 
 
-def run(module: object, *words: str) -> str:
-    result = CliRunner().invoke(module.app, words, catch_exceptions=False)  # type: ignore[attr-defined]
+def run(command: Callable[..., None], *words: str) -> str:
+    result = CliRunner().invoke(app_of(command), words, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.output
 
@@ -92,7 +94,7 @@ def test_what_replaces_an_action_keeps_its_description_unless_it_brings_one(home
 
 
 def test_compose_warns_of_a_scale_above_one(home: Path) -> None:
-    result = CliRunner().invoke(compose.app, ["hard", "trig:index*1.5", "--hand", "small"])
+    result = CliRunner().invoke(app_of(compose), ["hard", "trig:index*1.5", "--hand", "small"])
     said = "rtee: warning: 'hard' scales Trig (index) by 1.5"
     assert said in result.stderr
     later = subprocess.run(

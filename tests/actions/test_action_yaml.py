@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtee.actions.action_files import custom_changes, primitive_changes
 from rtee.actions.build import StepPlan, generic
 from rtee.actions.library import ActionLibrary
-from rtee.actions.store import custom_changes, primitive_changes
 from rtee.actions.types import ActionReference, Composed, Evidence, Primitive
 from rtee.errors import ActionError, RteeError
 from rtee.hand.model import Hand

@@ -6,7 +6,7 @@ import pytest
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.line_model import Wire
-from rtee.drivers.emulators import BUILT_IN, find_emulator
+from rtee.drivers.registry import EMULATORS, find_emulator
 
 BAUD = 10_000.0
 """A byte takes a millisecond."""
@@ -60,5 +60,5 @@ def test_one_half_duplex_device_makes_the_line_half_duplex() -> None:
 
 
 def test_only_the_hand_with_a_pair_of_wires_for_each_direction_is_full_duplex() -> None:
-    full = {name for name in BUILT_IN if find_emulator(name).duplex is Duplex.FULL}
+    full = {name for name in EMULATORS if find_emulator(name).duplex is Duplex.FULL}
     assert full == {"schunk_svh"}

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import random
+import struct
 
 import pytest
-
-from rtee.buses.modbus_frames import (
-    RtuRequests,
-    TcpRequests,
-    answer_head,
-    crc16,
-    find_answer,
-    find_network_answer,
-    rtu_frame,
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadInputRegistersRequest,
+    WriteMultipleRegistersRequest,
 )
+
+from rtee.buses.modbus_frames import AnswerParser, RtuRequests, TcpRequests, crc16, rtu_frame
 
 
 @pytest.mark.parametrize(
@@ -78,33 +78,74 @@ def test_any_bytes_leave_a_bounded_buffer_and_one_good_frame_is_heard(
     assert heard >= 2000
 
 
+def asking(
+    function: int,
+    address: int = 0,
+    count: int = 1,
+    *,
+    unit: int = 9,
+    number: int | None = None,
+) -> AnswerParser:
+    """Return the parser of the answer to a request, on TCP where it has a number."""
+    kinds: dict[int, type[ModbusPDU]] = {
+        3: ReadHoldingRegistersRequest,
+        4: ReadInputRegistersRequest,
+        16: WriteMultipleRegistersRequest,
+    }
+    values = [0] * count if function == 16 else []
+    request = kinds[function](dev_id=unit, address=address, count=count, registers=values)
+    head = struct.pack(">HH", address, count) if function == 16 else bytes([2 * count])
+    decoder = DecodePDU(is_server=False)
+    framer = FramerRTU(decoder) if number is None else FramerSocket(decoder)
+    parser = AnswerParser(framer, request, head)
+    parser.request(number or 0)
+    return parser
+
+
 def test_an_answer_is_found_behind_noise() -> None:
     answer = bytes.fromhex("09 04 02 31 00 4D 61")
-    data = b"\x09\x04\x02\x00" + answer + b"\x00"
-    assert find_answer(data, 9, 4) == (4, 11)
-    assert find_answer(data, 9, 3) == (-1, -1)
-    assert find_answer(answer[:-1], 9, 4) == (-1, -1)
+    noise = b"\x09\x04\x02\x00"
+    [found] = asking(4).feed(noise + answer + b"\x00")
+    assert found.registers == [0x3100]
+    parser = asking(4)
+    pieces = [parser.feed(bytes([byte])) for byte in noise + answer]
+    assert [found.registers for piece in pieces for found in piece] == [[0x3100]]
+    assert asking(3).feed(noise + answer) == []
+    assert asking(4, unit=8).feed(noise + answer) == []
+    assert asking(4).feed(answer[:-1]) == []
 
 
 def test_only_the_answer_to_the_request_is_taken() -> None:
     long, short = rtu_frame(9, bytes([3, 4, 0, 1, 0, 2])), rtu_frame(9, bytes([3, 2, 0, 5]))
-    assert find_answer(long + short, 9, 3, answer_head(3, 0, 1)) == (9, 16)
-    assert find_answer(short + long, 9, 3, answer_head(3, 0, 2)) == (7, 16)
+    assert [a.registers for a in asking(3).feed(long + short)] == [[5]]
+    assert [a.registers for a in asking(3, count=2).feed(short + long)] == [[1, 2]]
     other, mine = (rtu_frame(9, bytes([16, 0, at, 0, 1])) for at in (4, 5))
-    assert find_answer(other, 9, 16, answer_head(16, 5, 1)) == (-1, -1)
-    assert find_answer(other + mine, 9, 16, answer_head(16, 5, 1)) == (8, 16)
+    assert asking(16, 5).feed(other) == []
+    assert [a.address for a in asking(16, 5).feed(other + mine)] == [5]
+
+
+def test_a_damaged_answer_is_none_and_is_counted_once_per_attempt() -> None:
+    damaged = bytes.fromhex("09 04 02 31 01 4D 61")
+    parser = asking(4)
+    for attempts in (1, 2):
+        parser.reset()
+        assert parser.feed(damaged[:3]) == parser.feed(damaged[3:]) == []
+        assert parser.errors == attempts
+    parser.reset()
+    assert len(parser.feed(bytes.fromhex("09 04 02 31 00 4D 61"))) == 1
+    assert parser.errors == 2
 
 
 def test_an_answer_on_a_network_is_found_by_its_number() -> None:
     frame = bytes.fromhex("0002 0000 0005 41 03 02 00 07")
-    head = answer_head(3, 0, 1)
-    assert find_network_answer(b"\x00\x00" + frame, 2, 65, 3, head) == (2, 13)
+    [found] = asking(3, unit=65, number=2).feed(b"\x00\x00" + frame)
+    assert found.registers == [7]
     for number, unit, function in ((1, 65, 3), (2, 64, 3), (2, 65, 4)):
-        assert find_network_answer(frame, number, unit, function, head) == (-1, -1)
-    assert find_network_answer(frame, 2, 65, 3, answer_head(3, 0, 2)) == (-1, -1)
-    assert find_network_answer(frame[:-1], 2, 65, 3, head) == (-1, -1)
-    refusal = bytes.fromhex("0002 0000 0003 41 83 02")
-    assert find_network_answer(refusal, 2, 65, 3, head) == (0, 9)
+        assert asking(function, unit=unit, number=number).feed(frame) == []
+    assert asking(3, count=2, unit=65, number=2).feed(frame) == []
+    assert asking(3, unit=65, number=2).feed(frame[:-1]) == []
+    [refusal] = asking(3, unit=65, number=2).feed(bytes.fromhex("0002 0000 0003 41 83 02"))
+    assert refusal.exception_code == 2
 
 
 @pytest.mark.parametrize("cut", range(1, 19))
@@ -119,5 +160,6 @@ def test_an_incomplete_request_on_a_network_costs_no_other(cut: int) -> None:
 
 
 def test_an_exception_is_an_answer() -> None:
-    frame = rtu_frame(9, b"\x97\x01")
-    assert find_answer(frame, 9, 0x17) == (0, 5)
+    [refusal] = asking(3).feed(rtu_frame(9, b"\x83\x01"))
+    assert isinstance(refusal, ExceptionResponse)
+    assert refusal.exception_code == 1

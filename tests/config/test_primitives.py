@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from extract.test_real_hands import extracted
 
-from rtee.actions.store import primitive_changes, read_actions
+from rtee.actions.action_files import primitive_changes, read_actions
 from rtee.actions.types import Primitive
 from rtee.extract.extraction import extract
 from rtee.hand.load import load_hand

@@ -55,6 +55,13 @@ def test_the_list_of_names_is_current() -> None:
     assert INDEX.read_text() == page(), "run: python docs/api_names.py"
 
 
+def test_the_public_api_has_not_changed_unnoticed() -> None:
+    from api_names import SIGNATURES, signatures
+
+    said = "the public API differs; if it is meant to, run: python docs/api_names.py"
+    assert SIGNATURES.read_text().splitlines() == signatures().splitlines(), said
+
+
 def test_every_name_has_a_summary() -> None:
     from api_names import public_names
 

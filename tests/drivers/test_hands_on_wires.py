@@ -15,21 +15,22 @@ import pytest
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import Simulation
-from rtee.drivers.emulators import owner_of
+from rtee.drivers.connection import owner_of
 from rtee.drivers.objects import ObjectInHand
 from rtee.drivers.qb_softhand.codec import Command as QbCommand
 from rtee.drivers.registry import find_driver
 from rtee.drivers.robotiq_2f.codec import Command
 from rtee.errors import GoalRejected
-from rtee.loop import connection, supervisor
+from rtee.loop import connection
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.observer import Observer, TickRecord
+from rtee.loop.observer import Observer
 from rtee.loop.settings import Behaviour
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.supervisor import Supervisor
 from rtee.loop.tick_driver import drive
 from rtee.prepare import RunOptions, prepare
+from rtee.sample import TickRecord
 from rtee.testing.session import open_files
 from rtee.types import Event, Goal, Lifecycle, Result
 
@@ -92,7 +93,9 @@ async def on_wires(*names: str, **options: Any) -> AsyncIterator[list[Wired]]:
             found.append(Wired(loop, pool))
         async with anyio.create_task_group() as running:
             running.start_soon(drive, [one.loop for one in found], Clock(RATE))
-            await until(lambda: all(one.device.states > 2 and one.device.active for one in found))
+            await until(
+                lambda: all(one.device.connection.states > 2 and one.device.active for one in found)
+            )
             yield found
             running.cancel_scope.cancel()
         # Links that freeze, break and come back, fingers that slip: nothing of it is a lie.
@@ -143,8 +146,7 @@ async def test_emulated_hands_that_name_the_same_port_do_not_meet() -> None:
 async def test_a_hundred_cables_pulled_leave_no_task_and_no_file(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in (connection, supervisor):
-        monkeypatch.setattr(module, "BACKOFF", (0.005, 0.01))
+    monkeypatch.setattr(connection, "BACKOFF", (0.005, 0.01))
     async with on_wires("robotiq_2f_85") as (gripper,):
         files, tasks, moves = open_files(), len(asyncio.all_tasks()), gripper.emulator.moves
         for _ in range(100):

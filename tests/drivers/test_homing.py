@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import owner_of
+from rtee.drivers.connection import owner_of
 from rtee.drivers.homing import homing_allowed
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, DeviceFault
 from rtee.hand.load import hand_folder
 from rtee.run import RunOptions, prepare
-from rtee.testing.session import run
 from rtee.types import DeviceSpec
 
 
@@ -31,30 +30,27 @@ def svh(tmp_path: Path, *, home: bool) -> DeviceSpec:
     return device.spec
 
 
+@pytest.mark.anyio
 @pytest.mark.parametrize("home", [False, True])
-def test_a_hand_is_homed_when_the_user_says_so(tmp_path: Path, home: bool) -> None:
+async def test_a_hand_is_homed_when_the_user_says_so(tmp_path: Path, home: bool) -> None:
     spec = svh(tmp_path, home=home)
     assert spec.options["home"] == ("on_connect" if home else "on_demand")
-
-    async def test() -> None:
-        async with BusPool(wire_time=False) as pool:
-            driver = find_driver(spec.driver)(spec, pool)
-            await driver.configure()
-            if not home:
-                with pytest.raises(DeviceFault, match="not homed") as caught:
-                    await driver.activate()
-                assert "rtee run --home" in caught.value.hint
-                assert "rtee recover" in caught.value.hint
-            else:
+    async with BusPool(wire_time=False) as pool:
+        driver = find_driver(spec.driver)(spec, pool)
+        await driver.configure()
+        if not home:
+            with pytest.raises(DeviceFault, match="not homed") as caught:
                 await driver.activate()
-                hand, state = pool.played(owner_of(spec)), await driver.sense()
-                truth = [hand.closure(i) * hand.table[i].range for i in range(9)]
-                by_name = {hand.table[i].name: truth[i] for i in range(9)}
-                names = [a.name.removeprefix("left_hand_") for a in spec.actuators]
-                assert state.position == pytest.approx([by_name[n] for n in names], abs=0.01)
-            await driver.close()
-
-    run(test)
+            assert "rtee run --home" in caught.value.hint
+            assert "rtee recover" in caught.value.hint
+        else:
+            await driver.activate()
+            hand, state = pool.played(owner_of(spec)), await driver.sense()
+            truth = [hand.closure(i) * hand.table[i].range for i in range(9)]
+            by_name = {hand.table[i].name: truth[i] for i in range(9)}
+            names = [a.name.removeprefix("left_hand_") for a in spec.actuators]
+            assert state.position == pytest.approx([by_name[n] for n in names], abs=0.01)
+        await driver.close()
 
 
 def test_hands_that_are_never_homed_are_named() -> None:

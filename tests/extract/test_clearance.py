@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from extract.models import Model, box, sphere
-from rtee.actions.store import read_actions
+from rtee.actions.action_files import read_actions
 from rtee.actions.types import FARTHEST_CLEARANCE, Primitive
 from rtee.extract.evidence import Inspector
 from rtee.extract.extraction import extract
@@ -37,7 +37,7 @@ def test_clear_poses_of_shipped_hands_keep_what_their_evidence_says(name: str) -
         moving = {hand.actuator_index(a) for finger in fingers for a in finger.actuators}
         tips = {str(finger.tip) for finger in fingers}
         wanted = [frozenset((a, b)) for a in tips for b in tips if a < b]
-        watch = inspector.collisions.watch(moving, wanted)
+        checker = inspector.collisions.checker(moving, wanted)
         for posture, evidence in zip(primitive.postures, primitive.evidence, strict=True):
             if not evidence.clear or not evidence.path_clear:
                 continue
@@ -45,11 +45,11 @@ def test_clear_poses_of_shipped_hands_keep_what_their_evidence_says(name: str) -
             u = np.array([posture.position[a] for a in hand.actuator_names])
             for t in np.linspace(0.0, 1.0, STEPS):
                 scene.place(hand.rest + t * (u - hand.rest))
-                for pair in watch.pairs:
+                for pair in checker.pairs:
                     if scene.distance(pair) < evidence.clearance:
                         gap = scene.exact_distance(pair)
-                        room = min(evidence.clearance, watch.room(pair))
-                        assert gap >= 0.9 * room, (primitive.elements, pair.links, t)
+                        margin = min(evidence.clearance, checker.margin(pair))
+                        assert gap >= 0.9 * margin, (primitive.elements, pair.links, t)
 
 
 @pytest.mark.parametrize("name", HANDS)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from extract.models import Model, box, sphere
-from rtee.extract.collisions import Watch, first_contact
+from rtee.extract.collisions import CollisionChecker, first_contact
 from rtee.extract.evidence import Inspector
-from rtee.extract.motion import Known, Motion
+from rtee.extract.motion import DistanceBounds, Motion
 from rtee.extract.scene import Scene
 from rtee.hand.load import load_hand
 
@@ -22,13 +22,13 @@ def gantry(*posts: str, length: float = 1.0) -> Model:
     return model.finger("ball", "ball")
 
 
-def watch(inspector: Inspector) -> Watch:
-    return inspector.collisions.watch(range(len(inspector.scene.hand.actuators)), [])
+def checker(inspector: Inspector) -> CollisionChecker:
+    return inspector.collisions.checker(range(len(inspector.scene.hand.actuators)), [])
 
 
 def test_a_post_thinner_than_a_step_blocks_the_way(tmp_path: Path) -> None:
     inspector = Inspector.of(gantry(box((0.0001, 0.2, 0.2), (0.5, 0, 0))).load(tmp_path))
-    blocked = watch(inspector).along(np.array([1.0, 0.0]))
+    blocked = checker(inspector).blocked(np.array([1.0, 0.0]))
     assert blocked is not None
     assert blocked.pair.links == ("posts", "ball")
     assert blocked.at == pytest.approx(0.489, abs=1e-3)  # 1 mm of clearance before it
@@ -37,16 +37,16 @@ def test_a_post_thinner_than_a_step_blocks_the_way(tmp_path: Path) -> None:
 def test_the_first_of_several_collisions_is_reported(tmp_path: Path) -> None:
     posts = [box((0.01, 0.2, 0.2), (x, 0, 0)) for x in (0.7, 0.3, 0.5)]
     inspector = Inspector.of(gantry(*posts).load(tmp_path))
-    blocked = watch(inspector).along(np.array([1.0, 0.0]))
+    blocked = checker(inspector).blocked(np.array([1.0, 0.0]))
     assert blocked is not None
     assert blocked.at == pytest.approx(0.285, abs=1e-3)
 
 
 def test_a_way_past_a_post_is_free_though_a_way_through_it_is_not(tmp_path: Path) -> None:
     inspector = Inspector.of(gantry(box((0.02, 0.2, 0.2), (0.5, 0, 0))).load(tmp_path))
-    found = watch(inspector)
-    assert found.along(np.array([1.0, 0.3])) is None
-    assert found.along(np.array([1.0, 0.1])) is not None
+    found = checker(inspector)
+    assert found.blocked(np.array([1.0, 0.3])) is None
+    assert found.blocked(np.array([1.0, 0.1])) is not None
     assert found.at(np.array([1.0, 0.1])) == []
     assert [pair.links for pair in found.at(np.array([0.5, 0.0]))] == [("posts", "ball")]
 
@@ -57,7 +57,7 @@ def test_a_long_way_is_checked_in_a_bounded_number_of_places(tmp_path: Path) -> 
     places: list[object] = []
     place = inspector.scene.place
     inspector.scene.place = lambda u: (places.append(u), place(u))[1]  # type: ignore[method-assign]
-    assert watch(inspector).along(np.array([900.0, 0.0])) is None
+    assert checker(inspector).blocked(np.array([900.0, 0.0])) is None
     assert 1000 < len(places) < 5000
 
 
@@ -88,7 +88,7 @@ def test_disabled_pairs_are_not_checked(tmp_path: Path) -> None:
 def test_only_pairs_that_move_are_watched(tmp_path: Path) -> None:
     inspector = Inspector.of(two_arms(0.005).load(tmp_path))
     hand = inspector.scene.hand
-    found = inspector.collisions.watch([hand.actuator_index("a_2")], [frozenset(("a2", "b2"))])
+    found = inspector.collisions.checker([hand.actuator_index("a_2")], [frozenset(("a2", "b2"))])
     assert {pair.links for pair in found.pairs} == {("a2", "b1")}
 
 
@@ -99,13 +99,13 @@ def test_no_distance_changes_faster_than_the_bound_on_the_motion(name: str) -> N
     hand = scene.hand
     step = 1e-3
     for goal in np.random.default_rng(2).uniform(hand.lower, hand.upper, (4, len(hand.rest))):
-        way = motion.way(goal)
+        path = motion.path_to(goal)
         for pair in scene.tips.values():
-            bound = motion.speed(pair, way)
+            bound = motion.speed(pair, path)
             for t in (0.2, 0.5, 0.8):
                 distances = []
                 for s in (t, t + step):
-                    scene.place(way.at(s))
+                    scene.place(path.at(s))
                     distances.append(scene.distance(pair))
                 assert abs(distances[1] - distances[0]) <= bound * step + 1e-6
 
@@ -114,7 +114,7 @@ def test_no_distance_changes_faster_than_the_bound_on_the_motion(name: str) -> N
 def test_what_is_known_of_distances_is_never_more_than_they_are(name: str) -> None:
     scene = Scene(load_hand(name))
     pairs = tuple(scene.pairs.values())
-    known, hand = Known(Motion(scene), pairs), scene.hand
+    known, hand = DistanceBounds(Motion(scene), pairs), scene.hand
     random = np.random.default_rng(3)
     u, told = hand.rest.copy(), 0
     for _ in range(30):
@@ -133,8 +133,8 @@ def test_first_contact_is_where_the_tips_begin_to_touch(tmp_path: Path) -> None:
     scene = Scene(gantry(box((0.1, 0.1, 0.1), (0.6, 0, 0))).load(tmp_path))
     motion = Motion(scene)
     pair = scene.pairs["posts", "ball"]
-    way = motion.way(np.array([0.8, 0.0]))
-    at = first_contact(scene, pair, way, motion.speed(pair, way))
+    path = motion.path_to(np.array([0.8, 0.0]))
+    at = first_contact(scene, pair, path, motion.speed(pair, path))
     assert at == pytest.approx(0.54 / 0.8, abs=1e-4)
-    away = motion.way(np.array([0.2, 0.8]))
+    away = motion.path_to(np.array([0.2, 0.8]))
     assert first_contact(scene, pair, away, motion.speed(pair, away)) is None

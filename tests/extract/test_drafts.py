@@ -28,7 +28,7 @@ def test_a_convex_part_is_nowhere_narrower_than_its_least_width(name: str, share
     directions = np.random.default_rng(0).normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     for shape in HandGeometry(hand).shapes:
-        width = least_width(shape, draft(shape).form)
+        width = least_width(shape, draft(shape).shape)
         assert width > 0.0
         assert np.ptp(shape.points @ directions.T, axis=0).min() > width
 
@@ -40,13 +40,13 @@ def test_a_draft_lies_within_its_hull_and_its_hull_within_the_slack(leap: Hand) 
     for shape in HandGeometry(leap).shapes:
         found = draft(shape)
         if found.slack == 0.0:
-            assert found.form is shape.convex
+            assert found.shape is shape.convex
             continue
         simplified += 1
         assert found.slack <= SLACK
-        assert found.form.num_points < shape.convex.num_points / 10
+        assert found.shape.num_points < shape.convex.num_points / 10
         full = (np.array(shape.convex.points()) @ directions.T).max(axis=0)
-        rough = (np.array(found.form.points()) @ directions.T).max(axis=0)
+        rough = (np.array(found.shape.points()) @ directions.T).max(axis=0)
         assert (rough <= full + 1e-12).all()
         assert (full <= rough + found.slack + 1e-12).all()
     assert simplified == 4

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from extract.models import Model, sphere
-from rtee.extract.goals import Link, MultiPinch, linked, spanning_tree, trees
+from rtee.extract.goals import MultiPinchGoal, TipEdge, linked, spanning_tree, spanning_trees
 from rtee.extract.scene import Scene
 from rtee.extract.space import make_space, real_limits
 
@@ -21,7 +21,7 @@ def test_linked_needs_all_nodes() -> None:
 
 
 def test_all_spanning_trees_of_a_triangle() -> None:
-    assert trees(3, [(0, 1), (1, 2), (0, 2)]) == [(0, 1), (0, 2), (1, 2)]
+    assert spanning_trees(3, [(0, 1), (1, 2), (0, 2)]) == [(0, 1), (0, 2), (1, 2)]
 
 
 def row_of_balls(folder: Path, count: int) -> Scene:
@@ -33,13 +33,15 @@ def row_of_balls(folder: Path, count: int) -> Scene:
     return Scene(model.load(folder))
 
 
-def goal(scene: Scene, size: int) -> MultiPinch:
-    links = [
-        Link((i, j), scene.tips[f"b{i}", f"b{j}"]) for i in range(size) for j in range(i + 1, size)
+def goal(scene: Scene, size: int) -> MultiPinchGoal:
+    edges = [
+        TipEdge((i, j), scene.tips[f"b{i}", f"b{j}"])
+        for i in range(size)
+        for j in range(i + 1, size)
     ]
     mine = {f"b{i}" for i in range(size)}
-    strangers = [pair for pair in scene.tips.values() if not set(pair.links) <= mine]
-    return MultiPinch(scene, size, links, strangers)
+    bystanders = [pair for pair in scene.tips.values() if not set(pair.links) <= mine]
+    return MultiPinchGoal(scene, size, edges, bystanders)
 
 
 def test_exactly_the_wanted_tips_must_touch(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rtee.extract.jobs import spread
+from rtee.extract.jobs import parallel_map
 
 HERE = os.getpid()
 
@@ -35,11 +35,11 @@ def nothing(done: int, total: int) -> None:
 @pytest.mark.usefixtures("alone")
 @pytest.mark.parametrize("jobs", [1, 2, 5, 40])
 def test_results_come_in_the_order_of_the_tasks(jobs: int) -> None:
-    assert spread(square, range(23), jobs, nothing) == [x * x for x in range(23)]
+    assert parallel_map(square, range(23), jobs, nothing) == [x * x for x in range(23)]
 
 
 def test_no_tasks_give_no_results() -> None:
-    assert spread(square, [], 2, nothing) == []
+    assert parallel_map(square, [], 2, nothing) == []
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are forked on Linux")
@@ -55,7 +55,7 @@ def test_several_processes_work_and_none_is_left() -> None:
             os.write(writing, b"x")
         return os.getpid()
 
-    first, second = spread(meet, [0, 1], 2, nothing)
+    first, second = parallel_map(meet, [0, 1], 2, nothing)
     assert len({first, second, HERE}) == 3
     for other in first, second:
         with pytest.raises(ProcessLookupError):
@@ -69,7 +69,7 @@ def test_what_a_dying_process_leaves_is_done() -> None:
             os._exit(1)
         return -task
 
-    assert spread(die, range(50), 3, nothing) == [-task for task in range(50)]
+    assert parallel_map(die, range(50), 3, nothing) == [-task for task in range(50)]
 
 
 @pytest.mark.usefixtures("alone")
@@ -81,14 +81,14 @@ def test_an_error_in_any_process_is_raised() -> None:
 
     for _ in range(4):
         with pytest.raises(ValueError, match="seven"):
-            spread(fail, range(9), 2, nothing)
+            parallel_map(fail, range(9), 2, nothing)
 
 
 @pytest.mark.usefixtures("alone")
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_progress_reaches_the_end(jobs: int) -> None:
     seen: list[tuple[int, int]] = []
-    spread(square, range(5), jobs, lambda done, total: seen.append((done, total)))
+    parallel_map(square, range(5), jobs, lambda done, total: seen.append((done, total)))
     assert seen == sorted(seen)
     assert seen[-1] == (5, 5)
 
@@ -98,7 +98,7 @@ def test_beside_another_thread_one_process_does_all() -> None:
     other = threading.Thread(target=end.wait)
     other.start()
     try:
-        assert set(spread(lambda _: os.getpid(), range(9), 3, nothing)) == {HERE}
+        assert set(parallel_map(lambda _: os.getpid(), range(9), 3, nothing)) == {HERE}
     finally:
         end.set()
         other.join()
@@ -106,7 +106,7 @@ def test_beside_another_thread_one_process_does_all() -> None:
 
 SEARCH = """
 import os, sys, time
-from rtee.extract.jobs import spread
+from rtee.extract.jobs import parallel_map
 
 def search(task):
     os.write(1, f"{os.getpid()}\\n".encode())
@@ -114,7 +114,7 @@ def search(task):
         raise ValueError("the other one sleeps on")
     time.sleep(3600)
 
-spread(search, range(2), 2, lambda done, total: None)
+parallel_map(search, range(2), 2, lambda done, total: None)
 """
 
 

@@ -11,7 +11,7 @@ import pytest
 from rtee.actions.types import Primitive
 from rtee.extract.descent import descend
 from rtee.extract.extraction import Extraction, extract
-from rtee.extract.goals import Pinch, Placed
+from rtee.extract.goals import GoalFunction, PinchGoal
 from rtee.extract.scene import Scene
 from rtee.extract.space import make_space, real_limits
 from rtee.hand.load import load_model
@@ -171,7 +171,7 @@ def test_depth_is_at_least_98_percent_of_what_256_starts_find(
     first, second = (str(hand.finger(element).tip) for element in elements)
     tips = scene.tips[first, second]
     space = make_space(hand, sorted(tips.actuators), real_limits(hand))
-    function = Placed(scene, Pinch(scene, tips), space)
+    function = GoalFunction(scene, PinchGoal(scene, tips), space)
     starts = np.random.default_rng(11).uniform(size=(256, space.size))
     least = min(descend(function, y, evaluations=60).value for y in starts)
     found = of_kind(shared, name, "PinchTight")[elements]

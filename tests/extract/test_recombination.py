@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from rtee.extract.descent import Minimum, Slope
-from rtee.extract.recombination import elsewhere, recombined
-from rtee.extract.search import Effort, minima
+from rtee.extract.search import SearchEffort, minima, moved_blocks, recombined
 from rtee.extract.space import Space
 from rtee.types import FloatArray
 
@@ -68,7 +67,7 @@ def test_a_sum_is_as_deep_as_the_deepest_of_its_terms_that_were_found(
         y = valleys.flat.copy()
         y[block] = valleys.deep[block]
         starts.append(y + 0.02)
-    effort = Effort(screened=1, starts=0, rounds=rounds)
+    effort = SearchEffort(screened=1, starts=0, rounds=rounds)
     found = minima(cast("Any", valleys), starts, effort, BLOCKS).polished
     assert found[0].value == pytest.approx(depth, abs=1e-3)
 
@@ -78,7 +77,7 @@ def test_minima_of_one_block_need_no_other() -> None:
 
 
 def test_a_block_is_tried_elsewhere_while_the_rest_stays() -> None:
-    new = elsewhere(minimum(0.1, 0.2, 0.3, 0.4), BLOCKS, 5)
+    new = moved_blocks(minimum(0.1, 0.2, 0.3, 0.4), BLOCKS, 5)
     assert len(new) == 10
     assert all(y[2:].tolist() == [0.3, 0.4] for y in new[:5])
     assert all(y[:2].tolist() == [0.1, 0.2] for y in new[5:])
@@ -92,6 +91,6 @@ def test_a_valley_that_no_start_met_is_found_from_the_deepest_minimum(
     valleys = Valleys()
     start = valleys.flat.copy()
     start[BLOCKS[0]] = valleys.deep[BLOCKS[0]]
-    effort = Effort(screened=1, starts=0, places=places)
+    effort = SearchEffort(screened=1, starts=0, places=places)
     found = minima(cast("Any", valleys), [start + 0.02], effort, BLOCKS).polished
     assert found[0].value == pytest.approx(depth, abs=1e-3)

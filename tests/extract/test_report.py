@@ -23,8 +23,7 @@ from rtee.actions.types import (
 from rtee.cli.actions import remarks
 from rtee.errors import MissingExtra
 from rtee.extract.extraction import Extraction
-from rtee.extract.report import make_report
-from rtee.extract.report_page import Tried
+from rtee.extract.report import Tried, make_report
 from rtee.hand.model import Hand
 from tests.render.models import claw
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rtee.extract.descent import Objective, Slope, descend
-from rtee.extract.grain import FINE
 from rtee.extract.polish import polish
+from rtee.extract.resolution import FINE
 from rtee.types import FloatArray
 
 
@@ -31,13 +31,13 @@ def pieces(slopes: FloatArray, offsets: FloatArray) -> Objective:
 def test_descent_finds_the_bottom_of_a_bowl() -> None:
     centre = np.array([0.3, 0.6, 0.8, 0.1])
     function = bowl(centre, np.array([1.0, 100.0, 5.0, 20.0]))
-    found = descend(function, np.full(4, 0.5), evaluations=200, grain=FINE)
+    found = descend(function, np.full(4, 0.5), evaluations=200, resolution=FINE)
     np.testing.assert_allclose(found.y, centre, atol=1e-4)
 
 
 def test_descent_stays_in_the_box_and_slides_along_its_faces() -> None:
     function = bowl(np.array([-1.0, 0.4, 2.0]), np.array([1.0, 30.0, 1.0]))
-    found = descend(function, np.full(3, 0.5), evaluations=200, grain=FINE)
+    found = descend(function, np.full(3, 0.5), evaluations=200, resolution=FINE)
     np.testing.assert_allclose(found.y, [0.0, 0.4, 1.0], atol=1e-4)
 
 
@@ -45,9 +45,9 @@ def test_descent_respects_a_smaller_box() -> None:
     function = bowl(np.array([0.9, 0.9]), np.ones(2))
     bounds = (np.array([0.0, 0.1]), np.array([0.5, 0.2]))
     np.testing.assert_allclose(
-        descend(function, np.ones(2), evaluations=50, bounds=bounds, grain=FINE).y,
+        descend(function, np.ones(2), evaluations=50, bounds=bounds, resolution=FINE).y,
         [0.5, 0.2],
-        atol=FINE.pitch,
+        atol=FINE.coordinate,
     )
 
 

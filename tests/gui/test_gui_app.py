@@ -151,7 +151,7 @@ async def test_the_card_of_trig_names_abduction(server: viser.ViserServer) -> No
         assert card._said.visible
         assert card._choice is not None
         card._choice._boxes[0].value = "thumb"
-        card._chosen_anew()
+        card._on_choice()
         assert not card._said.visible
         group.cancel_scope.cancel()
 

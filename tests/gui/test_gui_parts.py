@@ -15,7 +15,6 @@ from rtee.actions.types import (
 from rtee.errors import ConfigError
 from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
 from rtee.gui.history import LONGEST, POINTS, History, nice_range
-from rtee.gui.labels import short_names, units
 from rtee.gui.model import from_info
 from rtee.gui.panels.actions import grouped
 from rtee.gui.panels.choice import options_at
@@ -24,7 +23,7 @@ from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table
 from rtee.gui.trial_results import Tried, key_of, line, tried_in
 from rtee.gui.trial_results import table as tried_table
-from rtee.gui.wording import described, said
+from rtee.gui.wording import described, said, short_names, units
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.messages.state import State
@@ -200,10 +199,10 @@ def test_a_range_of_nothing_is_still_a_range() -> None:
 
 
 def test_units_are_those_of_the_actuators() -> None:
-    assert units("position", slides=False, turns=True) == "rad"
-    assert units("effort", slides=True, turns=False) == "N"
-    assert units("velocity", slides=True, turns=True) == "rad/s | m/s"
-    assert units("temperature", slides=True, turns=True) == "°C"
+    assert units("position", {"revolute", "continuous"}) == "rad"
+    assert units("effort", ["prismatic"]) == "N"
+    assert units("velocity", ["prismatic", "revolute"]) == "rad/s | m/s"
+    assert units("temperature", ["prismatic", "revolute"]) == "°C"
 
 
 def test_lines_of_one_colour_differ_in_their_dashes() -> None:

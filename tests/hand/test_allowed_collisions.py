@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hand.models import GRIPPER
-from rtee.hand.allowed_collisions import ADJACENT, ALWAYS, AT_REST, touching_pairs
+from rtee.hand.allowed_collisions import ADJACENT, ALWAYS, AT_REST, allowed_collisions
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 
@@ -26,7 +26,7 @@ BUTTON = """
 
 
 def pairs_of(hand: Hand) -> dict[frozenset[str], str]:
-    return {frozenset((p.link1, p.link2)): p.reason for p in touching_pairs(hand)}
+    return {frozenset((p.link1, p.link2)): p.reason for p in allowed_collisions(hand)}
 
 
 def test_reasons(load: Callable[..., Hand]) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rtee.hand.allowed_collisions import touching_pairs
+from rtee.hand.allowed_collisions import allowed_collisions
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.hand.scaffold import without_linkages
@@ -42,7 +42,7 @@ def test_the_tips_are_those_of_the_srdf(real: Path, real_hand: Hand) -> None:
 @pytest.mark.parametrize("name", ["robotiq_2f_85", "robotiq_2f_140"])
 def test_linkages_are_told_by_their_contact(shared: Path, name: str) -> None:
     hand = load_model(shared / "hands" / name / f"{name}.urdf")
-    fingers, notes = without_linkages(hand, touching_pairs(hand))
+    fingers, notes = without_linkages(hand, allowed_collisions(hand))
     assert {finger.name: finger.tip for finger in fingers} == {
         "left": "left_inner_finger_pad",
         "right": "right_inner_finger_pad",

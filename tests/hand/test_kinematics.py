@@ -6,7 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rtee.errors import ModelError, UnknownFinger, UnknownLink
+from rtee.errors import UnknownLink
+from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
@@ -44,7 +45,8 @@ def test_tip_jacobian_is_the_derivative_of_the_tips_pose(name: str) -> None:
     step = 1e-6
     for u in postures(hand, 2):
         for finger in hand.fingers:
-            jacobian = kinematics.tip_jacobian(u, finger.name)
+            pose, jacobian = tip_pose_and_jacobian(hand, str(finger.tip), u)
+            np.testing.assert_allclose(pose, kinematics.link_pose(u, str(finger.tip)), atol=1e-12)
             for i, direction in enumerate(np.eye(len(u))):
                 ends = [
                     pin.SE3(kinematics.link_pose(u + s * direction, str(finger.tip)))
@@ -58,7 +60,8 @@ def test_tip_jacobian_is_the_derivative_of_the_tips_pose(name: str) -> None:
 
 def test_an_actuator_of_another_finger_does_not_move_the_tip() -> None:
     hand = load_hand("heri_ii")
-    jacobian = Kinematics(hand).tip_jacobian(hand.rest, "thumb")
+    tip = str(hand.finger("thumb").tip)
+    jacobian = tip_pose_and_jacobian(hand, tip, hand.rest)[1]
     thumb = hand.actuator_index(hand.finger("thumb").actuators[0])
     others = [i for i in range(len(hand.actuators)) if i != thumb]
     assert not jacobian[:, others].any()
@@ -68,15 +71,5 @@ def test_unknown_names_are_refused() -> None:
     kinematics = Kinematics(load_hand("schunk_svh"))
     with pytest.raises(UnknownLink):
         kinematics.link_pose(kinematics.hand.rest, "no_such_link")
-    with pytest.raises(UnknownFinger):
-        kinematics.tip_jacobian(kinematics.hand.rest, "toe")
-
-
-def test_a_finger_without_tip_has_no_jacobian(tmp_path: Path) -> None:
-    from extract.models import Model, box
-
-    model = Model().link("bare").joint("bend", "base", "bare").finger("bare", "bare")
-    model.link("tip", box((0.01, 0.01, 0.01))).joint("move", "base", "tip").finger("tip", "tip")
-    hand = model.load(tmp_path)
-    with pytest.raises(ModelError, match="no fingertip"):
-        Kinematics(hand).tip_jacobian(hand.rest, "bare")
+    with pytest.raises(UnknownLink):
+        tip_pose_and_jacobian(kinematics.hand, "no_such_link", kinematics.hand.rest)

@@ -8,7 +8,7 @@ import coal
 import numpy as np
 import pytest
 
-from rtee.hand.mesh_repair import mended, parted
+from rtee.hand.mesh_repair import repaired, split_parts
 
 COLLADA = """<?xml version="1.0" encoding="utf-8"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
@@ -49,7 +49,7 @@ def two_tetrahedra(path: Path, *, materials: int) -> Path:
 
 def load(path: Path) -> coal.BVHModelBase:
     loader = coal.MeshLoader(coal.NODE_TYPE.BV_kIOS)
-    return mended(loader.load(str(path), np.ones(3)), loader)
+    return repaired(loader.load(str(path), np.ones(3)), loader)
 
 
 def distance(mesh: coal.BVHModelBase, x: float) -> float:
@@ -87,14 +87,14 @@ def test_coordinates_of_a_collada_file_count_as_they_are(
 
 def test_triangles_are_numbered_through() -> None:
     faces = np.array([*TETRAHEDRON, *TETRAHEDRON, *TETRAHEDRON])
-    apart = parted(faces, 12)
+    apart = split_parts(faces, 12)
     assert apart is not None
     assert apart.tolist() == np.concatenate([faces[:4] + 4 * k for k in range(3)]).tolist()
 
 
 def test_what_does_not_add_up_is_left_alone() -> None:
-    assert parted(np.array([*TETRAHEDRON, *TETRAHEDRON]), 40) is None
-    assert parted(np.array([[1, 2, 3], [0, 2, 3]]), 8) is None
+    assert split_parts(np.array([*TETRAHEDRON, *TETRAHEDRON]), 40) is None
+    assert split_parts(np.array([[1, 2, 3], [0, 2, 3]]), 8) is None
 
 
 def test_a_mesh_of_real_parts_is_whole(shared: Path) -> None:

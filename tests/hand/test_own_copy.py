@@ -300,10 +300,11 @@ def test_a_copy_that_is_no_hand_leaves_nothing(shipped: Path, tmp_path: Path) ->
 def new(*words: str) -> tuple[int, str]:
     from typer.testing import CliRunner
 
-    from rtee.cli.new import app
+    from rtee.cli._common import app_of
+    from rtee.cli.new import new
 
     try:
-        done = CliRunner().invoke(app, words, catch_exceptions=False)
+        done = CliRunner().invoke(app_of(new), words, catch_exceptions=False)
     except UserError as error:
         return error.exit_status, str(error)
     return done.exit_code, done.output

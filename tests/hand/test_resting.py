@@ -8,8 +8,8 @@ import pytest
 
 from hand.conftest import MODELS
 from hand.models import FRANKA, GRIPPER, SRDF, anthropomorphic
+from rtee.actions.action_files import read_actions
 from rtee.actions.resting import pinch_at_rest
-from rtee.actions.store import read_actions
 from rtee.actions.types import Evidence, Posture, Primitive, PrimitiveKind
 from rtee.extract.extraction import extract
 from rtee.hand.load import load_hand, load_model

@@ -13,7 +13,7 @@ from rtee.hand.model import Hand
 from rtee.log.layout import Contents
 from rtee.log.settings import RecorderSettings
 from rtee.log.writer import LogWriter
-from rtee.loop.observer import TickRecord
+from rtee.sample import TickRecord
 from rtee.types import (
     DeviceStatus,
     Event,
@@ -93,7 +93,7 @@ def tick(number: int, *, begin: float = BEGIN, wall: int = WALL) -> TickRecord:
         reference_velocity=np.array([first + 1, second + 1]),
         reference_effort=np.array([np.inf, 2.0]),
         grasped=np.array([1, -1], dtype=np.int8),
-        extras={"motor/pressure": np.array([float(number // 50), 1.0])},
+        channels={"motor/pressure": np.array([float(number // 50), 1.0])},
     )
 
 

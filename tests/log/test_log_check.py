@@ -24,7 +24,7 @@ from rtee.log.tables import tables
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
-from rtee.messages.command import plain
+from rtee.messages.convert import plain
 from rtee.types import ActuatorState, Goal
 
 pytestmark = pytest.mark.anyio

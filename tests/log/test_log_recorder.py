@@ -3,6 +3,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -145,8 +146,7 @@ def test_a_blocked_disk_holds_up_nobody_and_drops_are_counted(claw: Hand, tmp_pa
 def test_a_tick_that_cannot_be_encoded_ends_nothing(claw: Hand, tmp_path: Path) -> None:
     with Recorder(claw, settings(tmp_path), rate=RATE) as recorder:
         feed(recorder, 0, 10)
-        wrong = tick(10)
-        wrong.position = np.zeros(3)
+        wrong = replace(tick(10), position=np.zeros(3))
         recorder.on_tick(wrong)
         feed(recorder, 11, 20)
         wait_for(lambda: recorder.status().dropped == 1)

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from log.samples import RATE, WALL, Time, recorded, settings, tick
 from rtee.cli.log import app
 from rtee.errors import ConfigError
-from rtee.hand.embedded_meshes import carried_meshes, with_addresses
+from rtee.hand.embedded_meshes import embed_meshes, with_mesh_addresses
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.load import load_hand, load_model
@@ -31,11 +31,11 @@ from rtee.log.layout import Contents, Replayable
 from rtee.log.playback import write_hand
 from rtee.log.recover import recover
 from rtee.log.settings import RecorderSettings
-from rtee.log.transforms import LinkTransforms
+from rtee.log.tick_messages import LinkTransforms
 from rtee.log.writer import LogWriter
-from rtee.loop.observer import TickRecord
 from rtee.loop.settings import LoopSettings
 from rtee.prepare import RunOptions, prepare
+from rtee.sample import TickRecord
 from rtee.types import FloatArray
 
 ACCURACY = 1e-9
@@ -59,7 +59,7 @@ def known(hand: Hand, number: int, position: FloatArray) -> TickRecord:
         reference_velocity=zeros,
         reference_effort=zeros,
         grasped=np.full(n, -1, dtype=np.int8),
-        extras={},
+        channels={},
     )
 
 
@@ -67,9 +67,7 @@ def record(
     hand: Hand, folder: Path, positions: FloatArray, *, meshes: bool = True, **changes: object
 ) -> Path:
     """Record a hand in one posture after the other, a tick each."""
-    contents = Contents(
-        hand, RATE, meshes=carried_meshes(hand) if meshes else carried_meshes(hand, 0)
-    )
+    contents = Contents(hand, RATE, meshes=embed_meshes(hand) if meshes else embed_meshes(hand, 0))
     clock = Time()
     writer = LogWriter(
         contents, settings(folder, **changes), monotonic=clock.monotonic, wall=clock.wall
@@ -348,7 +346,7 @@ def test_a_missing_mesh_is_told_and_the_rest_is_carried(shared: Path, tmp_path: 
     shutil.copytree(shared / "hands" / "schunk", source)
     (source / "meshes" / "base10.dae").unlink()
     hand = load_model(source / "schunk.urdf")
-    found = carried_meshes(hand)
+    found = embed_meshes(hand)
     assert list(found.left_out) == ["meshes/base10.dae"]
     assert "does not exist" in found.left_out["meshes/base10.dae"]
     path = record(hand, tmp_path / "log", postures(hand, 1))
@@ -360,7 +358,7 @@ def test_a_missing_mesh_is_told_and_the_rest_is_carried(shared: Path, tmp_path: 
 def test_too_much_is_left_out(shared: Path, tmp_path: Path) -> None:
     folder = shared / "hands" / "schunk"
     hand = load_model(folder / "schunk.urdf")
-    some = carried_meshes(hand, 1_000_000)
+    some = embed_meshes(hand, 1_000_000)
     carried = sum(len(mesh.data) for mesh in some.files.values())
     assert 0 < carried < 750_000
     assert some.left_out
@@ -384,14 +382,14 @@ def test_two_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
         file.parent.mkdir(exist_ok=True)
         file.write_bytes(data)
     (tmp_path / "r.urdf").write_text(text)
-    meshes = carried_meshes(load_model(tmp_path / "r.urdf"))
+    meshes = embed_meshes(load_model(tmp_path / "r.urdf"))
     assert {address: mesh.data for address, mesh in meshes.meshes.items()} == {
         "one/tip.stl": b"first",
         "two/tip.stl": b"second",
         "one/a & b.stl": b"third",
     }
     assert len(meshes.files) == 3
-    changed = with_addresses(text, {"one/a & b.stl": 'x"&y', "two/tip.stl": "z"})
+    changed = with_mesh_addresses(text, {"one/a & b.stl": 'x"&y', "two/tip.stl": "z"})
     assert addresses(changed) == ["one/tip.stl", "z", 'x"&y']
 
 

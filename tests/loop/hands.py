@@ -25,8 +25,9 @@ from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.observer import Observer, TickRecord
+from rtee.loop.observer import Observer
 from rtee.loop.settings import DeviceSettings, LoopSettings
+from rtee.sample import TickRecord
 from rtee.types import DeviceSpec, Event, Feedback, Goal, Result
 
 _JOINT = """

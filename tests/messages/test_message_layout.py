@@ -1,19 +1,11 @@
 from __future__ import annotations
 
-import struct
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtee.messages.layout import (
-    ACTUATOR_STATE,
-    JointStateEncoder,
-    Parts,
-    actuator_state_fields,
-    stamp_bytes,
-)
+from rtee.messages.layout import JOINT_STATE, STAMP, JointStateEncoder, Template, joint_state_fields
 from rtee.messages.typestore import typestore
 
 STORE = typestore()
@@ -53,22 +45,10 @@ def test_arrays_of_another_length_or_type_are_refused() -> None:
         encoder.encode(0, np.zeros(2), np.zeros(2), np.zeros(2, dtype=np.float32))
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 9, 20])
-def test_the_joined_parts_are_the_encoded_message(count: int) -> None:
-    names = [f"joint_{i}" for i in range(count)]
-    fields = actuator_state_fields(names)
-    cut = Parts(ACTUATOR_STATE, ACTUATOR_STATE.encode(fields))
-    source = np.random.default_rng(count)
-    for name in ("position", "velocity", "effort", "current", "temperature"):
-        fields[name] = source.normal(size=count)
-    fields["grasped"] = np.arange(count, dtype=np.int8) % 3 - 1
-    fields["fresh"] = np.arange(count) % 2 == 0
-    for name in ("position", "velocity", "effort", "current", "temperature", "grasped", "fresh"):
-        cut.parts[cut.slots[name]] = fields[name].tobytes()
-    fields["tick"] = 2**63 + count
-    cut.parts[cut.slots["tick"]] = struct.pack("<Q", fields["tick"])
-    fields["time"] = 12.5
-    cut.parts[cut.slots["time"]] = struct.pack("<d", 12.5)
-    fields["header"] = {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": ""}
-    cut.parts[cut.slots["stamp"]] = stamp_bytes(5_000_000_007)
-    assert b"".join(cut.parts) == ACTUATOR_STATE.encode(fields)
+def test_what_changes_must_be_given_in_order_and_with_its_length() -> None:
+    fields = joint_state_fields(["a", "b"])
+    with pytest.raises(ValueError, match="'position' is not in the order"):
+        Template(JOINT_STATE, fields, ("velocity", "position"))
+    template = Template(JOINT_STATE, fields, (STAMP, "velocity"))
+    with pytest.raises(ValueError, match="bytes expected"):
+        template.filled((bytes(8), bytes(17)))

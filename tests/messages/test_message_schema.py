@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from rtee.errors import MessageError, MissingExtra
 from rtee.messages.cdr import DTYPES, HEADER
-from rtee.messages.definitions import DEFINITIONS
-from rtee.messages.schema import Field, MessageType, message_type, parse
+from rtee.messages.schema import DEFINITIONS, Field, MessageType, message_type, parse
 from rtee.messages.typestore import typestore
 
 STORE = typestore()

@@ -8,8 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtee.errors import MessageError
+from rtee.messages.codec import channel_fields, header
+from rtee.messages.layout import stamp_bytes
 from rtee.messages.requests import REQUESTS
-from rtee.messages.state import STATE, State, StateEncoder, decode_state, encode_state
+from rtee.messages.state import (
+    ACTUATOR_STATE,
+    STATE,
+    State,
+    StateEncoder,
+    actuator_state_fields,
+    actuator_state_pieces,
+    actuator_state_template,
+    decode_state,
+)
+from rtee.sample import COLUMNS
 from rtee.types import FloatArray
 
 
@@ -36,6 +48,25 @@ def state(n: int, m: int, channels: Mapping[str, FloatArray], seed: int = 0) -> 
     )
 
 
+def encode_state(given: State) -> bytes:
+    """Encode a state field by field, as its definition says."""
+    names, lengths, values = channel_fields(given.channels)
+    return STATE.encode(
+        {
+            "header": header(given.wall_ns),
+            "tick": given.tick,
+            "time": given.stamp,
+            "name": given.names,
+            "joint": given.joint_names,
+            "joint_position": given.joint_position,
+            "channel": names,
+            "channel_length": lengths,
+            "channel_value": values,
+            **{name: getattr(given, name) for name in COLUMNS},
+        }
+    )
+
+
 _CHANNELS = st.dictionaries(
     st.sampled_from(["a/p", "b", "longer/name"]),
     st.lists(st.floats(allow_nan=False), max_size=4).map(np.array),
@@ -49,8 +80,8 @@ def test_both_encoders_agree_and_round_trip(
     given_state = state(n, m, channels)
     data = encode_state(given_state)
     encoder = StateEncoder(given_state.names, given_state.joint_names)
-    assert encoder.encode(given_state) == data
-    assert encoder.encode(given_state) == data
+    assert encoder.encode(given_state, given_state.joint_position) == data
+    assert encoder.encode(given_state, given_state.joint_position) == data
     back = decode_state(data)
     assert encode_state(back) == data
     assert back.joints == given_state.joints
@@ -69,3 +100,16 @@ def test_every_request_has_a_key_of_its_own() -> None:
     keys = {request.key("svh") for request in REQUESTS.values()}
     assert len(keys) == len(REQUESTS)
     assert REQUESTS["stop"].key("*") == "rtee/*/stop/stop"
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 9, 20])
+def test_actuator_states_are_the_encoded_message(count: int) -> None:
+    names = [f"joint_{i}" for i in range(count)]
+    record = state(count, 0, {}, seed=count)
+    fields = actuator_state_fields(names)
+    for name in fields.keys() - {"header", "tick", "time", "name"}:
+        fields[name] = getattr(record, name)
+    fields |= {"tick": record.tick, "time": record.stamp, "header": header(5_000_000_007)}
+    pieces = (stamp_bytes(5_000_000_007), *actuator_state_pieces(record))
+    encoded = actuator_state_template(names).filled(pieces)
+    assert encoded == ACTUATOR_STATE.encode(fields)

@@ -19,10 +19,11 @@ from rtee.hand.model import Hand
 from rtee.log.settings import RecorderStatus
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.observer import Observer, TickRecord
+from rtee.loop.observer import Observer
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.tick_driver import drive
 from rtee.remote.server import Server
+from rtee.sample import TickRecord
 from rtee.types import DeviceSpec, Event, Goal, Result
 
 RATE = 200.0

@@ -10,7 +10,7 @@ from rtee.actions.build import StepPlan
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
 from rtee.errors import RequestRejected
-from rtee.hand.fingerprint import fingerprint
+from rtee.hand.catalog import fingerprint
 from rtee.hand.model import Hand
 
 from .serving import make_library, serving

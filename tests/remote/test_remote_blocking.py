@@ -87,7 +87,7 @@ def test_events(served: Served) -> None:
         portal = remote._portal
         events = remote.events()
         first = portal.start_task_soon(lambda: anext(remote._hand.events()))
-        while not remote._hand._watchers:
+        while not remote._hand._monitoring._event_queues:
             pass
         other.stop()
         assert first.result().kind == "stop"

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import anyio.from_thread
@@ -14,7 +14,14 @@ import pytest
 from typer.testing import CliRunner
 
 from rtee.actions.library import ActionLibrary
-from rtee.cli import _common, compose, do, open, recover, state, status, stop
+from rtee.cli import _common
+from rtee.cli._common import app_of
+from rtee.cli.define import compose
+from rtee.cli.do import do
+from rtee.cli.do import open_ as open
+from rtee.cli.state import state
+from rtee.cli.status import status
+from rtee.cli.stop import recover, stop
 from rtee.errors import ConfigError, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.remote.directory import announced
@@ -31,8 +38,8 @@ def served(hand: Hand, library: ActionLibrary) -> Iterator[Served]:
         yield served
 
 
-def run(module: object, *words: str, status: int = 0) -> str:
-    result = CliRunner().invoke(module.app, words, catch_exceptions=False)  # type: ignore[attr-defined]
+def run(command: Callable[..., None], *words: str, status: int = 0) -> str:
+    result = CliRunner().invoke(app_of(command), words, catch_exceptions=False)
     assert result.exit_code == status, result.output
     return result.output
 

@@ -406,6 +406,6 @@ async def test_an_endpoint_that_cannot_be_used_is_a_mistake(
         async with rtee.connect("small", endpoint="tcp/127.0.0.1:1"):
             pass
     for wrong in ("robot", "tcp/robot", "robot:7447", "http/robot:7447"):
-        with pytest.raises(ConfigError, match=f"'{wrong}' is no endpoint"):
+        with pytest.raises(ConfigError, match=f"'{wrong}' is not an endpoint"):
             async with rtee.connect("small", endpoint=wrong):
                 pass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import anyio
 import pytest
@@ -15,7 +15,9 @@ from typer.testing import CliRunner
 import rtee
 from rtee.actions.cli_syntax import read_efforts
 from rtee.actions.library import ActionLibrary
-from rtee.cli import do, open
+from rtee.cli._common import app_of
+from rtee.cli.do import do
+from rtee.cli.do import open_ as open
 from rtee.errors import ActionError, GoalRejected, NoHand, NotReady, RequestRejected
 from rtee.hand.model import Hand
 
@@ -36,8 +38,8 @@ def served(hand: Hand, library: ActionLibrary, portal: BlockingPortal) -> Iterat
         yield served
 
 
-def run(module: object, *words: str, status: int = 0) -> str:
-    result = CliRunner().invoke(module.app, words, catch_exceptions=False)  # type: ignore[attr-defined]
+def run(command: Callable[..., None], *words: str, status: int = 0) -> str:
+    result = CliRunner().invoke(app_of(command), words, catch_exceptions=False)
     assert result.exit_code == status, result.output
     return result.output
 

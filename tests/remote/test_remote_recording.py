@@ -28,7 +28,7 @@ async def test_a_recording_is_started_marked_and_stopped(
 @pytest.mark.parametrize(
     ("what", "text", "reason"),
     [
-        ("delete", "", "cannot be told to 'delete'"),
+        ("delete", "", "unknown request 'delete' for the recording"),
         ("mark", "", "a mark is one line"),
         ("mark", "two\nlines", "a mark is one line"),
         ("mark", "x" * 1001, "not 1001"),

@@ -12,7 +12,7 @@ from rtee.hand.colours import PALETTE, finger_colours
 from rtee.hand.model import Hand
 from rtee.render import raycast
 from rtee.render.camera import farthest
-from rtee.render.hand import HandRenderer, render_hand
+from rtee.render.hand import HandRenderer
 from tests.render.models import claw
 
 Image = pytest.importorskip("PIL.Image")
@@ -39,18 +39,18 @@ def share(picture: np.ndarray, colour: str) -> float:
 
 
 def test_picture_shows_every_finger_in_its_colour(hand: Hand) -> None:
-    png = render_hand(hand, hand.rest, (240, 200))
+    png = HandRenderer(hand, (240, 200)).picture(hand.rest)
     assert png.startswith(b"\x89PNG")
     picture = pixels(png)
     assert picture.shape == (200, 240, 3)
     for colour in finger_colours(hand).values():
         assert share(picture, colour) > 0.01
     assert (picture[:3] > 240).all()  # the background is white
-    assert render_hand(hand, hand.rest, (240, 200)) == png
+    assert HandRenderer(hand, (240, 200)).picture(hand.rest) == png
 
 
 def test_fingers_that_are_not_highlighted_are_faded(hand: Hand) -> None:
-    picture = pixels(render_hand(hand, hand.rest, (240, 200), highlight=["left"]))
+    picture = pixels(HandRenderer(hand, (240, 200)).picture(hand.rest, highlight=["left"]))
     assert share(picture, PALETTE[0]) > 0.01
     assert share(picture, PALETTE[1]) < 0.001
 
@@ -75,7 +75,9 @@ def test_a_contact_is_marked_where_it_is(hand: Hand) -> None:
 
 
 def test_transparent_background(hand: Hand) -> None:
-    picture = Image.open(io.BytesIO(render_hand(hand, hand.rest, (120, 100), background=None)))
+    picture = Image.open(
+        io.BytesIO(HandRenderer(hand, (120, 100)).picture(hand.rest, background=None))
+    )
     alpha = np.asarray(picture)[..., 3]
     assert picture.mode == "RGBA"
     assert alpha.min() == 0
@@ -111,19 +113,19 @@ def test_without_the_extra_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "PIL.Image", None)
     with pytest.raises(MissingExtra, match=r'extra \'plot\': pip install "rtee\[plot\]"'):
-        render_hand(hand, hand.rest)
+        HandRenderer(hand)
 
 
 def test_without_embree_it_is_told_and_the_picture_is_the_same(
     hand: Hand, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("embreex")
-    wanted = pixels(render_hand(hand, hand.rest, (120, 100)))
+    wanted = pixels(HandRenderer(hand, (120, 100)).picture(hand.rest))
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
     raycast.has_embree.cache_clear()
     raycast.warn_once.cache_clear()
     try:
-        found = [pixels(render_hand(hand, hand.rest, (120, 100))) for _ in range(2)]
+        found = [pixels(HandRenderer(hand, (120, 100)).picture(hand.rest)) for _ in range(2)]
     finally:
         raycast.has_embree.cache_clear()
     assert [record.message for record in caplog.records if "embreex" in record.message] == [

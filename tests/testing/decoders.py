@@ -5,13 +5,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from rtee.buses.modbus_frames import (
-    RtuRequests,
-    TcpRequests,
-    find_answer,
-    find_network_answer,
-    rtu_frame,
-)
+from pymodbus.framer import FramerBase, FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU, ReadHoldingRegistersRequest
+
+from rtee.buses.modbus_frames import AnswerParser, RtuRequests, TcpRequests, rtu_frame
 from rtee.drivers.allegro import codec as allegro
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402 import codec as cia402
@@ -41,18 +38,21 @@ def registers(count: int, decode: Callable[[tuple[int, ...]], object]) -> Callab
     return decoded
 
 
-def answered(data: bytes) -> object:
-    start, end = find_answer(data, 9, 3)
-    if start < 0:
-        raise FrameError("", "no answer")
-    return data[start:end]
+def answered(
+    framer: type[FramerBase], unit: int, counts: tuple[int, ...]
+) -> Callable[[bytes], object]:
+    """Return a decoder of the answers to requests for so many registers."""
 
-
-def network_answered(data: bytes) -> object:
-    start, end = find_network_answer(data, 2, 65, 3, b"\x08")
-    if start < 0:
+    def decoded(data: bytes) -> object:
+        for count in counts:
+            request = ReadHoldingRegistersRequest(dev_id=unit, count=count)
+            parser = AnswerParser(framer(DecodePDU(False)), request, bytes([2 * count]))
+            parser.request(2)
+            if found := parser.feed(data):
+                return found
         raise FrameError("", "no answer")
-    return data[start:end]
+
+    return decoded
 
 
 def told(command: svh.Command, decode: Callable[[svh.Packet], object]) -> Callable[[bytes], object]:
@@ -192,13 +192,17 @@ DECODERS = [
             bytes.fromhex("00 02 00 00 00 0B 41 03 08 00 0E 02 EE 02 70 01 F4"),
             bytes.fromhex("00 02 00 00 00 03 41 83 02"),
         ],
-        decode=network_answered,
+        decode=answered(FramerSocket, 65, (4,)),
         errors=(FrameError,),
         prefix=bytes.fromhex("00 02 00 00 00"),
     ),
     Decoder("Robotiq 2F command", ROBOTIQ, decode=registers(3, two.Command.from_registers)),
     Decoder(
-        "Modbus RTU answers", ANSWERS, decode=answered, errors=(FrameError,), prefix=b"\x09\x03"
+        "Modbus RTU answers",
+        ANSWERS,
+        decode=answered(FramerRTU, 9, (3, 8)),
+        errors=(FrameError,),
+        prefix=b"\x09\x03",
     ),
     Decoder(
         "Robotiq 2F status",

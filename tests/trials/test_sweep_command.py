@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 
 pytest.importorskip("mujoco")
 
-from rtee.cli.try_ import app
+from rtee.cli._common import app_of
+from rtee.cli.try_ import try_
 from rtee.errors import ConfigError
 from rtee.hand.own_copy import copy_hand
 from rtee.trials.store import read_results
@@ -93,6 +94,6 @@ def test_what_is_found_outlives_a_kill_and_the_workers_do_not(hand: Path) -> Non
 def test_a_hand_without_actions_is_told_what_to_type(hand: Path) -> None:
     shutil.rmtree(hand / "actions")
     with pytest.raises(ConfigError, match=r"no actions to try.*: rtee extract .* --save") as caught:
-        CliRunner().invoke(app, [str(hand), "--all"], catch_exceptions=False)
+        CliRunner().invoke(app_of(try_), [str(hand), "--all"], catch_exceptions=False)
     assert caught.value.exit_status == 2
     assert not (hand / "trials.yaml").exists()

@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 
 pytest.importorskip("mujoco")
 
-from rtee.cli.try_ import app
+from rtee.cli._common import app_of
+from rtee.cli.try_ import try_
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError, UnknownAction
@@ -171,7 +172,7 @@ def test_a_trial_is_recorded_and_pictured(tmp_path: Path) -> None:
 
     command = [GRIPPER, "Grasp", "--object", "sphere:0.03"]
     command += ["--pictures", str(tmp_path / "p"), "--log", str(tmp_path / "l"), "--json"]
-    outcome = CliRunner().invoke(app, command)
+    outcome = CliRunner().invoke(app_of(try_), command)
     assert outcome.exit_code == 0, outcome.output
     assert json.loads(outcome.stdout)["held"]
     with Image.open(next((tmp_path / "p").glob("*.png"))) as strip:
@@ -184,7 +185,7 @@ def test_a_trial_is_recorded_and_pictured(tmp_path: Path) -> None:
 
 
 def test_a_lost_object_is_exit_status_1() -> None:
-    outcome = CliRunner().invoke(app, [GRIPPER, "Grasp", "--object", "sphere:0.06"])
+    outcome = CliRunner().invoke(app_of(try_), [GRIPPER, "Grasp", "--object", "sphere:0.06"])
     assert outcome.exit_code == 1
     assert "lost" in outcome.stdout
 
@@ -195,7 +196,7 @@ def test_all_resumes_what_is_known(tmp_path: Path) -> None:
     known = [TrialResult(trial, True) for trial in all_trials(ready.library, ["sphere:0.02"])]
     write_results(path, fingerprint(ready.folder), known)
     command = [GRIPPER, "--all", "--object", "sphere:0.02", "--out", str(path)]
-    outcome = CliRunner().invoke(app, command)
+    outcome = CliRunner().invoke(app_of(try_), command)
     assert outcome.exit_code == 0, outcome.output
     assert read_results(path) == {result.trial.key: result for result in known}
 

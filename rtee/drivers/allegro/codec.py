@@ -11,9 +11,9 @@ from typing import ClassVar, Self
 
 from rtee.buses.emulator import CanFrame
 
-BITRATE = 1_000_000
+BITRATE = 1_000_000  # of the bus [bit/s]; the hand has no other
 FINGERS = 4
-PER_FINGER = 4
+PER_FINGER = 4  # joints of each finger
 JOINTS = FINGERS * PER_FINGER
 
 _INT16 = struct.Struct("<4h")
@@ -60,7 +60,7 @@ def order(command: Command, hand: int = 0) -> CanFrame:
 
 @dataclass(frozen=True, slots=True)
 class Periods:
-    """How often the hand tells what by itself [ms]; 0: never."""
+    """How often the hand sends what by itself [ms]; 0: never."""
 
     joints: int = 0
     imu: int = 0
@@ -128,9 +128,9 @@ class HandInfo:
 
 
 def side_of(info: HandInfo, serial: str) -> str:
-    """Return ``left`` or ``right``: version 4 tells by its information, 5 by its serial number.
+    """Return ``left`` or ``right``, or nothing where the hand says neither.
 
-    Empty where a version 5 tells neither.
+    Version 4 says it in its information, version 5 in its serial number.
     """
     if info.version == 4:
         return "left" if info.handedness else "right"

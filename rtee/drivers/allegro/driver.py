@@ -8,10 +8,11 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import (
@@ -24,11 +25,11 @@ from rtee.drivers.allegro.codec import (
     Status,
 )
 from rtee.drivers.allegro.control import JointControl
-from rtee.drivers.allegro.emulator import AllegroEmulator
 from rtee.drivers.allegro.link import PATIENCE, AllegroLink
 from rtee.drivers.allegro.options import AllegroOptions, wire_order
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
 from rtee.errors import (
     BusError,
@@ -40,22 +41,24 @@ from rtee.errors import (
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
-
 _STALE = 0.25
+"""Positions older than this count as lost [s]: more than eighty of the hand's periods."""
+
 _SERVO_OFF = 0x100
+"""Code of the fault that the motors are off, the driver's own: the hand's status has eight bits."""
+
 _PAUSE = 0.0005
+"""Pause after switching the motors [s]; the vendor's driver waits 0.1 ms."""
 
 
 class AllegroDriver(Driver):
     """An Allegro Hand, version 4 or 5.
 
-    The hand tells its positions by itself every 2 or 3 ms and drives its joints with the torques it
+    The hand sends its positions by itself every 2 or 3 ms and drives its joints with the torques it
     was sent last. So the joint control (PD about the reference) runs here, once per set of position
     frames, in the event loop and apart from the cycle of sense and move: `move` changes its
-    reference, `sense` tells what it measured last. The hand cannot hold anything by itself; without
-    the control it is switched off.
+    reference, `sense` returns what it measured last. The hand cannot hold anything by itself;
+    without the control it is switched off.
 
     Attributes:
         control: The joint control.
@@ -67,7 +70,7 @@ class AllegroDriver(Driver):
         super().__init__(spec, buses)
         self.options = read_options(AllegroOptions, spec)
         self._joints = wire_order(spec, self.options)
-        self._link: AllegroLink | None = None
+        self.connection: Connection[AllegroLink] = Connection(spec)
         self._info: HandInfo | None = None
         self._count = 0
         self._driving = False
@@ -97,26 +100,22 @@ class AllegroDriver(Driver):
     def _period(self, version: int) -> int:
         return self.options.period or SCALES[version].period_ms
 
-    @property
-    def _hand(self) -> AllegroLink:
-        if self._link is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._link
-
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the bus, identify the hand and have it tell its positions; no torque is sent."""
+        """Open the bus, identify the hand and have it send its positions; no torque is sent."""
         await self.close()
         options = self.options
-        bus = await self.buses.can(
-            options.channel,
-            owner=owner_of(self.spec),
-            interface=options.interface,
-            bitrate=codec.BITRATE,
-            emulator=emulator_of(self.spec, AllegroEmulator),
+        link = await self.connection.open(
+            self.buses.can(
+                options.channel,
+                owner=self.connection.owner,
+                interface=options.interface,
+                bitrate=codec.BITRATE,
+                emulator=emulator_of(self.spec, "allegro"),
+            ),
+            lambda bus: AllegroLink(bus, options.hand, options.deadline),
         )
-        link = self._link = AllegroLink(bus, options.hand, options.deadline)
         info, serial = await self._identify(link)
         version = info.version if options.version is None else options.version
         self.control = self._controller(version)
@@ -167,15 +166,15 @@ class AllegroDriver(Driver):
     async def activate(self) -> None:
         """Switch the motors on and hold the measured pose."""
         self._hold()
-        await self._hand.order(Command.SYSTEM_ON)
+        await self.connection.link.order(Command.SYSTEM_ON)
         await asyncio.sleep(_PAUSE)
         self._driving = True
-        self._refuse(await self._hand.info(patient=True))
+        self._refuse(await self.connection.link.info(patient=True))
         self._hold()
 
     async def examine(self) -> str:
         """Raise the fault that the hand reports."""
-        self._refuse(await self._hand.info(patient=True))
+        self._refuse(await self.connection.link.info(patient=True))
         return ""
 
     def _hold(self) -> None:
@@ -186,45 +185,40 @@ class AllegroDriver(Driver):
         """Send no torque, then switch the motors off."""
         self._driving = False
         self.control.limp()
-        if self._link is not None:
-            self._link.torques([[0] * (JOINTS // FINGERS)] * FINGERS)
-            await self._link.order(Command.SYSTEM_OFF)
+        if self.connection.is_open:
+            link = self.connection.link
+            link.torques([[0] * (JOINTS // FINGERS)] * FINGERS)
+            await link.order(Command.SYSTEM_OFF)
 
     async def close(self) -> None:
         """Switch the hand off, silence it and give the bus back."""
-        link = self._link
-        if link is None:
-            return
-        link.deafen()
-        with contextlib.suppress(BusError):
-            if self._driving:
-                await self.deactivate()
-            await link.set_periods(Periods())
-        self._link = None
-        self._driving = False
-        await link.bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the bus."""
-        return {} if self._link is None else self._link.bus.counters.as_mapping()
+        if self.connection.is_open:
+            link = self.connection.link
+            link.deafen()
+            with contextlib.suppress(BusError):
+                if self._driving:
+                    await self.deactivate()
+                await link.set_periods(Periods())
+            self._driving = False
+        await super().close()
 
     # --- the joint control -------------------------------------------------------------------
 
     def _take(self, finger: int, counts: Sequence[int], stamp: float) -> None:
         torques = self.control.receive(finger, counts, stamp)
-        if torques is not None and self._driving and self._link is not None:
+        if torques is not None and self._driving and self.connection.is_open:
             with contextlib.suppress(BusError):
-                self._link.torques(torques)
+                self.connection.link.torques(torques)
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return the newest complete set of positions; effort is the torque sent."""
-        bus = self._hand.bus
+        bus = self.connection.link.bus
         bus.check()
         self._count += 1
         if self._count % self.options.info_every == 0:
-            self._refuse(await self._hand.info())
+            self._refuse(await self.connection.link.info())
         control = self.control
         if time.monotonic() - control.stamp > _STALE:
             raise BusTimeout(bus.name, f"no positions for more than {_STALE:g} s")
@@ -242,7 +236,7 @@ class AllegroDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Change the reference and the limits of the joint control."""
-        self._hand.bus.check()
+        self.connection.link.bus.check()
         for i, joint in enumerate(self._joints):
             if reference.mask[i]:
                 self.control.limit(joint, float(reference.max_effort[i]))
@@ -289,7 +283,7 @@ class AllegroDriver(Driver):
         """Switch the hand off and on, which clears what can be cleared; it stays limp."""
         self._driving = False
         self.control.limp()
-        link = self._hand
+        link = self.connection.link
         await link.order(Command.SYSTEM_OFF)
         await asyncio.sleep(_PAUSE)
         await link.set_periods(Periods(self._period(self.control.scale.version)))

@@ -29,7 +29,11 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Duration, Positive, read_properties
 
 _STEP = 0.0005
+"""Longest step of the integration [s]: a joint against an object swings with some 30 ms."""
+
 _MOST_STEPS = 400
+"""Most steps at once; a longer pause is integrated coarsely instead of holding up the bus."""
+
 _STRONG = 0.7
 """Torque at which the vendor's programs clamp the flexing joints, about [N·m]."""
 _SERIALS = {
@@ -49,7 +53,7 @@ class AllegroProperties:
         hand: Its number on the bus, 0 to 3.
         version: 4 or 5.
         left: Whether it is a left hand.
-        serial: Its serial number, eight characters; by default one that tells its side, and of a
+        serial: Its serial number, eight characters; by default one that names its side, and of a
             version 5 its type, where the vendor's program looks for them.
         torque_timeout: Torques count for so long [s]; 0: until the next.
         inertia: Of a joint [kg·m²].
@@ -117,7 +121,7 @@ class AllegroEmulator(Emulator, Grasps):
     Attributes:
         properties: What it is like.
         joints: Its joints, in the order of the wire.
-        periods: What it tells by itself, and how often.
+        periods: What it sends by itself, and how often.
         servo: Whether its motors are on.
         temperature: [°C]
         frames: Frames taken, by command.
@@ -146,7 +150,7 @@ class AllegroEmulator(Emulator, Grasps):
         return cls(read_properties(AllegroProperties, options, hand=hand, version=version))
 
     def power_cycle(self, now: float) -> None:
-        """Begin anew: motors off, silent until asked."""
+        """Restart: motors off, silent until asked."""
         self.servo = False
         self.periods = Periods()
         self._fault = Status(0)

@@ -1,4 +1,4 @@
-"""One Allegro Hand on a CAN bus: what it is asked, told, and tells by itself."""
+"""One Allegro Hand on a CAN bus: requests, commands, and the positions that it sends by itself."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class AllegroLink:
         await self.bus.send(codec.order(command, self.hand))
 
     async def set_periods(self, periods: Periods) -> None:
-        """Set how often the hand tells what by itself; raises `BusError`."""
+        """Set how often the hand sends what by itself; raises `BusError`."""
         await self.bus.send(periods.to_frame(self.hand))
 
     def torques(self, counts: Sequence[Sequence[int]]) -> None:
@@ -71,7 +71,7 @@ class AllegroLink:
             self.bus.send_now(CanFrame(number, codec.pack_counts(four)))
 
     def listen(self, take: Take) -> None:
-        """Hand the positions that the hand tells to a function, until `deafen`."""
+        """Pass the positions that the hand sends to a function, until `deafen`."""
         for finger in range(FINGERS):
             number = identifier(Command.FINGER_POSE + finger, self.hand)
             self._undo.append(self.bus.subscribe(_taking(finger, take), number))

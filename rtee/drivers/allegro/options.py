@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rtee.drivers.allegro.codec import JOINTS, NAMES
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.wiring import numbers_of
 from rtee.errors import ConfigError
 from rtee.types import DeviceSpec
 
-Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
 
@@ -64,11 +64,4 @@ def wire_order(spec: DeviceSpec, options: AllegroOptions) -> list[int]:
                 "option 'joints'"
             )
         return list(range(JOINTS))
-    missing = [name for name in names if name not in options.joints]
-    found = [options.joints[name] for name in names if name not in missing]
-    if missing or len(set(found)) != len(found):
-        raise ConfigError(
-            f"device '{spec.name}': option 'joints' must give each actuator a joint of its own; "
-            f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
-        )
-    return found
+    return numbers_of(spec, "joints", options.joints, "joint")

@@ -9,6 +9,7 @@ from typing import Self
 
 from rtee.buses.emulator import CanFrame
 
+# The predefined connection set: identifiers, to which the node id is added.
 SYNC = 0x080
 EMERGENCY = 0x080
 NMT = 0x000
@@ -26,7 +27,7 @@ class CanopenFrameError(ValueError):
 
 
 class NmtCommand(IntEnum):
-    """What a node is told to become."""
+    """Commands that change a node's state."""
 
     START = 0x01
     STOP = 0x02
@@ -169,6 +170,7 @@ class Sdo:
         return cls(0x80, index, subindex, struct.pack("<I", code))
 
 
+# Error codes of CiA 301 and, from 2310h, of CiA 402.
 EMERGENCIES: dict[int, str] = {
     0x2310: "overcurrent",
     0x3210: "overvoltage",
@@ -185,6 +187,7 @@ EMERGENCIES: dict[int, str] = {
     0x8210: "PDO of a wrong length",
     0x8611: "following error",
 }
+# What the first digit of an error code means where the code itself is not known.
 _CLASSES: dict[int, str] = {
     0x1: "generic", 0x2: "current", 0x3: "voltage", 0x4: "temperature", 0x5: "hardware",
     0x6: "software", 0x7: "additional modules", 0x8: "monitoring", 0x9: "external",

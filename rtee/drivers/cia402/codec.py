@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 
 from rtee.drivers.cia402.cia301 import CanopenFrameError
 
-DEVICE_TYPE = 402
+DEVICE_TYPE = 402  # the low word of object 1000h
 
 
 class Object(IntEnum):
@@ -109,6 +109,7 @@ class Control(IntEnum):
     FAULT_RESET = 0x80
 
 
+# Bits of the controlword beside those that change the state; 4 to 6 depend on the mode.
 NEW_SET_POINT = 0x10
 CHANGE_NOW = 0x20
 RELATIVE = 0x40
@@ -129,8 +130,29 @@ def next_control(state: State) -> Control | None:
     }.get(state)
 
 
+class Pdo:
+    """What the four PDOs have in common.
+
+    Attributes:
+        FORM: Layout of the data.
+        MAP: The mapped objects: index, subindex and bits, as in objects 1600h and 1A00h.
+    """
+
+    __slots__ = ()
+
+    FORM: ClassVar[struct.Struct]
+    MAP: ClassVar[tuple[int, ...]]
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read the PDO's data; raises `CanopenFrameError`."""
+        if len(data) != cls.FORM.size:
+            raise CanopenFrameError(f"{cls.FORM.size} bytes expected, not {len(data)}")
+        return cls(*cls.FORM.unpack(data))
+
+
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(Pdo):
     """The first receive PDO: controlword, target position, mode."""
 
     FORM: ClassVar[struct.Struct] = struct.Struct("<Hib")
@@ -146,14 +168,9 @@ class Command:
         target = min(max(self.target, -edge), edge - 1)
         return self.FORM.pack(self.controlword, target, self.mode)
 
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the PDO's data; raises `CanopenFrameError`."""
-        return cls(*_read(cls.FORM, data))
-
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(Pdo):
     """The second receive PDO: maximal torque [0.1 %] and profile velocity [drive's unit]."""
 
     FORM: ClassVar[struct.Struct] = struct.Struct("<HI")
@@ -168,14 +185,9 @@ class Limits:
             min(max(self.torque, 0), 0xFFFF), min(max(self.velocity, 0), 2**32 - 1)
         )
 
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the PDO's data; raises `CanopenFrameError`."""
-        return cls(*_read(cls.FORM, data))
-
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class Status(Pdo):
     """The first transmit PDO: statusword, position [counts], mode."""
 
     FORM: ClassVar[struct.Struct] = struct.Struct("<Hib")
@@ -194,14 +206,9 @@ class Status:
         """Return the PDO's data."""
         return self.FORM.pack(self.statusword, self.position, self.mode)
 
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the PDO's data; raises `CanopenFrameError`."""
-        return cls(*_read(cls.FORM, data))
-
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(Pdo):
     """The second transmit PDO: velocity [drive's unit], torque [0.1 %], error code."""
 
     FORM: ClassVar[struct.Struct] = struct.Struct("<ihH")
@@ -214,17 +221,6 @@ class Motion:
     def to_bytes(self) -> bytes:
         """Return the PDO's data."""
         return self.FORM.pack(self.velocity, self.torque, self.error)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Read the PDO's data; raises `CanopenFrameError`."""
-        return cls(*_read(cls.FORM, data))
-
-
-def _read(form: struct.Struct, data: bytes) -> tuple[int, ...]:
-    if len(data) != form.size:
-        raise CanopenFrameError(f"{form.size} bytes expected, not {len(data)}")
-    return form.unpack(data)
 
 
 @dataclass(frozen=True, slots=True)

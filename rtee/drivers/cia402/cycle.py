@@ -1,186 +1,155 @@
-"""What CiA 402 drives do every cycle: take set-points on SYNC, tell their state."""
+"""The cycle of CiA 402 drives on one network: set-points and states by process data on SYNC."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
-from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, ClassVar
-
-import numpy as np
+from functools import partial
 
 from rtee.buses.canopen import CanopenBus
 from rtee.buses.emulator import CanFrame
-from rtee.drivers.base import Driver
-from rtee.drivers.cia402 import cia301
+from rtee.drivers.cia402 import cia301, codec
 from rtee.drivers.cia402.cia301 import NmtState, emergency_name
-from rtee.drivers.cia402.codec import Limits, Mode, State, StatusBit
+from rtee.drivers.cia402.codec import Control, Mode, Object, State, StatusBit
 from rtee.drivers.cia402.drive import DriveLink
 from rtee.drivers.cia402.options import Cia402Options
-from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import read_options
-from rtee.errors import (
-    BusTimeout,
-    ConfigError,
-    DeviceFault,
-    NotConnected,
-)
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, JointKind, Reference
+from rtee.errors import BusError, BusTimeout, DeviceFault, NotConnected
+from rtee.types import DeviceSpec
 
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
+MODES = {"profile_position": Mode.PROFILE_POSITION, "cyclic_position": Mode.CYCLIC_POSITION}
+"""Mode of operation (object 6060h) by the name of the option."""
 
-NOT_ENABLED = 0x10002
-_MODES = {"profile_position": Mode.PROFILE_POSITION, "cyclic_position": Mode.CYCLIC_POSITION}
-_FRAME_BITS = 135.0
-_SYNC_BITS = 52.0
+SET_UP_WITHIN = 10.0
+"""Longest time for the SDO transfers that set up one drive, about forty [s]."""
+
+_NOT_ENABLED = 0x10002
+_HOMING_FAILED = 0x10003
+"""Codes of faults of the driver's own; above 16 bits, so that no drive's error code is the same."""
+
+_HOMING_PERIOD = 0.005
+"""Pause between two SYNCs while a drive homes [s]; homing takes seconds."""
+
+_OLD_STATUS = 0.05
+"""A drive may report an earlier homing for this long after it was started again [s]."""
 
 
-class Cia402Cycle(Driver):
-    """What happens every cycle: set-points, SYNC, states.
+class DriveCycle:
+    """Exchanges process data with the drives of a device, one SYNC per cycle.
+
+    A set-point takes effect with the SYNC that follows it, and every drive answers that SYNC with
+    its state.
+
+    Args:
+        spec: The device.
+        bus: The network.
+        options: The device's options.
 
     Attributes:
+        bus: The network.
         drives: The drives, in the order of the actuators.
+        mode: Mode of operation that is commanded.
+        operational: Whether the drives have been started, so that they answer SYNC.
     """
 
-    Options: ClassVar[type[Cia402Options]] = Cia402Options
-
-    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        super().__init__(spec, buses)
-        self.options = read_options(Cia402Options, spec)
-        names = [a.name for a in spec.actuators]
-        if set(names) != set(self.options.nodes):
-            absent = sorted(set(names) ^ set(self.options.nodes))
-            raise ConfigError(
-                f"device '{spec.name}': option 'nodes' must name the device's actuators, each "
-                f"once; these do not match: {', '.join(absent)}"
-            )
-        for actuator in spec.actuators:
-            prismatic = actuator.kind is JointKind.PRISMATIC
-            if prismatic and self.options.nodes[actuator.name].counts is None:
-                raise ConfigError(
-                    f"device '{spec.name}': '{actuator.name}' is prismatic, so its node needs "
-                    "'counts' per m: drives do not tell the unit of their feed"
-                )
-        self.mode = _MODES[self.options.mode]
-        self.drives: list[DriveLink] = []
-        self._bus: CanopenBus | None = None
-        self._told = asyncio.Event()
+    def __init__(self, spec: DeviceSpec, bus: CanopenBus, options: Cia402Options) -> None:
+        self.bus = bus
+        self.mode = MODES[options.mode]
+        self.operational = False
+        self.drives = [DriveLink(bus, options.nodes[a.name], a.name) for a in spec.actuators]
+        self._device = spec.name
+        self._options = options
+        self._news = asyncio.Event()
         self._beat = -math.inf
-        self._homed: set[int] = set()
-        self._home_asked = False
-        self._active = False
-        self._operational = False
-        self._attached = Attached(spec.actuators)
-        n = len(names)
-        bits = _SYNC_BITS + n * 3 * _FRAME_BITS
-        self.capabilities = Capabilities(
-            measures=frozenset({"position", "velocity", "effort"}),
-            accepts=frozenset({"position", "max_effort", "max_velocity"}),
-            best_rate=self.options.bitrate / (bits * 1.2),
-            homing=any(node.homing_method is not None for node in self.options.nodes.values()),
-            watchdog=self.options.watchdog > 0.0,
-            recoverable=True,
-        )
+        for drive in self.drives:
+            drive.attach(options.sdo_timeout, self._news.set)
 
-    @property
-    def _network(self) -> CanopenBus:
-        if self._bus is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._bus
+    def detach(self) -> None:
+        """Stop listening to the drives."""
+        for drive in self.drives:
+            drive.detach()
 
-    async def _synchronise(self) -> None:
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def synchronise(self) -> None:
         """Send a SYNC and wait for the state of all drives.
 
         Raises:
             BusTimeout: if one does not answer.
-            NotConnected: if one has started anew.
+            NotConnected: if one has restarted.
         """
-        bus, options = self._network, self.options
-        now = time.monotonic()
-        if options.watchdog > 0.0 and now - self._beat > options.watchdog / 4.0:
-            self._beat = now
-            bus.send_now(cia301.heartbeat(options.host, NmtState.OPERATIONAL))
+        bus, now = self.bus, time.monotonic()
+        self._send_heartbeat(now)
         before = [drive.stamp for drive in self.drives]
         bus.send_now(CanFrame(cia301.SYNC))
         bus.counters.transactions += 1
-        end = now + options.deadline
+        end = now + self._options.deadline
         while True:
             bus.check()
             late = [d.id for d, stamp in zip(self.drives, before, strict=True) if d.stamp <= stamp]
             restarted = [d for d in self.drives if d.booted]
             if restarted:
                 raise NotConnected(
-                    self.spec.name, f"node {restarted[0].id} has started anew; was its supply cut?"
+                    self._device, f"node {restarted[0].id} has started anew; was its supply cut?"
                 )
             if not late:
                 return
-            self._told.clear()
+            self._news.clear()
             try:
                 async with asyncio.timeout(end - time.monotonic()):
-                    await self._told.wait()
+                    await self._news.wait()
             except TimeoutError:
                 bus.counters.timeouts += 1
                 nodes = ", ".join(str(number) for number in late)
                 raise BusTimeout(bus.name, f"no process data from node {nodes}") from None
 
-    async def _exchange(self) -> None:
+    def _send_heartbeat(self, now: float) -> None:
+        """Send this program's heartbeat when it is due: four times within the drives' patience."""
+        watchdog = self._options.watchdog
+        if watchdog > 0.0 and now - self._beat > watchdog / 4.0:
+            self._beat = now
+            self.bus.send_now(cia301.heartbeat(self._options.host, NmtState.OPERATIONAL))
+
+    async def exchange(self) -> None:
+        """Send all set-points again, then as `synchronise`."""
         for drive in self.drives:
             drive.send_command(self.mode)
-        await self._synchronise()
+        await self.synchronise()
 
-    async def sense(self) -> ActuatorState:
-        """Have the drives take their set-points and tell their state, by one SYNC."""
-        await self._synchronise()
-        if self._active:
-            self._refuse()
-        drives = self.drives
-        return ActuatorState.measured(
-            [d.scale.to_position(self._measured(d)) for d in drives],
-            min(d.stamp for d in drives),
-            velocity=[d.scale.to_velocity(d.motion.velocity) for d in drives],
-            effort=[d.scale.to_effort(d.motion.torque) for d in drives],
-            warnings=tuple(
-                f"node {d.id} ({d.name}) warns"
-                for d in drives
-                if d.status is not None and d.status.statusword & StatusBit.WARNING
-            ),
-        )
+    async def settle(self) -> None:
+        """Synchronise until all drives have answered; raises `BusTimeout` if they never do."""
+        end = time.monotonic() + self._options.enable_timeout
+        while True:
+            try:
+                await self.synchronise()
+            except BusTimeout:
+                if time.monotonic() > end:
+                    raise
+            else:
+                return
 
-    async def move(self, reference: Reference) -> None:
-        """Send limits that have changed, then set-points; the next SYNC makes them count."""
-        left: Collection[int] = ()
-        if self._attached:
-            here = [d.scale.to_position(self._measured(d)) for d in self.drives]
-            left = self._attached.left(reference, np.array(here))
-        for i, drive in enumerate(self.drives):
-            if reference.mask[i]:
-                effort, velocity = float(reference.max_effort[i]), float(reference.max_velocity[i])
-                drive.send_limits(self._limits(drive, effort, velocity))
-            if reference.mask[i] and i not in left:
-                drive.target = drive.scale.to_counts(float(reference.position[i]))
-            drive.send_command(self.mode)
+    # --- faults ------------------------------------------------------------------------------
 
-    def _limits(self, drive: DriveLink, effort: float, velocity: float) -> Limits:
-        torque = self.options.max_torque
-        if math.isfinite(effort) and math.isfinite(drive.scale.rated_torque):
-            torque = min(torque, drive.scale.to_permille(effort))
-        fastest = velocity
-        if not math.isfinite(fastest):
-            name = drive.name
-            fastest = next(a.velocity for a in self.spec.actuators if a.name == name)
-        counts = drive.scale.to_velocity_limit(fastest) if math.isfinite(fastest) else 2**31 - 1
-        return Limits(torque, counts)
+    def broken(self) -> list[DriveLink]:
+        """Return the drives that are in fault."""
+        return [d for d in self.drives if d.state in (State.FAULT, State.FAULT_REACTION)]
 
-    def _refuse(self) -> None:
+    def check_faults(self) -> None:
+        """Raise the `DeviceFault` of the first drive that is in fault."""
+        for drive in self.broken():
+            raise self._fault(drive)
+
+    def check_enabled(self) -> None:
+        """Raise `DeviceFault` unless every drive is enabled."""
+        if all(drive.state is State.ENABLED for drive in self.drives):
+            return
+        self.check_faults()
         for drive in self.drives:
-            if drive.state in (State.FAULT, State.FAULT_REACTION):
-                raise self._fault(drive)
             if drive.state is not State.ENABLED:
                 raise DeviceFault(
-                    self.spec.name,
-                    NOT_ENABLED,
+                    self._device,
+                    _NOT_ENABLED,
                     f"node {drive.id} ({drive.name}) is {drive.state.name.lower()}",
                     hint="`rtee recover` enables it again",
                 )
@@ -189,28 +158,116 @@ class Cia402Cycle(Driver):
         code = drive.motion.error or (drive.emergency.code if drive.emergency else 0)
         name = emergency_name(code) if code else "no reason told"
         return DeviceFault(
-            self.spec.name,
+            self._device,
             code,
             f"node {drive.id} ({drive.name}): {name}",
             hint="remove the cause, then `rtee recover`",
         )
 
-    async def _settled(self) -> None:
-        """Have the drives tell their state, patiently; raises `BusTimeout` in the end."""
-        end = time.monotonic() + self.options.enable_timeout
+    async def reset_faults(self) -> None:
+        """Reset the drives that are in fault; they stay disabled.
+
+        Raises:
+            DeviceFault: if one stays in fault.
+            BusError: if the network fails.
+        """
+        end = time.monotonic() + self._options.enable_timeout
+        await self.settle()
+        while broken := self.broken():
+            if time.monotonic() > end:
+                raise self._fault(broken[0])
+            for drive in broken:
+                # The rising edge of its bit resets.
+                edge = drive.controlword == Control.DISABLE_VOLTAGE
+                drive.controlword = Control.FAULT_RESET if edge else Control.DISABLE_VOLTAGE
+                drive.forget()
+            with contextlib.suppress(BusTimeout):
+                await self.exchange()
+        for drive in self.drives:
+            drive.emergency = None
+            enabled = drive.state is State.ENABLED
+            drive.controlword = Control.ENABLE if enabled else Control.DISABLE_VOLTAGE
+
+    # --- power and homing --------------------------------------------------------------------
+
+    async def enable(self) -> None:
+        """Enable all drives where they are, one transition of their state machine at a time.
+
+        Raises:
+            DeviceFault: if one is in fault, or is not enabled in time.
+            BusError: if the network fails.
+        """
+        end = time.monotonic() + self._options.enable_timeout
         while True:
-            try:
-                await self._synchronise()
-            except BusTimeout:
-                if time.monotonic() > end:
-                    raise
-                continue
-            return
+            self.check_faults()
+            disabled = [d for d in self.drives if d.state is not State.ENABLED]
+            for drive in disabled:
+                control = codec.next_control(drive.state)
+                if control is not None:
+                    drive.controlword = control
+                # Once enabled it goes to its target, which must be where it is.
+                drive.assume(drive.position)
+            if not disabled:
+                return
+            if time.monotonic() > end:
+                slow = disabled[0]
+                raise DeviceFault(
+                    self._device,
+                    _NOT_ENABLED,
+                    f"node {slow.id} ({slow.name}) stays {slow.state.name.lower()}",
+                    hint="is the motor's supply on, and no safe stop active?",
+                )
+            with contextlib.suppress(BusTimeout):
+                await self.exchange()
 
-    @staticmethod
-    def _measured(drive: DriveLink) -> int:
-        return 0 if drive.status is None else drive.status.position
+    async def home(self, drive: DriveLink) -> None:
+        """Let one drive, which is enabled, look for its zero; cancelling disables it.
 
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the network."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
+        Raises:
+            DeviceFault: if it reports a fault, a homing error, or takes too long.
+            BusError: if the network fails.
+        """
+        mode, method = self.mode, drive.options.homing_method or 0
+        await self.bus.run(
+            partial(drive.download, Object.HOMING_METHOD, 0, "b", method), SET_UP_WITHIN
+        )
+        self.mode = Mode.HOMING
+        try:
+            await self._search(drive)
+        except BaseException:
+            drive.controlword = Control.DISABLE_VOLTAGE
+            with contextlib.suppress(BusError):
+                drive.send_command(self.mode)
+                self.bus.send_now(CanFrame(cia301.SYNC))
+            raise
+        finally:
+            self.mode = mode
+        drive.controlword = Control.ENABLE
+
+    async def _search(self, drive: DriveLink) -> None:
+        """Start homing once the drive is in that mode, and wait until it has found its zero."""
+        end = time.monotonic() + self._options.homing_timeout
+        begun = math.inf
+        while True:
+            if drive.status is not None and drive.status.mode == Mode.HOMING:
+                begun = min(begun, time.monotonic())
+            started = math.isfinite(begun)
+            drive.controlword = Control.ENABLE | (codec.HOMING_START if started else 0)
+            with contextlib.suppress(BusTimeout):
+                await self.exchange()
+            if drive.state is State.FAULT:
+                raise self._fault(drive)
+            status = 0 if drive.status is None else drive.status.statusword
+            current = time.monotonic() > begun + _OLD_STATUS
+            failed = current and status & StatusBit.HOMING_ERROR
+            found = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
+            if current and found and not failed:
+                return
+            if failed or time.monotonic() > end:
+                raise DeviceFault(
+                    self._device,
+                    _HOMING_FAILED,
+                    f"homing failed: {drive.name}",
+                    hint="free it; `rtee recover` homes again",
+                )
+            await asyncio.sleep(_HOMING_PERIOD)

@@ -1,4 +1,4 @@
-"""The driver's side of one drive: its set-up by SDO, its process data, what it reports."""
+"""The driver's side of one drive: set-up by SDO, process data, reports."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ from rtee.drivers.cia402.options import NodeOptions
 from rtee.errors import BusBroken, BusTimeout, DriverError
 
 _SYNCHRONOUS = 1
+"""Transmission type of a PDO that is sent or applied with every SYNC (CiA 301)."""
+
 _TRIES = 3
-"""How often an SDO transfer is begun: a frame may be lost, or this computer busy for a moment."""
+"""How often an SDO transfer is tried: a frame may be lost, or this computer busy for a moment."""
+
 _LATE = 0.01
+"""Pause before the next try, in which an answer that is late still arrives and is dropped [s]."""
 
 
 @dataclass
@@ -35,12 +39,13 @@ class DriveLink:
         motion: Its newest velocity, torque and error.
         stamp: When the status came [s].
         nmt: Its newest NMT state.
-        booted: It has started anew since `clear`.
+        booted: It has restarted since this was last set to ``False``.
         emergency: Its newest emergency that is not over.
-        controlword: What it is told next.
-        target: Where it is told to go next [counts].
-        pending: A set-point that the drive has not acknowledged yet is under way.
-        found_target: Target that it had when it was set up [counts], ``None`` if it does not tell.
+        controlword: The controlword that is sent next.
+        target: The target position that is sent next [counts].
+        pending: A set-point has been sent that the drive has not acknowledged yet.
+        found_target: Target that it had when it was set up [counts]; ``None``: it cannot be read.
+        limits: The limits that were sent last.
     """
 
     bus: CanopenBus
@@ -61,7 +66,7 @@ class DriveLink:
     _sent_target: int | None = None
     _undo: list[Callable[[], None]] = field(default_factory=list)
     _remote: Any = None
-    _told: Callable[[], None] = lambda: None
+    _notify: Callable[[], None] = lambda: None
 
     @property
     def id(self) -> int:
@@ -70,35 +75,40 @@ class DriveLink:
 
     @property
     def state(self) -> State:
-        """Its state, as it told last."""
+        """Its state, as reported last."""
         return State.NOT_READY if self.status is None else self.status.state
+
+    @property
+    def position(self) -> int:
+        """Its position, as reported last [counts]; 0 before the first report."""
+        return 0 if self.status is None else self.status.position
 
     # --- SDO -----------------------------------------------------------------------------------
 
-    def attach(self, timeout: float, told: Callable[[], None]) -> None:
+    def attach(self, timeout: float, notify: Callable[[], None]) -> None:
         """Begin to listen to it.
 
         Args:
             timeout: Longest time for an SDO transfer [s].
-            told: Called when its status or a restart has been heard.
+            notify: Called when it has reported its status or a restart.
         """
         import canopen
 
-        self._told = told
+        self._notify = notify
         self._remote = canopen.RemoteNode(self.id, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
         self.bus.network.add_node(self._remote)
         self._remote.sdo.RESPONSE_TIMEOUT = timeout
-        for cob, take in (
-            (TPDO[0] + self.id, self._take_status),
-            (TPDO[1] + self.id, self._take_motion),
-            (cia301.HEARTBEAT + self.id, self._take_heartbeat),
-            (cia301.EMERGENCY + self.id, self._take_emergency),
+        for cob, receive in (
+            (TPDO[0] + self.id, self._receive_status),
+            (TPDO[1] + self.id, self._receive_motion),
+            (cia301.HEARTBEAT + self.id, self._receive_heartbeat),
+            (cia301.EMERGENCY + self.id, self._receive_emergency),
         ):
-            self._undo.append(self.bus.subscribe(take, cob))
-        self._undo.append(self.bus.watch(told))
+            self._undo.append(self.bus.subscribe(receive, cob))
+        self._undo.append(self.bus.watch(notify))
 
     def detach(self) -> None:
-        """Listen no more; idempotent."""
+        """Stop listening; idempotent."""
         for undo in self._undo:
             undo()
         self._undo.clear()
@@ -111,14 +121,14 @@ class DriveLink:
 
         Raises:
             DriverError: if the drive refuses.
-            BusTimeout: if it does not answer, whenever it is asked.
+            BusTimeout: if it does not answer, however often it is asked.
         """
         return bytes(self._transfer(lambda: self._remote.sdo.upload(index, subindex), index))
 
     def download(
         self, index: int, subindex: int, form: str, value: int, *, tries: int = _TRIES
     ) -> None:
-        """Write an object, asked for so many times; in the worker thread. Raises as `upload`."""
+        """Write an object, trying at most so often; in the worker thread. Raises as `upload`."""
         data = struct.pack(f"<{form}", value)
         self._transfer(lambda: self._remote.sdo.download(index, subindex, data), index, tries)
 
@@ -134,7 +144,7 @@ class DriveLink:
                 except canopen.SdoCommunicationError:
                     if tries <= 0:
                         raise
-                    # Nothing here has a cycle to keep; a late answer must not meet the next try.
+                    # This is the worker thread: the event loop and its cycles go on meanwhile.
                     self.bus.counters.retries += 1
                     time.sleep(_LATE)
         except canopen.SdoAbortedError as error:
@@ -232,8 +242,8 @@ class DriveLink:
         target = self.target if not self.pending else self._sent_target or 0
         self.bus.send_now(CanFrame(RPDO[0] + self.id, Command(word, target, mode).to_bytes()))
 
-    def took(self, mode: Mode) -> bool:
-        """Return whether the drive has the target, as far as it can tell."""
+    def acknowledged(self, mode: Mode) -> bool:
+        """Return whether the drive has the target, as far as that can be known."""
         if mode is not Mode.PROFILE_POSITION or self.state is not State.ENABLED:
             return True
         return not self.pending and self._sent_target == self.target
@@ -244,40 +254,50 @@ class DriveLink:
         self._sent_target = None
         self.limits = None
 
-    def stand(self, counts: int) -> None:
-        """Take a position for the set-point that the drive already has."""
+    def assume(self, counts: int) -> None:
+        """Take a position for the target that the drive already has; nothing is sent for it."""
         self.target = counts
         self._sent_target = counts
         self.pending = False
 
-    # --- what it tells -------------------------------------------------------------------------
+    def attach_as_found(self, mode: Mode) -> None:
+        """Adopt the drive as it reports itself: one that is enabled keeps its power and target."""
+        enabled = self.state is State.ENABLED
+        self.controlword = codec.Control.ENABLE if enabled else codec.Control.DISABLE_VOLTAGE
+        target = self.position
+        # A target means something only in the mode in which it was given.
+        if enabled and self.status is not None and self.status.mode == mode:
+            target = target if self.found_target is None else self.found_target
+        self.assume(target)
 
-    def _take_status(self, frame: CanFrame) -> None:
+    # --- reports -------------------------------------------------------------------------------
+
+    def _receive_status(self, frame: CanFrame) -> None:
         try:
             self.status = Status.from_bytes(frame.data)
         except CanopenFrameError:
             return
         self.stamp = frame.stamp or time.monotonic()
-        self._told()
+        self._notify()
 
-    def _take_motion(self, frame: CanFrame) -> None:
+    def _receive_motion(self, frame: CanFrame) -> None:
         try:
             self.motion = Motion.from_bytes(frame.data)
         except CanopenFrameError:
             return
 
-    def _take_heartbeat(self, frame: CanFrame) -> None:
+    def _receive_heartbeat(self, frame: CanFrame) -> None:
         try:
             self.nmt = cia301.read_heartbeat(frame.data)
         except CanopenFrameError:
             return
         if self.nmt is NmtState.BOOT:
             self.booted = True
-            self._told()
+            self._notify()
 
-    def _take_emergency(self, frame: CanFrame) -> None:
+    def _receive_emergency(self, frame: CanFrame) -> None:
         try:
-            told = Emergency.from_bytes(frame.data)
+            emergency = Emergency.from_bytes(frame.data)
         except CanopenFrameError:
             return
-        self.emergency = told if told.code else None
+        self.emergency = emergency if emergency.code else None

@@ -6,6 +6,7 @@ reactions are those that its own objects (6007, 605E) ask for, as far as they ar
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,10 +24,15 @@ from rtee.drivers.cia402.codec import (
     State,
     StatusBit,
 )
-from rtee.drivers.cia402.emulated_homing import METHODS, Leg, Method, way_home
 from rtee.drivers.cia402.node import Entry, Node
 from rtee.drivers.properties import Positive
 
+Method = Literal[1, 2, 17, 18, 33, 34, 35, 37]
+METHODS: tuple[Method, ...] = (1, 2, 17, 18, 33, 34, 35, 37)
+"""Homing methods that are known (object 6098h)."""
+
+
+# State and the low four bits of a controlword, to the state that they lead to.
 _TRANSITIONS = {
     (State.SWITCH_ON_DISABLED, 0x06): State.READY,
     (State.READY, 0x07): State.SWITCHED_ON,
@@ -44,12 +50,20 @@ RATED = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
+class Leg:
+    """A part of the way: where it ends [counts of the axis], and its speed [counts/s]."""
+
+    end: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
 class DriveProperties:
     """What the emulated drives are like.
 
     Attributes:
         nodes: Their node ids.
-        device_type: Profile they tell; 402 is that of drives.
+        device_type: Profile they report; 402 is that of drives.
         vendor: Vendor id.
         product: Product code.
         name: Device name.
@@ -68,7 +82,7 @@ class DriveProperties:
         following_error: Error at which it faults in cyclic mode [counts]; 0: never.
         homed: Whether it knows its position at power-up.
         homing_methods: Those it knows (object 6098h); any other ends in a homing error.
-        sampled: Whether a SYNC's answer tells how the drive was ``before`` it took that SYNC's
+        sampled: Whether a SYNC's answer reports how the drive was ``before`` it took that SYNC's
             set-points, or ``after``.
     """
 
@@ -183,7 +197,7 @@ class Drive:
         node.add(Object.SUPPORTED_MODES, 0, "I", modes, writable=False)
 
     def reset(self) -> None:
-        """Begin anew: not enabled, heartbeats off, PDOs disabled."""
+        """Restart: not enabled, heartbeats off, PDOs disabled."""
         self.state = State.SWITCH_ON_DISABLED
         self.emergencies = []
         self._control = 0
@@ -304,7 +318,7 @@ class Drive:
             self._aim(self._legs[0].end if self._legs else axis.position)
         elif not self._halted and axis.target == leg.end and axis.velocity == 0.0:
             blocked = axis.position in (axis.lower, axis.upper)
-            if blocked:  # it stands at a stop, and what it looks for would be beyond
+            if blocked:  # it is at a stop, and what it looks for would be beyond
                 self._stay()
                 self._homing_error = True
         else:
@@ -393,3 +407,39 @@ class Drive:
         node.set(Object.VELOCITY, round(axis.velocity))
         node.set(Object.TORQUE, round(axis.effort))
         node.set(Object.CURRENT, round(axis.effort))
+
+
+def way_home(
+    method: int, here: float, *, negative: Leg, positive: Leg, turn: int, slow: float
+) -> list[Leg]:
+    """Return where a homing method leads, leg by leg; the last one ends at home.
+
+    Args:
+        method: 1, 2 (limit switch and index pulse), 17, 18 (limit switch), 33, 34 (index pulse),
+            35 or 37 (where it is).
+        here: Where the axis is [counts].
+        negative: To the negative limit switch.
+        positive: To the positive one.
+        turn: Counts between two index pulses.
+        slow: Speed at which index pulses are looked for [counts/s].
+    """
+
+    def pulse(start: float, direction: int) -> Leg:
+        return Leg((math.floor(direction * start / turn) + 1) * turn * direction, slow)
+
+    match method:
+        case 1:
+            return [negative, pulse(negative.end, 1)]
+        case 2:
+            return [positive, pulse(positive.end, -1)]
+        case 17:
+            return [negative]
+        case 18:
+            return [positive]
+        case 33:
+            return [pulse(here, -1)]
+        case 34:
+            return [pulse(here, 1)]
+        case 35 | 37:
+            return [Leg(here, slow)]
+    raise ValueError(f"there is no way for homing method {method}")

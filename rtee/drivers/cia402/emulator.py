@@ -45,7 +45,7 @@ class Cia402Emulator(Emulator, Grasps):
         return cls(read_properties(DriveProperties, options, **({"nodes": ids} if ids else {})))
 
     def power_cycle(self, now: float) -> None:
-        """Begin anew; positions of drives without absolute encoder are lost."""
+        """Restart; positions of drives without absolute encoder are lost."""
         self._booted = False
         for drive in self.drives.values():
             drive.homed = self.properties.homed

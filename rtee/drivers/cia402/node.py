@@ -21,9 +21,9 @@ from rtee.drivers.cia402.cia301 import (
     Sdo,
 )
 
-_RECEIVE, _TRANSMIT = 0x1400, 0x1800
-_MAP = 0x200
-_COUNT = 4
+_RECEIVE, _TRANSMIT = 0x1400, 0x1800  # communication parameters of the first PDO
+_MAP = 0x200  # from those to the mapping of the same PDO
+_COUNT = 4  # PDOs in each direction
 
 
 @dataclass(slots=True)
@@ -59,7 +59,7 @@ class Node:
         number: Its node id.
         objects: Its dictionary by index and subindex.
         state: Its NMT state.
-        on_reset: Called when it starts anew.
+        on_reset: Called when it restarts.
         on_silence: Called when the host's heartbeat was lost.
         inhibited: It answers nothing.
     """

@@ -6,9 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from rtee.drivers.options import DeviceOptions
-
-Positive = Annotated[float, Field(gt=0.0)]
+from rtee.drivers.options import DeviceOptions, Positive
 
 
 class NodeOptions(BaseModel):

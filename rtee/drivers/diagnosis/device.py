@@ -19,7 +19,7 @@ from rtee.errors import BusBusy, DeviceFault, DriverError, HandshakeError, NotCo
 from rtee.types import ActuatorState, DeviceSpec
 
 _CAN_RATE = 1_000_000
-"""Of a device's CAN bus whose bit rate is no option [bit/s]."""
+"""Of a device's CAN bus whose bit rate is not an option [bit/s]."""
 
 
 def address_of(options: Mapping[str, Any]) -> str | None:
@@ -32,13 +32,13 @@ def address_of(options: Mapping[str, Any]) -> str | None:
 
 
 def _search(options: Mapping[str, Any]) -> Plan | None:
-    """Return how to look for whoever is there instead, if there is a way."""
+    """Return how to look for another device there, if there is a way."""
     address = address_of(options)
     if address is not None:
         network = address.startswith("tcp://")
         return Plan(address, probes=network_probes() if network else serial_probes())
     if {"channel", "interface"} <= options.keys():
-        # An Allegro Hand's bus has one bit rate, so it is no option.
+        # An Allegro Hand's bus has one bit rate, so it is not an option.
         probe = can(str(options["interface"]), int(options.get("bitrate", _CAN_RATE)))
         return Plan(str(options["channel"]), probes=(probe,))
     return None
@@ -132,7 +132,7 @@ async def _fit(driver: Driver) -> Check:
 
 
 async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
-    """Look for whoever answers where a device does not, and say how to reach him."""
+    """Look for what answers where a device does not, and say how to reach it."""
     await driver.close()
     [result] = await scan([plan], pool)
     if result.problem:

@@ -11,6 +11,7 @@ from rtee.errors import BusTimeout, FrameError
 from rtee.types import ActuatorState, Reference
 
 _STEP = 0.02
+"""Time between two references while it twitches [s], slow enough for every bus."""
 
 
 async def twitch(

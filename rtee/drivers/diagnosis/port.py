@@ -1,4 +1,4 @@
-"""What about an address can be told before anything is sent there."""
+"""What can be found out about an address before anything is sent there."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def _name(process: Path) -> str:
 
 
 def _latency(path: Path, root: Path) -> Check | None:
-    """Return how the latency timer of an FTDI adapter stands; ``None`` for other adapters."""
+    """Return how the latency timer of an FTDI adapter is set; ``None`` for other adapters."""
     name = path.resolve().name
     file = root / "sys/bus/usb-serial/devices" / name / "latency_timer"
     try:

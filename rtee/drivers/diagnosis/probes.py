@@ -17,12 +17,12 @@ from rtee.buses.serial import SerialBus
 from rtee.errors import BusError, BusTimeout, FrameError
 
 _HAND_INFO = 7
-"""Bytes in which an Allegro Hand tells what it is."""
+"""Bytes in which an Allegro Hand reports what it is."""
 
 _NOBODYS_UNIT = 213
-"""A Modbus number that is no device's of those known: who answers to it answers to all."""
+"""A Modbus number that is no device's of those known: what answers to it answers to all."""
 _OWNER = "scan"
-_ANSWER = 0.04
+_ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +192,7 @@ def dynamixel(baudrate: int) -> Probe:
     """Return a probe for Dynamixel servos at one rate.
 
     A line that carries every rate alike, such as a played one, has servos answer at all of them;
-    they are then found at the rate that they tell.
+    they are then found at the rate that they report.
     """
     from rtee.drivers.dynamixel.codec import ALERT
     from rtee.drivers.dynamixel.table import BAUD_RATE, BAUD_RATES, model_of

@@ -11,6 +11,7 @@ from rtee.drivers.diagnosis.probes import Found, Probe
 from rtee.errors import BusBusy, BusError
 
 DYNAMIXEL_RATES = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
+"""Rates at which Dynamixels are looked for [baud]: as from the factory, then the usual ones."""
 
 
 @dataclass(frozen=True, slots=True)

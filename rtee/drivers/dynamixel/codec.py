@@ -15,8 +15,8 @@ from typing import Self, TypeVar
 from rtee.buses.parser import FramedParser
 
 HEADER = b"\xff\xff\xfd\x00"
-BROADCAST = 0xFE
-STATUS = 0x55
+BROADCAST = 0xFE  # the id that all servos listen to
+STATUS = 0x55  # stands where a request has its instruction
 LONGEST = 1024
 """Largest length field that is taken for one."""
 _STUFFED = b"\xff\xff\xfd"
@@ -158,7 +158,7 @@ class StatusPacket:
     Attributes:
         device: Its id.
         error: Error number, and the alert bit.
-        params: What it tells.
+        params: What it reports.
     """
 
     device: int
@@ -199,7 +199,7 @@ def read_fast_status(raw: bytes, sizes: Sequence[int]) -> list[StatusPacket]:
     """Return the answers in a packet of several servos with so many bytes of data each.
 
     Raises:
-        DynamixelFrameError: if it is no such packet, or one of its CRCs does not match.
+        DynamixelFrameError: if it is not such a packet, or one of its CRCs does not match.
     """
     if len(raw) != 8 + sum(sizes) + 4 * len(sizes) or raw[:5] != HEADER + bytes([BROADCAST]):
         raise DynamixelFrameError("this is no answer of several servos")

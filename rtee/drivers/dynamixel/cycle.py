@@ -1,107 +1,173 @@
-"""What a line of Dynamixels does every cycle: read all, write all, look after their health."""
+"""The cycle of Dynamixel servos on one line: read all, write all, watch their health."""
 
 from __future__ import annotations
 
 import math
 import struct
 import time
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from rtee.drivers.base import Driver
+from rtee.buses.dynamixel import DynamixelBus
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.options import DynamixelOptions
 from rtee.drivers.dynamixel.setup import Found
+from rtee.drivers.dynamixel.table import model_of
 from rtee.drivers.dynamixel.units import Scale, Scales
-from rtee.drivers.emulators import owner_of
 from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import read_options
-from rtee.errors import ConfigError, DeviceFault, NotConnected
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
+from rtee.errors import CalibrationError, ConfigError, DeviceFault
+from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
 
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
+_STATE = struct.Struct("<hii")
+"""Present current, velocity and position, side by side in the control table."""
 
-STATE = struct.Struct("<hii")
-"""Current, velocity and position, side by side in the control table."""
 _HEALTH = struct.Struct("<HB")
-GAINS = {"p": table.POSITION_P, "i": table.POSITION_I, "d": table.POSITION_D}
-"""Registers of the gains that can be tuned."""
+"""Present input voltage [0.1 V] and temperature [°C], side by side in the control table."""
+
+_TRIPPED = 0xFF
+"""Bus watchdog (address 98) that has tripped: -1 as a byte."""
+
+_TIME_BASED = 0x04
+"""Bit of the drive mode (address 10): the profile velocity is a time, which limits no speed."""
 
 
-class DynamixelCycle(Driver):
-    """What happens every cycle: one group read, one group write.
+class ServoCycle:
+    """Reads and writes the servos of a device; every method runs in the worker thread.
+
+    Args:
+        spec: The device.
+        options: Its options.
+        bus: The line.
 
     Attributes:
+        link: Group reads and writes on the line.
+        names: The actuator of each servo, by id, in the order of the actuators.
         scales: Units of the joints, in the order of the actuators.
+        found: The servos as they were found, by id.
+        active: Whether the servos must have torque.
     """
 
-    Options: ClassVar[type[DynamixelOptions]] = DynamixelOptions
-
-    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        super().__init__(spec, buses)
-        self.options = read_options(DynamixelOptions, spec)
-        names = [a.name for a in spec.actuators]
-        if set(names) != set(self.options.servos):
-            absent = sorted(set(names) ^ set(self.options.servos))
-            raise ConfigError(
-                f"device '{spec.name}': option 'servos' must name the device's actuators, each "
-                f"once; these do not match: {', '.join(absent)}"
-            )
-        self._servos = [self.options.servos[name] for name in names]
-        self._ids = [servo.id for servo in self._servos]
-        self._names = dict(zip(self._ids, names, strict=True))
+    def __init__(self, spec: DeviceSpec, options: DynamixelOptions, bus: DynamixelBus) -> None:
+        ids = [options.servos[a.name].id for a in spec.actuators]
+        self.link = DynamixelLink(bus, ids, options.deadline, options.retries, options.turnaround)
+        self._device = spec.name
+        self._options = options
+        self._actuators = spec.actuators
+        self._servos = [options.servos[a.name] for a in spec.actuators]
+        self.names = dict(zip(ids, (a.name for a in spec.actuators), strict=True))
         self.scales = [Scale(s.zero, s.direction, s.gear) for s in self._servos]
-        self._units = Scales(self._ids, self.scales)
-        self._link: DynamixelLink | None = None
-        self._found: dict[int, Found] = {}
-        self._active = False
+        self.found: dict[int, Found] = {}
+        self.active = False
+        self._units = Scales(ids, self.scales)
         self._count = 0
-        self._temperature = np.full(len(names), math.nan)
+        self._temperature = np.full(len(self._servos), math.nan)
         self._extras: Mapping[str, FloatArray] = {}
-        self._sent: dict[str, dict[int, int]] = {}
-        self._settled: tuple[list[float], list[float], list[bool]] | None = None
+        self._sent: dict[table.Register, dict[int, int]] = {}
+        self._limits: tuple[list[float], list[float], list[bool]] | None = None
         self._attached = Attached(spec.actuators)
-        self._here: FloatArray = np.full(len(names), math.nan)
-        self.capabilities = Capabilities(
-            measures=frozenset({"position", "velocity", "current", "temperature"}),
-            accepts=frozenset({"position", "max_velocity"}),
-            best_rate=self._best_rate(fast=self.options.fast != "never"),
-            watchdog=self.options.watchdog > 0.0,
-            recoverable=True,
-            gains=tuple(GAINS),
-        )
+        self._measured: FloatArray = np.full(len(self._servos), math.nan)
 
-    def _best_rate(self, *, fast: bool) -> float:
-        n, size = len(self._ids), table.STATE_SIZE
-        answer = 8 + n * (size + 4) if fast else n * (size + 11)
-        count = 14 + n + answer + 14 + n * 5
-        return 1.0 / (count * 10.0 / self.options.baudrate + self.options.turnaround)
+    # --- set-up ------------------------------------------------------------------------------
 
-    @property
-    def _line(self) -> DynamixelLink:
-        if self._link is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._link
+    def find(self) -> None:
+        """Find all servos and adopt the units of their models; raises as `setup.find`."""
+        named = {name: self._options.servos[name] for name in self.names.values()}
+        self.found = setup.find(self.link, self._device, named, self._options.port)
+        # The delay of each answer, in the register's unit of 2 µs.
+        self.link.delay = sum(found.return_delay for found in self.found.values()) * 2e-6
+        for servo, scale in zip(self._servos, self.scales, strict=True):
+            model = model_of(self.found[servo.id].model)
+            scale.current_unit = servo.current_unit or model.current_unit
+            scale.torque_per_ampere = servo.torque_per_ampere or model.torque_per_ampere
 
-    async def sense(self) -> ActuatorState:
-        """Return current, velocity and position of all servos, read at once."""
-        self._count += 1
-        return await self._line.run(self._sense)
+    def unwrap(self) -> None:
+        """Find the turn that each joint is in.
 
-    def _sense(self) -> ActuatorState:
-        link = self._line
-        if self._count % self.options.health_every == 1 or self.options.health_every == 1:
-            self._look_after()
-        data, errors = link.read_group(table.STATE, table.STATE_SIZE)
+        Raises:
+            CalibrationError: if one is where it cannot be.
+            ConfigError: if the range of one crosses a turn, which the operating mode excludes.
+            BusError: if the line fails.
+        """
+        positions = self.positions()
+        for number, scale, actuator in zip(
+            self.link.ids, self.scales, self._actuators, strict=True
+        ):
+            pulses = positions[number]
+            outside = scale.unwrap(pulses, actuator.lower, actuator.upper)
+            if outside > self._options.outside:
+                raise CalibrationError(
+                    self._device,
+                    f"servo {number} ({actuator.name}) reads {scale.to_rad(pulses):.2f} rad, "
+                    f"{outside:.2f} rad outside its limits; its zero or direction is wrong, or "
+                    "two ids are swapped",
+                )
+            ends = [scale.to_pulses(a) for a in (actuator.lower, actuator.upper)]
+            if self._options.mode == "position" and not all(0 <= e < table.PULSES for e in ends):
+                raise ConfigError(
+                    f"device '{self._device}': the range of '{actuator.name}' crosses the turn "
+                    "of its servo; use mode 'extended_position' or 'current_based_position'"
+                )
+        self._units = Scales(self.link.ids, self.scales)
+
+    def set_zeros(self, angles: FloatArray) -> None:
+        """Take the present positions for these angles of the joints [rad]; raises `BusError`."""
+        positions = self.positions()
+        for number, scale, angle in zip(self.link.ids, self.scales, angles, strict=True):
+            scale.zero, scale.turn = 0.0, 0
+            pulses = positions[number]
+            scale.zero = float((pulses - scale.to_pulses(float(angle))) % table.PULSES)
+        self._units = Scales(self.link.ids, self.scales)
+
+    def positions(self) -> dict[int, int]:
+        """Return the servos' present positions [pulse], by id; raises `BusError`."""
+        data, _ = self.link.read_group(table.STATE, table.STATE_SIZE)
+        return {number: _STATE.unpack(data[number])[2] for number in self.link.ids}
+
+    def power(self) -> None:
+        """Set up and power the servos that are without torque, where they are.
+
+        Raises:
+            DeviceFault: if one has a hardware error.
+            BusError: if the line fails.
+        """
+        link = self.link
+        self.check()
+        positions = self.positions()
+        torque, _ = link.read_group(table.TORQUE.address, 1)
+        off = {n: replace(self.found[n], torque=False) for n in link.ids if not torque[n][0]}
+        at_rest = {n: positions[n] for n in off}
+        setup.prepare(link, self._options, off, at_rest, self._current_limits())
+        guard, _ = link.read_group(table.BUS_WATCHDOG.address, 1)
+        setup.arm(link, self._options.watchdog)
+        # What a servo does when a tripped watchdog is cleared must not depend on its old goal.
+        tripped = {n: positions[n] for n in link.ids if guard[n][0] == _TRIPPED}
+        link.write_group(table.GOAL_POSITION, tripped)
+        self._attached.begin(i for i, n in enumerate(link.ids) if n not in off and n not in tripped)
+        self._sent, self._limits = {}, None
+        if off:
+            self.find()
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    def sense(self) -> ActuatorState:
+        """Return current, velocity and position of all servos, read at once.
+
+        Raises:
+            DeviceFault: if a servo that must have torque has none, or a hardware error.
+            BusError: if the line fails.
+        """
+        count, self._count = self._count, self._count + 1
+        if count % self._options.health_every == 0:
+            self._read_health()
+        data, errors = self.link.read_group(table.STATE, table.STATE_SIZE)
         stamp = time.monotonic()
-        if self._active:
-            setup.refuse(link, self.spec.name, self._names, errors)
+        if self.active:
+            setup.refuse(self.link, self._device, self.names, errors)
         position, velocity, effort, current = self._units.measured(data)
-        self._here = position
+        self._measured = position
         return ActuatorState.measured(
             position,
             stamp,
@@ -112,50 +178,64 @@ class DynamixelCycle(Driver):
             extras=self._extras,
         )
 
-    def _look_after(self) -> None:
-        """Read voltages and temperatures; see that torque is on and no watchdog has tripped."""
-        link = self._line
+    def _read_health(self) -> None:
+        """Read voltages and temperatures; check that torque is on and no watchdog has tripped."""
+        link = self.link
         health, _ = link.read_group(table.HEALTH, table.HEALTH_SIZE)
-        read = np.array([_HEALTH.unpack(health[n]) for n in self._ids], dtype=np.float64)
+        read = np.array([_HEALTH.unpack(health[n]) for n in link.ids], dtype=np.float64)
         self._extras = {"voltage": read[:, 0] * 0.1}
         self._temperature = read[:, 1]
-        if not self._active:
+        if not self.active:
             return
         # The watchdog first: a tripped one explains a servo that does not follow.
-        if self.options.watchdog > 0.0:
-            guard, errors = link.read_group(table.BUS_WATCHDOG.address, 1)
-            tripped = [n for n in self._ids if guard[n][0] == 0xFF]
+        if self._options.watchdog > 0.0:
+            guard, _ = link.read_group(table.BUS_WATCHDOG.address, 1)
+            tripped = [n for n in link.ids if guard[n][0] == _TRIPPED]
             if tripped:
-                raise self._fault(setup.WATCHDOG_TRIPPED, "watchdog tripped", tripped)
+                raise self.fault(setup.WATCHDOG_TRIPPED, "watchdog tripped", tripped)
         torque, errors = link.read_group(table.TORQUE.address, 1)
-        setup.refuse(link, self.spec.name, self._names, errors)
-        lost = [n for n in self._ids if not torque[n][0]]
+        setup.refuse(link, self._device, self.names, errors)
+        lost = [n for n in link.ids if not torque[n][0]]
         if lost:
-            raise self._fault(setup.TORQUE_LOST, "torque lost", lost)
+            raise self.fault(setup.TORQUE_LOST, "torque lost", lost)
 
-    def _fault(self, code: int, what: str, numbers: list[int]) -> DeviceFault:
-        named = ", ".join(f"{n} ({self._names[n]})" for n in numbers)
+    def check(self) -> None:
+        """Raise the `DeviceFault` that the servos report, if any."""
+        _, errors = self.link.read_group(table.STATE, table.STATE_SIZE)
+        setup.refuse(self.link, self._device, self.names, errors)
+
+    def fault(self, code: int, what: str, numbers: Iterable[int]) -> DeviceFault:
+        """Return a fault of these servos."""
+        named = ", ".join(f"{n} ({self.names[n]})" for n in numbers)
         return DeviceFault(
-            self.spec.name, code, f"{what}: servo {named}", hint="`rtee recover` powers it again"
+            self._device, code, f"{what}: servo {named}", hint="`rtee recover` powers it again"
         )
 
-    async def move(self, reference: Reference) -> None:
-        """Write changed limits, then the goal positions."""
-        await self._line.run(lambda: self._move(reference))
-
-    def _move(self, reference: Reference) -> None:
+    def move(self, reference: Reference) -> None:
+        """Write changed limits, then the goal positions; raises `BusError`."""
         mask = reference.mask.tolist()
         asked = reference.max_effort.tolist(), reference.max_velocity.tolist(), mask
-        if asked != self._settled:
-            self._settled = None
+        if asked != self._limits:
+            self._limits = None
             self._write_limits(*asked)
-            self._settled = asked
+            self._limits = asked
         if self._attached:
-            left = self._attached.left(reference, self._here)
-            mask = [asked_for and i not in left for i, asked_for in enumerate(mask)]
+            left = self._attached.left(reference, self._measured)
+            mask = [commanded and i not in left for i, commanded in enumerate(mask)]
         pulses = self._units.pulses(reference.position)
-        goals = {n: p for n, p, asked_for in zip(self._ids, pulses, mask, strict=True) if asked_for}
-        self._line.write_group(table.GOAL_POSITION, goals)
+        columns = zip(self.link.ids, pulses, mask, strict=True)
+        self.link.write_group(table.GOAL_POSITION, {n: p for n, p, given in columns if given})
+
+    def hold(self) -> None:
+        """Make the present positions the goals; raises `BusError`."""
+        self._attached.begin()
+        self.link.write_group(table.GOAL_POSITION, self.positions())
+
+    @property
+    def limits_effort(self) -> bool:
+        """Whether a limit of effort can be turned into one of current, in this operating mode."""
+        known = all(math.isfinite(scale.to_effort(1.0)) for scale in self.scales)
+        return known and self._options.mode == "current_based_position"
 
     def _write_limits(
         self, efforts: list[float], velocities: list[float], mask: list[bool]
@@ -163,58 +243,35 @@ class DynamixelCycle(Driver):
         """Write limits of current and speed that have changed."""
         currents: dict[int, int] = {}
         speeds: dict[int, int] = {}
-        most = self._most_current()
-        limited = "max_effort" in self.capabilities.accepts
+        most, limited = self._current_limits(), self.limits_effort
         for number, scale, commanded, effort, velocity in zip(
-            self._ids, self.scales, mask, efforts, velocities, strict=True
+            self.link.ids, self.scales, mask, efforts, velocities, strict=True
         ):
             if not commanded:
                 continue
             if limited:
                 wanted = scale.to_current_counts(effort) if math.isfinite(effort) else most[number]
                 currents[number] = min(wanted, most[number])
-            # A profile velocity of 0 means none at all.
+            # A profile velocity of 0 means no limit.
             speeds[number] = scale.to_speed_counts(velocity) if math.isfinite(velocity) else 0
-        if self.options.mode == "current_based_position":
-            self._write_changed("current", table.GOAL_CURRENT, currents)
-        if not any(f.drive_mode & 0x04 for f in self._found.values()):
-            self._write_changed("speed", table.PROFILE_VELOCITY, speeds)
+        self._write_changed(table.GOAL_CURRENT, currents)
+        if not any(found.drive_mode & _TIME_BASED for found in self.found.values()):
+            self._write_changed(table.PROFILE_VELOCITY, speeds)
 
-    def _write_changed(self, what: str, register: table.Register, values: dict[int, int]) -> None:
-        sent = self._sent.setdefault(what, {})
+    def _write_changed(self, register: table.Register, values: dict[int, int]) -> None:
+        sent = self._sent.setdefault(register, {})
         changed = {n: v for n, v in values.items() if sent.get(n) != v}
         if changed:
-            self._line.write_group(register, changed)
+            self.link.write_group(register, changed)
             sent.update(changed)
 
-    async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Write gains of the position controllers of all servos."""
-        link = self._line
-
-        def write() -> None:
-            for name, value in gains.items():
-                count = min(max(round(value), 0), 16383)
-                link.write_group(GAINS[name], dict.fromkeys(self._ids, count))
-
-        await link.run(write)
-
-    def _most_current(self) -> dict[int, int]:
-        most = {}
+    def _current_limits(self) -> dict[int, int]:
+        """Return the largest current of each servo [counts]: its own limit, or a smaller option."""
+        limits = {}
         for servo, scale in zip(self._servos, self.scales, strict=True):
-            limit = self._found[servo.id].current_limit
-            wanted = servo.current or self.options.current
+            limit = self.found[servo.id].current_limit
+            wanted = servo.current or self._options.current
             if wanted is not None and math.isfinite(scale.current_unit):
                 limit = min(limit, round(wanted / scale.current_unit))
-            most[servo.id] = limit
-        return most
-
-    async def close(self) -> None:
-        """Give the line back; servos with torque keep it."""
-        link, self._link = self._link, None
-        self._active = False
-        if link is not None:
-            await link.bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the line."""
-        return {} if self._link is None else self._link.bus.counters.as_mapping()
+            limits[servo.id] = limit
+        return limits

@@ -9,20 +9,27 @@ from typing import Any, TypeVar
 import dynamixel_sdk as sdk
 
 from rtee.buses.dynamixel import DynamixelBus
+from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import Error
 from rtee.drivers.dynamixel.table import Register
 from rtee.errors import BusBroken, BusError, BusTimeout, DriverError, FrameError
 
 T = TypeVar("T")
-_NO_ERROR = 0x7F
+
+_ERROR_NUMBER = 0x7F
+"""Bits of a status packet's error byte beside the hardware alert (protocol 2.0)."""
+
 _LATENCY = 0.008
+"""Time allowed for an answer beyond that of its bytes, in a cycle [s]: some polls of an adapter
+whose latency timer is 1 ms."""
+
 _PATIENT_LATENCY = 0.03
-"""Time allowed for an answer beyond that of its bytes [s]."""
+"""The same in set-up [s]; the SDK allows 34 ms."""
 
 
 def _heard(result: int, error: int) -> int:
     """Return the SDK's result; a request that reached the servo damaged is worth another try."""
-    if result == sdk.COMM_SUCCESS and error & _NO_ERROR == Error.CRC:
+    if result == sdk.COMM_SUCCESS and error & _ERROR_NUMBER == Error.CRC:
         return int(sdk.COMM_RX_CORRUPT)
     return int(result)
 
@@ -183,6 +190,18 @@ class DynamixelLink:
         self.repeated(group.fastSyncRead if self.fast else group.txRxPacket)
         return {n: bytes(data) for n, data in group.data_dict.items()}, group.errors
 
+    def choose_read(self, choice: str) -> None:
+        """Decide whether groups are read by the fast sync read: ``auto``, ``always``, ``never``.
+
+        Older firmware does not know it, and does not answer then.
+        """
+        self.fast = choice != "never"
+        if choice == "auto":
+            try:
+                self.read_group(table.STATE, table.STATE_SIZE)
+            except BusError:
+                self.fast = False
+
     def write_group(self, register: Register, values: Mapping[int, int]) -> None:
         """Write a register of several servos at once; nothing answers."""
         params: list[int] = []
@@ -216,7 +235,7 @@ class DynamixelLink:
             return _heard(result, error)
 
         self.repeated(attempt)
-        error = errors[0] & _NO_ERROR
+        error = errors[0] & _ERROR_NUMBER
         if error:
             raise DriverError(
                 self.bus.name,

@@ -8,9 +8,8 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rtee.drivers.dynamixel.table import BAUD_RATES, CENTER, LATENCY, PULSES
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
 
-Positive = Annotated[float, Field(gt=0.0)]
 Gain = Annotated[int, Field(ge=0, le=16383)]
 
 

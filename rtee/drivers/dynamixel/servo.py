@@ -11,11 +11,11 @@ from rtee.drivers.dynamixel.codec import Error, Hardware
 from rtee.drivers.dynamixel.memory import Memory
 from rtee.drivers.dynamixel.table import Mode, Register
 
-QUARTER_TURN = table.PULSES / 4.0
+QUARTER_TURN = table.PULSES / 4.0  # [pulse]
 _PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
 """Speed per count of a velocity [pulse/s]."""
-_FRICTION = 25.0
-_GAIN = 4.0
+_FRICTION = 25.0  # current that moves the free shaft [mA]; the datasheets give none
+_GAIN = 4.0  # current per position error at standstill [mA/pulse]
 _POSITION_MODES = (Mode.POSITION, Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POSITION)
 
 
@@ -193,7 +193,7 @@ class Servo:
     # --- life ------------------------------------------------------------------------------
 
     def reboot(self, now: float) -> None:
-        """Begin anew: RAM at its defaults, no torque, turns lost, errors cleared."""
+        """Restart: RAM at its defaults, no torque, turns lost, errors cleared."""
         self.silent_until = now + self.properties.reboot_time
         self._memory.reset(register for register in table.REGISTERS if not register.eeprom)
         self._memory.reset_windows()
@@ -311,7 +311,7 @@ class Servo:
         axis.enabled = bool(self.get(table.TORQUE)) and strong and self.get(table.BUS_WATCHDOG) >= 0
 
     def _report(self) -> None:
-        """Bring the registers that tell the state up to date."""
+        """Update the registers that report the state."""
         axis = self.axis
         self.set(table.PRESENT_POSITION, self.position)
         self.set(table.PRESENT_VELOCITY, round(self._sign * axis.velocity / _PULSES_PER_COUNT))

@@ -20,7 +20,9 @@ MODES: Mapping[str, Mode] = {
 }
 TORQUE_LOST = 0x100
 WATCHDOG_TRIPPED = 0x101
-_EEPROM = 64
+"""Codes of the driver's own faults, above the eight bits of the hardware error status."""
+
+_EEPROM = 64  # bytes of the table that survive a power cycle; they tell what a servo is
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +144,13 @@ def prepare(
     positions: Mapping[int, int],
     currents: Mapping[int, int],
 ) -> None:
-    """Set up servos that are without torque, and power them where they stand; in the worker thread.
+    """Set up servos that are without torque, and power them where they are; in the worker thread.
 
     Args:
         link: The line.
         options: How they shall be.
         found: The servos without torque, by id.
-        positions: Where they stand [pulse].
+        positions: Where they are [pulse].
         currents: Their current limits [counts].
     """
     mode = MODES[options.mode]
@@ -185,7 +187,7 @@ def arm(link: DynamixelLink, seconds: float) -> None:
 def refuse(
     link: DynamixelLink, device: str, names: Mapping[int, str], errors: Mapping[int, int]
 ) -> None:
-    """Raise the fault that the alert bit of an answer tells of; in the worker thread.
+    """Raise the fault that the alert bit of an answer announces; in the worker thread.
 
     Raises:
         DeviceFault: if a servo has a hardware error.

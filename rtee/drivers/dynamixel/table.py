@@ -8,7 +8,7 @@ from enum import IntEnum
 
 PULSES = 4096
 """Positions per turn."""
-CENTER = 2048
+CENTER = 2048  # [pulse]; the middle of a turn
 RAD_PER_PULSE = 2.0 * math.pi / PULSES
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
 """Speed per count [rad/s]."""
@@ -56,6 +56,7 @@ class Register:
         return int.from_bytes(raw[: self.size], "little", signed=self.signed)
 
 
+# Addresses, sizes, defaults and ranges as in the e-manual of the XL330-M288.
 MODEL = Register(0, 2, 1200, writable=False)
 MODEL_INFORMATION = Register(2, 4, writable=False)
 FIRMWARE = Register(6, 1, 48, writable=False)
@@ -121,10 +122,10 @@ POINTABLE = range(64, END)
 
 STATE = PRESENT_CURRENT.address
 """Where current, velocity and position begin, side by side."""
-STATE_SIZE = 10
+STATE_SIZE = 10  # bytes
 HEALTH = PRESENT_VOLTAGE.address
 """Where voltage and temperature begin, side by side."""
-HEALTH_SIZE = 3
+HEALTH_SIZE = 3  # bytes
 
 BAUD_RATES: tuple[int, ...] = (
     9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000,

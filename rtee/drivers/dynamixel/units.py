@@ -68,7 +68,7 @@ class Scale:
     def unwrap(self, pulses: float, lower: float, upper: float) -> float:
         """Choose the turn in which a position lies in a joint's range, or nearest to it.
 
-        A servo that lost its supply counts anew within one turn: a joint whose range crosses the
+        A servo that lost its supply counts within one turn again: a joint whose range crosses the
         wrap then reads a turn off.
 
         Args:
@@ -113,7 +113,7 @@ class Scales:
         """Return positions [rad], velocities [rad/s], efforts [N·m] and currents [A].
 
         Args:
-            data: What each servo tells, by id: current, velocity and position side by side.
+            data: What each servo reports, by id: current, velocity and position side by side.
         """
         told = np.frombuffer(b"".join([data[number] for number in self._ids]), _STATE)
         amount = told["current"]

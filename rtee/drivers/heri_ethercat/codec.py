@@ -11,19 +11,21 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar, Self
 
-MOTORS = 2
-PHALANXES = 3
+MOTORS = 2  # of a board
+PHALANXES = 3  # of a finger, each with a pressure sensor
 
 TORQUE_CONSTANT = 0.0418
 """Motor torque per current [N·m/A]."""
-GEAR = 138.0
-EFFICIENCY = 0.9
+GEAR = 138.0  # motor turns per turn of the output shaft
+EFFICIENCY = 0.9  # of the gear, at best
 TORQUE_PER_AMPERE = TORQUE_CONSTANT * GEAR * EFFICIENCY
 """Torque at the output shaft per current [N·m/A], at the gear's best efficiency."""
 
+# Objects, by index and subindex.
 COMMAND_OBJECT = (0x8001, 3)
 ACKNOWLEDGE_OBJECT = (0x8001, 4)
 FIRMWARE_OBJECT = (0x8001, 1)
+# The high byte of an acknowledgement; the low one repeats the command.
 _DONE = 0x7800
 _REFUSED = 0xAA00
 
@@ -63,7 +65,7 @@ WARNINGS = Fault.CURRENT_LIMITED
 """Bits that are no faults: the board limits the current because it is hot."""
 
 LEAST_TORQUE = 1e-3
-"""Smallest torque that can be told a board [N·m]."""
+"""Smallest torque that can be sent to a board [N·m]."""
 
 
 def faults_of(word: int) -> Fault:
@@ -194,7 +196,7 @@ def acknowledged(raw: bytes, code: Order) -> bool | None:
     """Return what a board says to a command: done, refused, or ``None``: nothing yet.
 
     Raises:
-        HeriFrameError: if it is no acknowledgement.
+        HeriFrameError: if it is not an acknowledgement.
     """
     if len(raw) < 2:
         raise HeriFrameError("an acknowledgement has two bytes")

@@ -6,23 +6,28 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from functools import partial
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from rtee.buses.ethercat import EthercatBus, Ring, State
+from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (
     ACKNOWLEDGE_OBJECT,
     COMMAND_OBJECT,
+    FIRMWARE_OBJECT,
     LEAST_TORQUE,
     MOTORS,
     PHALANXES,
+    TORQUE_PER_AMPERE,
     WARNINGS,
     Command,
     Fault,
@@ -30,33 +35,70 @@ from rtee.drivers.heri_ethercat.codec import (
     Order,
     Reply,
 )
-from rtee.drivers.heri_ethercat.emulator import HeriEmulator
-from rtee.drivers.heri_ethercat.identity import firmware, identify
-from rtee.drivers.heri_ethercat.options import HeriEthercatOptions, motors_of
-from rtee.drivers.options import read_options
+from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.wiring import numbers_of
 from rtee.errors import (
     BusTimeout,
     DeviceFault,
     FrameError,
-    NotConnected,
+    HandshakeError,
     RteeError,
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
-
 _REFUSED = 0x10000
+"""Code of the fault that a board takes no command, above the sixteen bits of the fault word."""
+
 _POLL = 0.005
+"""Pause between two questions for an acknowledgement [s]; boards take some ten milliseconds."""
+
 _PATIENCE = 0.5
 """Longest time for an exchange that belongs to no cycle [s]."""
+
 _BEST_RATE = 1000.0
+"""Rate of the public program that ran on the hand [Hz]."""
+
+
+_WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
+"""The motors of the public description, counted over its two boards."""
+
+Raw = Annotated[int, Field(ge=0, le=0xFFFF)]
+
+
+class HeriEthercatOptions(DeviceOptions):
+    """Options of a HERI II hand on EtherCAT.
+
+    Attributes:
+        interface: Network interface the boards hang on; it is the master's alone.
+        motors: Motor of each actuator, counted over the boards from 0; by default those of the
+            public description (``motor_finger1`` and so on), else in the actuators' order.
+        vendor: EtherCAT vendor id expected; else any.
+        product: EtherCAT product code expected; else any.
+        gains: Five raw gains sent to every board; their meaning is not public.
+        torque_per_ampere: Torque at the shaft per current [N·m/A].
+        limit_torque: Send the effort limit as the board's torque reference, which has one for both
+            motors: the smaller of theirs. Else that reference stays 0.
+        watchdog: Boards leave operation after so long without frames [s].
+        order_timeout: Longest time for a board to acknowledge a command [s].
+        deadline: Longest time for one exchange [s].
+    """
+
+    interface: str = "eth0"
+    motors: dict[str, Annotated[int, Field(ge=0, lt=4 * MOTORS)]] = Field(default_factory=dict)
+    vendor: int | None = None
+    product: int | None = None
+    gains: tuple[Raw, Raw, Raw, Raw, Raw] = (0, 0, 0, 0, 0)
+    torque_per_ampere: Positive = TORQUE_PER_AMPERE
+    limit_torque: bool = True
+    watchdog: Annotated[float, Field(ge=0.0, le=6.5)] = 0.25
+    order_timeout: Positive = 1.0
+    deadline: Positive = 0.02
 
 
 class HeriEthercatDriver(Driver):
     """The boards of a HERI II hand, with this program as their master.
 
-    The boards are brought to safe-operational to read where the motors stand, then to operational
+    The boards are brought to safe-operational to read where the motors are, then to operational
     with those positions for references, and powered only then: nothing jumps. A master that
     starts takes the network over, so there is no attaching to a hand that another one holds.
     """
@@ -66,9 +108,9 @@ class HeriEthercatDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.options = read_options(HeriEthercatOptions, spec)
-        self._motors = motors_of(spec, self.options)
+        self._motors = _motors_of(spec, self.options)
         self._boards = max(self._motors) // MOTORS + 1
-        self._bus: EthercatBus | None = None
+        self.connection: Connection[EthercatBus] = Connection(spec)
         self._references = [0.0] * (self._boards * MOTORS)
         self._limits = [math.inf] * (self._boards * MOTORS)
         self._replies: list[Reply] = []
@@ -86,35 +128,32 @@ class HeriEthercatDriver(Driver):
             recoverable=True,
         )
 
-    @property
-    def _ring(self) -> EthercatBus:
-        if self._bus is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._bus
-
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Take the network over, identify the boards and read where the motors stand."""
+        """Take the network over, identify the boards and read where the motors are."""
         await self.close()
         options = self.options
-        bus = self._bus = await self.buses.ethercat(
-            options.interface,
-            owner=owner_of(self.spec),
-            emulator=emulator_of(self.spec, HeriEmulator),
+        bus = await self.connection.open(
+            self.buses.ethercat(
+                options.interface,
+                owner=self.connection.owner,
+                emulator=emulator_of(self.spec, "heri_ethercat"),
+            ),
+            lambda bus: bus,
         )
-        identify(bus, self._boards, options, self.spec.name)
+        _identify(bus, self._boards, options, self.spec.name)
         self.capabilities = replace(
             self.capabilities,
             identity={
                 "model": f"HERI II, {self._boards} boards (unverified on hardware)",
-                "firmware": await firmware(bus, self._boards),
+                "firmware": await _firmware(bus, self._boards),
             },
         )
         await self._operate()
 
     async def _operate(self) -> None:
-        """Bring the boards into operation, told to stand where they are.
+        """Bring the boards into operation, with references to stay where they are.
 
         A board leaves operation when the frames stop for longer than its watchdog, as they do on a
         computer that is busy for a moment. Before there is power that costs nothing but this.
@@ -124,10 +163,10 @@ class HeriEthercatDriver(Driver):
         """
 
         async def begin() -> None:
-            await self._ring.run(self._to_safe, 5.0)
+            await self.connection.link.run(self._to_safe, 5.0)
             await self._exchange()
             self._seed()
-            await self._ring.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
+            await self.connection.link.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
             await self._exchange()
 
         await patiently(begin)
@@ -151,11 +190,11 @@ class HeriEthercatDriver(Driver):
         ]
         # Slaves behind the hand's boards get nothing from here.
         deadline = self.options.deadline if self._powered else _PATIENCE
-        inputs = await self._ring.exchange(outputs, deadline)
+        inputs = await self.connection.link.exchange(outputs, deadline)
         try:
             self._replies = [Reply.from_bytes(data) for data in inputs[: self._boards]]
         except HeriFrameError as error:
-            raise FrameError(self._ring.name, str(error), b"".join(inputs)) from error
+            raise FrameError(self.connection.link.name, str(error), b"".join(inputs)) from error
         self._stamp = time.monotonic()
         self._fresh = True
 
@@ -171,7 +210,7 @@ class HeriEthercatDriver(Driver):
         self._references = [q for reply in self._replies for q in reply.positions]
 
     async def activate(self) -> None:
-        """Power the motors where they stand."""
+        """Power the motors where they are."""
         await self._in_operation()
         self._seed()
         for code in (Order.POWER_OFF, Order.DIRECT, Order.POWER_ON, Order.POSITION):
@@ -201,7 +240,7 @@ class HeriEthercatDriver(Driver):
             DeviceFault: if it refuses or says nothing.
             BusError: if the network fails.
         """
-        bus = self._ring
+        bus = self.connection.link
         await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)
         end = time.monotonic() + self.options.order_timeout
         done: bool | None = None
@@ -239,26 +278,20 @@ class HeriEthercatDriver(Driver):
     async def deactivate(self) -> None:
         """Take the motors' power away."""
         self._powered = False
-        if self._bus is not None:
+        if self.connection.is_open:
             for position in range(self._boards):
                 await self._order(position, Order.POWER_OFF)
 
     async def close(self) -> None:
         """Leave the network; without a master the boards do not hold."""
         self._powered = False
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            await bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the network."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
+        await super().close()
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return what the last exchange brought, or exchange."""
-        self._ring.check()
+        self.connection.link.check()
         if not self._fresh:
             await self._exchange()
         self._fresh = False
@@ -327,3 +360,51 @@ class HeriEthercatDriver(Driver):
         self._powered = False
         await self._in_operation()
         await self._clear_faults()
+
+
+def _identify(bus: EthercatBus, boards: int, options: HeriEthercatOptions, device: str) -> None:
+    """See that the first slaves are as many boards as needed, of the vendor and product given.
+
+    Raises:
+        HandshakeError: if they are not.
+    """
+    if len(bus.slaves) < boards:
+        raise HandshakeError(
+            device,
+            f"{boards} boards at {options.interface}",
+            f"{len(bus.slaves)} slaves",
+            hint="check cables and supply",
+        )
+    for position, slave in enumerate(bus.slaves[:boards]):
+        for what, wanted, found in (
+            ("vendor", options.vendor, slave.vendor),
+            ("product", options.product, slave.product),
+        ):
+            if wanted is not None and wanted != found:
+                raise HandshakeError(
+                    device,
+                    f"{what} {wanted:#x} as slave {position}",
+                    f"{what} {found:#x} ({slave.name})",
+                )
+
+
+async def _firmware(bus: EthercatBus, boards: int) -> str:
+    """Return the boards' firmware, each version once; raises `BusError`."""
+    found = [await bus.run(partial(_firmware_of, position), 1.0) for position in range(boards)]
+    return ", ".join(dict.fromkeys(found))
+
+
+def _firmware_of(position: int, ring: Ring) -> str:
+    try:
+        return ring.read(position, *FIRMWARE_OBJECT).decode("ascii", "replace").strip("\x00 ")
+    except OSError:
+        return "not told"
+
+
+def _motors_of(spec: DeviceSpec, options: HeriEthercatOptions) -> list[int]:
+    """Return the motor of each actuator; raises `ConfigError`."""
+    names = [a.name for a in spec.actuators]
+    if not options.motors:
+        wired = all(name in _WIRING for name in names)
+        return [_WIRING[name] for name in names] if wired else list(range(len(names)))
+    return numbers_of(spec, "motors", options.motors, "motor")

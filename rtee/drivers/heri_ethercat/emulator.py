@@ -42,7 +42,7 @@ class BoardProperties:
         vendor: EtherCAT vendor id; the real one is not public.
         product: EtherCAT product code; that of the two-motor board is not public.
         firmware: What they say about their firmware.
-        start: Where the motors stand [rad].
+        start: Where the motors are at power-up [rad].
         speed: Of a motor [rad/s].
         current: Largest current [A].
         torque_per_ampere: Torque at the shaft per current [N·m/A].
@@ -134,7 +134,7 @@ class HeriEmulator(Emulator, Grasps):
         return cls(read_properties(BoardProperties, options))
 
     def power_cycle(self, now: float) -> None:
-        """Begin anew; the motors stay where they are."""
+        """Restart; the motors stay where they are."""
         self.state = State.INIT
         for board in self.boards:
             board.power = False

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
-import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
+from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
-from rtee.drivers.kinematic.options import KinematicOptions
 from rtee.drivers.kinematic.plant import Plant
 from rtee.drivers.options import read_options
 from rtee.errors import (
@@ -21,12 +20,37 @@ from rtee.errors import (
     NotConnected,
     suggestion,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference, readonly
-
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _MEASURES = frozenset({"position", "velocity", "effort"})
+
+
+class KinematicOptions(BaseModel):
+    """How the imagined hand moves and what is in its way."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    time_constant: float = Field(
+        0.03, gt=0, le=10, description="Time constant with which it follows [s]."
+    )
+    start: dict[str, float] = Field(
+        default_factory=dict,
+        description="Position at the beginning by actuator [rad | m]; else the rest posture.",
+    )
+    objects: dict[str, float] = Field(
+        default_factory=dict,
+        description="Objects in the way: finger or actuator to the part of the way from rest to "
+        "the farthest bound (0 to 1) at which it is stopped.",
+    )
+    full_effort_at: float = Field(
+        0.1, gt=0, description="Distance behind the reference that gives full effort [rad | m]."
+    )
+    temperatures: bool = Field(
+        False, description="Whether it has temperatures, which effort raises."
+    )
+    ambient: float = Field(25.0, description="Temperature of the surroundings [°C].")
+    heating: float = Field(60.0, ge=0, description="Rise at full effort in the long run [K].")
+    thermal_time: float = Field(60.0, gt=0, description="Time constant of the temperature [s].")
 
 
 class KinematicDriver(Driver):
@@ -55,7 +79,6 @@ class KinematicDriver(Driver):
         for name, fraction in self._options.objects.items():
             self.place_object(name, fraction)
         self._time_constant = self._options.time_constant
-        self._unmeasured = readonly([math.nan] * len(self.plants))
         self._last: float | None = None
         self._powered = False
         self._plugged = True
@@ -152,16 +175,13 @@ class KinematicDriver(Driver):
         self._check()
         stamp = self._advance()
         plants = self.plants
-        temperature = self._unmeasured
-        if self._options.temperatures:
-            temperature = np.array([plant.temperature for plant in plants])
-        return ActuatorState(
-            position=np.array([plant.position for plant in plants]),
-            velocity=np.array([plant.velocity for plant in plants]),
-            effort=np.array([plant.effort for plant in plants]),
-            current=self._unmeasured,
-            temperature=temperature,
-            stamp=stamp,
+        warm = self._options.temperatures
+        return ActuatorState.measured(
+            [plant.position for plant in plants],
+            stamp,
+            velocity=[plant.velocity for plant in plants],
+            effort=[plant.effort for plant in plants],
+            temperature=[plant.temperature for plant in plants] if warm else None,
         )
 
     async def move(self, reference: Reference) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from rtee.types import ActuatorSpec, from_rest
 
 _NEAR = 1e-9
+"""Distance at which the target counts as reached [rad | m]."""
 
 
 @dataclass(slots=True)
@@ -20,7 +21,7 @@ class Plant:
         velocity: How fast it moves [rad/s | m/s].
         effort: What it exerts [N·m | N].
         temperature: Its temperature [°C].
-        target: Where it is told to go [rad | m].
+        target: Where it is to go [rad | m].
         max_effort: Effort it may exert [N·m | N].
         max_velocity: Velocity it may reach [rad/s | m/s].
         obstacle: Position at which an object stops it [rad | m], if one does.

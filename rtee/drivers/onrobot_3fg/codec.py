@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
+from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
 
 TARGETS = 0x0000
 """First of the four registers that command: force, diameter, grip type, control."""
 
 STATUS = 0x0100
-"""First of the registers that tell the state."""
+"""First of the registers that report the state."""
 
 GEOMETRY = 0x010E
 """Finger length; two registers on, the fingers' position and the fingertips' offset."""
@@ -186,57 +187,39 @@ class Fingers:
 _PIVOT = 0.037
 
 
-@dataclass(frozen=True, slots=True)
 class Scale:
     """Converts between registers and the actuator's units.
 
     The actuator's position is linear in the raw diameter, from the largest at its lower limit to
     the smallest at its upper one. Effort follows from the force by virtual work.
 
-    Attributes:
+    Args:
         lower: Position of the actuator at the largest diameter [rad].
         upper: Position of the actuator at the smallest diameter [rad].
         largest: Largest raw diameter [m].
         smallest: Smallest raw diameter [m].
         force: Largest force [N].
+
+    Attributes:
+        largest: Largest raw diameter [m].
+        smallest: Smallest raw diameter [m].
+        position: Raw diameter [0.1 mm] to [rad].
+        effort: Force [0.1 %] to [N·m].
     """
 
-    lower: float
-    upper: float
-    largest: float = 0.150
-    smallest: float = 0.0346
-    force: float = 240.0
-
-    @property
-    def diameter_per_position(self) -> float:
-        """Change of the diameter per position of the actuator, as an amount [m/rad]."""
-        return (self.largest - self.smallest) / (self.upper - self.lower)
-
-    def diameter(self, position: float) -> float:
-        """Return the raw diameter for a position of the actuator [m]."""
-        return self.largest - (position - self.lower) * self.diameter_per_position
-
-    def position(self, diameter: float) -> float:
-        """Return the actuator's position for a raw diameter [rad]."""
-        return self.lower + (self.largest - diameter) / self.diameter_per_position
-
-    def register(self, position: float) -> int:
-        """Return the target diameter for a position [0.1 mm]."""
-        wanted = min(max(self.diameter(position), self.smallest), self.largest)
-        return round(wanted / _TENTH_MM)
-
-    def measured(self, register: int) -> float:
-        """Return the actuator's position for a raw diameter [0.1 mm]."""
-        return self.position(register * _TENTH_MM)
-
-    def force_register(self, effort: float) -> int:
-        """Return the target force for an effort [0.1 %]; infinite is the largest."""
-        share = effort / self.diameter_per_position / self.force
-        return round(min(max(share, 0.0), 1.0) * 1000)
-
-    def effort(self, register: int) -> float:
-        """Return the actuator's effort for a force [0.1 %]."""
-        return register / 1000 * self.force * self.diameter_per_position
+    def __init__(
+        self,
+        lower: float,
+        upper: float,
+        largest: float = 0.150,
+        smallest: float = 0.0346,
+        force: float = 240.0,
+    ) -> None:
+        self.largest, self.smallest = largest, smallest
+        ends = (largest / _TENTH_MM, smallest / _TENTH_MM)
+        self.position = LinearScale(ends, (lower, upper))
+        per_position = (largest - smallest) / (upper - lower)  # of the diameter [m/rad]
+        self.effort = LinearScale((0.0, 1000.0), (0.0, force * per_position))
 
 
 def metres(tenth_mm: int) -> float:

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.onrobot_3fg.codec import (
     FIRMWARE,
     GEOMETRY,
@@ -32,7 +32,6 @@ from rtee.drivers.onrobot_3fg.codec import (
     offset_metres,
     serial_number,
 )
-from rtee.drivers.onrobot_3fg.emulator import OnRobot3FGEmulator
 from rtee.drivers.onrobot_3fg.options import OnRobot3FGOptions
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
@@ -48,23 +47,30 @@ from rtee.errors import (
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 _SAME = 10
-"""A diameter this near to the measured one asks for no motion [0.1 mm]."""
+"""A diameter this near to the measured one asks for no motion [0.1 mm].
+
+It is ten times the resolution: a held object yields by some of that.
+"""
 
 _REACHED = 3
-"""A diameter this near to the measured one counts as reached [0.1 mm]."""
+"""A diameter this near to the measured one counts as reached [0.1 mm]: resolution and rounding."""
 
 _STUCK_BUSY = 0.5
 """Busy without moving for this long, it is stopped before it is asked to grip [s]."""
 
 _GATEWAY = (0x0A, 0x0B)
+"""Exceptions by which the Compute Box reports that no tool answers."""
+
+_CONNECTING = 0.5
+"""Longest time for a question about the gripper while connecting [s]; the box may be slow."""
 
 
 class OnRobot3FGDriver(BlocksDriver):
     """A 3FG15 or 3FG25.
 
-    The gripper takes no speed, and force only with the command *grip*, which it ignores while it is
-    busy. So a reference that changes is followed by *move*; one that rests is gripped at, with its
-    effort, as soon as the gripper is free. It attaches without writing anything.
+    The gripper accepts no speed, and force only with the command *grip*, which it ignores while it
+    is busy. So a reference that changes is followed by *move*; one that rests is gripped at, with
+    its effort, as soon as the gripper is free. It attaches without writing anything.
     """
 
     Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions
@@ -106,30 +112,30 @@ class OnRobot3FGDriver(BlocksDriver):
 
     async def configure(self) -> None:
         """Open the connection and see whether a 3FG answers; moves nothing."""
-        await self.close()
         options = self.options
-        self._bus = bus = await self.buses.modbus(
-            options.address,
-            owner=owner_of(self.spec),
-            baudrate=options.baudrate,
-            parity="E",
-            emulator=emulator_of(self.spec, OnRobot3FGEmulator, port=options.address),
+        blocks = await self.connection.open(
+            self.buses.modbus(
+                options.address,
+                owner=self.connection.owner,
+                baudrate=options.baudrate,
+                parity="E",
+                emulator=emulator_of(self.spec, "onrobot_3fg", port=options.address),
+            ),
+            lambda bus: Blocks(
+                bus,
+                options.unit,
+                output=TARGETS,
+                source=STATUS,
+                count=STATUS_COUNT,
+                deadline=PATIENT,
+                kind=options.exchange,
+                refresh=0.0,
+            ),
         )
-        self._blocks = Blocks(
-            bus,
-            options.unit,
-            output=TARGETS,
-            source=STATUS,
-            count=STATUS_COUNT,
-            deadline=PATIENT,
-            kind=options.exchange,
-            refresh=0.0,
-        )
-        best = (
-            self._blocks.best_rate(len(Command(0, 0).to_registers())) if bus.rtu else options.rate
-        )
+        sent = len(Command(0, 0).to_registers())
+        best = blocks.best_rate(sent) if blocks.bus.rtu else options.rate
         try:
-            identity = await self._identify(bus)
+            identity = await self._identify(blocks.bus)
         except BusTimeout as error:
             raise self._absent("no answer") from error
         except ModbusRefusal as error:
@@ -151,8 +157,8 @@ class OnRobot3FGDriver(BlocksDriver):
     async def _identify(self, bus: ModbusBus) -> dict[str, str]:
         self._status = await self._read()
         unit = self.options.unit
-        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=0.5)
-        length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=0.5)
+        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=_CONNECTING)
+        length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=_CONNECTING)
         if hole not in (1, 2, 3) or not smallest < largest:
             raise HandshakeError(
                 self.spec.name,
@@ -174,13 +180,12 @@ class OnRobot3FGDriver(BlocksDriver):
             "finger position": str(hole),
             "diameters": f"{metres(smallest) * 1000:.1f} to {metres(largest) * 1000:.1f} mm",
         }
-        # What only one source documents is told, but nothing depends on it.
+        # Only one source documents these registers, so they are shown and nothing depends on them.
         with contextlib.suppress(BusError):
-            product, firmware, serial = (
-                await bus.read(unit, PRODUCT, 1, deadline=0.3),
-                await bus.read(unit, FIRMWARE, 1, deadline=0.3),
-                await bus.read(unit, SERIAL, SERIAL_COUNT, deadline=0.3),
-            )
+            product, firmware, serial = [
+                await bus.read(unit, register, count, deadline=_CONNECTING)
+                for register, count in ((PRODUCT, 1), (FIRMWARE, 1), (SERIAL, SERIAL_COUNT))
+            ]
             identity["product code"] = f"{product[0]:#04x}"
             identity["firmware"] = f"{firmware[0] >> 8}.{firmware[0] & 0xFF}"
             identity["serial"] = serial_number(serial)
@@ -188,7 +193,7 @@ class OnRobot3FGDriver(BlocksDriver):
 
     async def activate(self) -> None:
         """See that the calibration is valid; the gripper needs no activation and no homing."""
-        with self._open().unhurried():
+        with self.connection.link.unhurried():
             self._status = await self._read()
         self._refuse(self._status)
         self._sent = None
@@ -211,20 +216,20 @@ class OnRobot3FGDriver(BlocksDriver):
         if self._active:
             self._refuse(status)
         return ActuatorState.measured(
-            [self.scale.measured(status.raw_diameter)],
+            [self.scale.position.to_si(status.raw_diameter)],
             stamp,
-            effort=[self.scale.effort(status.force)],
+            effort=[self.scale.effort.to_si(status.force)],
             grasped=(status.grip_detected,),
         )
 
     async def move(self, reference: Reference) -> None:
         """Follow a reference that changes, grip at one that rests; in one frame."""
-        blocks = self._open()
+        blocks = self.connection.link
         if not reference.mask[0]:
             return
         command = self._next(
-            self.scale.register(float(reference.position[0])),
-            self.scale.force_register(float(reference.max_effort[0])),
+            self.scale.position.to_count(float(reference.position[0])),
+            self.scale.effort.to_count(float(reference.max_effort[0])),
             time.monotonic(),
         )
         if command is None:
@@ -236,28 +241,44 @@ class OnRobot3FGDriver(BlocksDriver):
 
     def _next(self, diameter: int, force: int, now: float) -> Command | None:
         """Return what to send for a target [0.1 mm, 0.1 %], or ``None`` for nothing."""
-        status = self._status
         if (diameter, force) != self._wanted:
             self._wanted, self._wanted_since = (diameter, force), now
-        near = abs(diameter - status.raw_diameter) <= _SAME
-        if near and (self._sent is None or status.grip_detected):
+        if self._stays(diameter):
             return None
-        gripping = self._sent is not None and self._sent.control is Control.GRIP
-        asked = self._sent is not None and self._sent.diameter == diameter
-        reached = abs(diameter - status.raw_diameter) <= _REACHED
-        rests = now - self._wanted_since >= self.options.settle
-        if rests and self._tightens(diameter) and not (reached and not gripping):
-            if gripping and asked and self._sent is not None and self._sent.force == force:
+        if self._may_grip(diameter, now):
+            if self._sent == self._command(force, diameter, Control.GRIP):
                 return None
-            if not status.busy:
+            if not self._status.busy:
                 return self._command(force, diameter, Control.GRIP)
             if now - self._moved_at > _STUCK_BUSY:
                 return self._command(force, diameter, Control.STOP)
-        if asked and (reached or status.busy or gripping):
+        return self._motion(diameter, force)
+
+    def _stays(self, diameter: int) -> bool:
+        """Return whether a target is where it is, with nothing sent yet or an object held."""
+        near = abs(diameter - self._status.raw_diameter) <= _SAME
+        return near and (self._sent is None or self._status.grip_detected)
+
+    def _may_grip(self, diameter: int, now: float) -> bool:
+        """Return whether the target rests and is one to grip at; one reached by a move is not."""
+        rests = now - self._wanted_since >= self.options.settle
+        return rests and self._tightens(diameter) and (self._gripping or not self._at(diameter))
+
+    def _motion(self, diameter: int, force: int) -> Command | None:
+        """Return the command that moves to a target; a grip under way has to be stopped before."""
+        busy, asked = self._status.busy, self._sent is not None and self._sent.diameter == diameter
+        if asked and (self._at(diameter) or busy or self._gripping):
             return None
-        if gripping and status.busy:
-            return self._command(force, diameter, Control.STOP)
-        return self._command(force, diameter, Control.MOVE)
+        stop = self._gripping and busy
+        return self._command(force, diameter, Control.STOP if stop else Control.MOVE)
+
+    @property
+    def _gripping(self) -> bool:
+        return self._sent is not None and self._sent.control is Control.GRIP
+
+    def _at(self, diameter: int) -> bool:
+        """Return whether a diameter counts as reached."""
+        return abs(diameter - self._status.raw_diameter) <= _REACHED
 
     def _tightens(self, diameter: int) -> bool:
         """Return whether a target lies in the direction of gripping, or is reached."""
@@ -282,8 +303,6 @@ class OnRobot3FGDriver(BlocksDriver):
 
     async def stop(self) -> None:
         """End the motion; what is gripped stays gripped."""
-        if self._blocks is None:
-            return
         status = self._status
         force = self._sent.force if self._sent else status.force
         command = self._command(force, status.raw_diameter, Control.STOP)
@@ -292,7 +311,7 @@ class OnRobot3FGDriver(BlocksDriver):
 
     async def recover(self) -> None:
         """Stop, and see that the calibration is valid again."""
-        with self._open().unhurried():
+        with self.connection.link.unhurried():
             self._status = await self._read()
         self._refuse(self._status)
         await self.stop()
@@ -310,4 +329,4 @@ class OnRobot3FGDriver(BlocksDriver):
     # --- the wire ----------------------------------------------------------------------------
 
     async def _read(self) -> Status:
-        return Status.from_registers(await self._open().read(), self.options.address)
+        return Status.from_registers(await self.connection.link.read(), self.options.address)

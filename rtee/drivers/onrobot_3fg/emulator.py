@@ -1,7 +1,7 @@
 """Plays an OnRobot 3FG at the other end of the wire: its registers through the Compute Box or RTU.
 
-What no document states is an option here: whether a move is taken while it is busy, the speed, what
-an unlisted register does, and how a missing tool answers.
+What no document states is a property here: whether a move is accepted while it is busy, the speed,
+what an unlisted register does, and how a missing tool answers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_propert
 
 _GATEWAY_NO_TARGET = 0x0B
 _APPROACH_FORCE = 50.0
+"""Force until the contact [N]; the connectivity guide says about 50."""
 _FLEXIBLE_FORCE = 140.0
+"""Greatest force of a flexible grip [N]; connectivity guide, register 3."""
 _READABLE = (
     (0x0000, 0x0003),
     (0x0100, 0x0113),

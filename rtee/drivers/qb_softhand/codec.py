@@ -11,11 +11,11 @@ from typing import Self
 
 from rtee.buses.parser import FramedParser
 
-BAUDRATE = 2_000_000
+BAUDRATE = 2_000_000  # as from the factory [baud]
 BAUDRATES = (BAUDRATE, 460_800)
 """Rates that a hand can be set to [baud]."""
 HEADER = b"\x3a\x3a"
-BROADCAST = 0
+BROADCAST = 0  # every device answers to it, by its own number
 LONGEST = 128
 """Largest length byte that a device takes."""
 OVERHEAD = 4

@@ -3,38 +3,74 @@
 from __future__ import annotations
 
 import asyncio
-import collections.abc
 import contextlib
 import math
 import time
 from collections.abc import Coroutine
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
+from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.options import read_options
+from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import Command
-from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
 from rtee.drivers.qb_softhand.link import QbLink
-from rtee.drivers.qb_softhand.options import QbSoftHandOptions
 from rtee.drivers.qb_softhand.parameters import Limits, current_limit, limits
 from rtee.drivers.qb_softhand.synergy import CLOSURE_TICKS, Mapping, OneMotor, TwoMotors
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected, RteeError
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
-
 INACTIVE = 1
+"""Code of the only fault that can be seen, that the motors are inactive; the hand has no codes."""
+
 _CURRENT_LIMIT = 1.5
+"""Current limit of a hand that does not report its own [A], as from the factory."""
+
 _ACTIVATION = 0.5
+"""Longest time from ACTIVATE until the motors are active [s]."""
+
 _BOTH = b"\x03"
+
+
+class QbSoftHandOptions(DeviceOptions):
+    """Options of a qb SoftHand.
+
+    Attributes:
+        port: Where it is: a tty, ``socket://host:port`` or ``rfc2217://host:port``.
+        device: Its number on the line.
+        motors: 1 (SoftHand) or 2 (SoftHand 2).
+        baudrate: Rate the hand is set to [baud].
+        closure_ticks: Travel of a motor from open to closed [ticks]; else as the hand says, or
+            19000 if it does not.
+        effort_per_ampere: Effort per motor current; else the current limit counts as the actuator's
+            effort limit.
+        watchdog: The hand deactivates after so long a silence [s]; only firmware that has a
+            watchdog does; 0: off.
+        status_every: Whether the motors are active is read every so many exchanges.
+        deadline: Longest time for one exchange, retries included [s].
+        retries: How often a request is sent again within that time.
+        turnaround: Time between a request and its answer that the wire does not explain [s].
+    """
+
+    port: str = "/dev/ttyUSB0"
+    device: Annotated[int, Field(ge=1, le=127)] = 1
+    motors: Literal[1, 2] = 1
+    baudrate: Literal[2_000_000, 460_800] = 2_000_000
+    closure_ticks: Annotated[int, Field(gt=0, le=32767)] | None = None
+    effort_per_ampere: Positive | None = None
+    watchdog: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0
+    status_every: Annotated[int, Field(ge=1)] = 50
+    deadline: Positive = 0.03
+    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    turnaround: Annotated[float, Field(ge=0.0)] = codec.TURNAROUND
 
 
 class QbSoftHandDriver(Driver):
@@ -42,7 +78,8 @@ class QbSoftHandDriver(Driver):
 
     Currents and positions come in one exchange (two with two motors, whose combined answer older
     firmware gets wrong); a reference is sent without an answer. The protocol has no set-points for
-    effort and speed, and no fault codes: what can be seen is that the motors are inactive.
+    effort and speed, and no fault codes: what can be seen is that the motors are inactive. A hand
+    that is active stays so when the connection is closed.
 
     Attributes:
         mapping: Between the actuators and the motors' ticks.
@@ -59,7 +96,7 @@ class QbSoftHandDriver(Driver):
                 f"actuators, not {len(spec.actuators)}"
             )
         self.mapping: Mapping = OneMotor() if self.options.motors == 1 else TwoMotors()
-        self._link: QbLink | None = None
+        self.connection: Connection[QbLink] = Connection(spec)
         self._effort_per_ma = self._efforts(_CURRENT_LIMIT)
         self._active = False
         self._count = 0
@@ -83,22 +120,18 @@ class QbSoftHandDriver(Driver):
         wire = sum(sizes) * 10.0 / self.options.baudrate
         return wire + self.options.turnaround * (len(sizes) - 1)
 
-    @property
-    def _hand(self) -> QbLink:
-        if self._link is None:
-            raise NotConnected(self.spec.name, "it is not connected")
-        return self._link
-
     async def configure(self) -> None:
         """Open the line and identify the hand; moves nothing."""
         options = self.options
-        bus = await self.buses.serial(
-            options.port,
-            owner=owner_of(self.spec),
-            baudrate=options.baudrate,
-            emulator=emulator_of(self.spec, QbSoftHandEmulator),
+        link = await self.connection.open(
+            self.buses.serial(
+                options.port,
+                owner=self.connection.owner,
+                baudrate=options.baudrate,
+                emulator=emulator_of(self.spec, "qb_softhand"),
+            ),
+            lambda bus: QbLink(bus, options.device, options.deadline, options.retries),
         )
-        link = self._link = QbLink(bus, options.device, options.deadline, options.retries)
         if not await link.ping():
             found = await link.anybody()
             if found is not None:
@@ -148,23 +181,23 @@ class QbSoftHandDriver(Driver):
             self.mapping = TwoMotors(lower, upper)
 
     async def activate(self) -> None:
-        """Activate the motors where they stand; leaves a hand that is active alone."""
-        self._hand.patient = True
+        """Activate the motors where they are; leaves a hand that is active alone."""
+        self.connection.link.patient = True
         if self.options.watchdog > 0.0:
             byte = codec.watchdog_byte(self.options.watchdog)
-            await self._hand.send(Command.SET_WATCHDOG, bytes([byte]))
+            await self.connection.link.send(Command.SET_WATCHDOG, bytes([byte]))
         held = await self._all_active()
         if not held:
-            await self._hand.send(Command.ACTIVATE, _BOTH)
+            await self.connection.link.send(Command.ACTIVATE, _BOTH)
             await self._confirm()
         self._attached.begin(range(self.options.motors) if held else ())
         self._active = True
         self._closure = await self._measured()
-        self._hand.patient = False
+        self.connection.link.patient = False
 
     async def _all_active(self) -> bool:
         every = (1 << self.options.motors) - 1
-        return await self._hand.active() & every == every
+        return await self.connection.link.active() & every == every
 
     async def _confirm(self) -> None:
         end = time.monotonic() + _ACTIVATION
@@ -177,7 +210,8 @@ class QbSoftHandDriver(Driver):
 
     async def _measured(self) -> tuple[float, ...]:
         least = 1 if self.options.motors == 1 else 3
-        return self.mapping.to_closure(await self._hand.integers(Command.GET_MEASUREMENTS, least))
+        link = self.connection.link
+        return self.mapping.to_closure(await link.integers(Command.GET_MEASUREMENTS, least))
 
     async def sense(self) -> ActuatorState:
         """Return closure and motor currents."""
@@ -186,11 +220,11 @@ class QbSoftHandDriver(Driver):
             await self._check()
         currents: tuple[int, ...]
         if self.options.motors == 1:
-            both = await self._hand.currents_and_positions()
+            both = await self.connection.link.currents_and_positions()
             positions, currents = both.positions, both.currents_ma[:1]
         else:
-            positions = await self._hand.integers(Command.GET_MEASUREMENTS, 3)
-            currents = await self._hand.integers(Command.GET_CURRENTS, 2)
+            positions = await self.connection.link.integers(Command.GET_MEASUREMENTS, 3)
+            currents = await self.connection.link.integers(Command.GET_CURRENTS, 2)
         self._here = np.array(self.mapping.to_closure(positions))
         return ActuatorState.measured(
             self._here,
@@ -234,7 +268,7 @@ class QbSoftHandDriver(Driver):
 
     def _send(self, closure: tuple[float, ...]) -> Coroutine[Any, Any, None]:
         data = codec.pack_int16(*self.mapping.to_ticks(closure))
-        return self._hand.send(Command.SET_INPUTS, data)
+        return self.connection.link.send(Command.SET_INPUTS, data)
 
     async def stop(self) -> None:
         """Hold the measured pose."""
@@ -249,9 +283,9 @@ class QbSoftHandDriver(Driver):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Activate the motors again, where they stand."""
-        self._hand.patient = True
-        await self._hand.send(Command.ACTIVATE, _BOTH)
+        """Activate the motors again, where they are."""
+        self.connection.link.patient = True
+        await self.connection.link.send(Command.ACTIVATE, _BOTH)
         await self._confirm()
         self._attached.begin(range(self.options.motors))
         self._active = True
@@ -260,15 +294,5 @@ class QbSoftHandDriver(Driver):
     async def deactivate(self) -> None:
         """Deactivate the motors."""
         self._active = False
-        if self._link is not None:
-            await self._link.send(Command.ACTIVATE, b"\x00")
-
-    def counters(self) -> collections.abc.Mapping[str, int]:
-        """Return the counters of the line."""
-        return {} if self._link is None else self._link.bus.counters.as_mapping()
-
-    async def close(self) -> None:
-        """Give the line back; an active hand stays active."""
-        link, self._link = self._link, None
-        if link is not None:
-            await link.bus.detach(owner_of(self.spec))
+        if self.connection.is_open:
+            await self.connection.link.send(Command.ACTIVATE, b"\x00")

@@ -41,7 +41,7 @@ class QbOptions:
         speed: Of a motor [ticks/s].
         current_limit_ma: Of a motor [mA].
         friction_ma: Current of a motor that moves freely [mA].
-        gain_ma: Current per tick between reference and position [mA]; no document tells it.
+        gain_ma: Current per tick between reference and position [mA]; no document gives it.
         turnaround: Time between a request and its answer [s]; a USB adapter's latency, mostly.
         text: Its information text.
     """
@@ -118,7 +118,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return cls(read_properties(QbOptions, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
-        """Begin anew; the fingers stay where they are."""
+        """Restart; the fingers stay where they are."""
         self._parser = Parser()
         self._boot = now
         self._heard = now
@@ -218,43 +218,55 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return self._reply(command, bytes([good]))
 
     def _answer(self, frame: Frame) -> bytes | None:
-        command, data = frame.command, frame.data
+        """Return the reply to a frame; ``None`` for a command that nothing acknowledges."""
+        values = self._query(frame.command)
+        if values is not None:
+            return self._reply(frame.command, values)
+        if frame.command == Command.GET_INFO:
+            return self._long(frame.command, self.options.text.encode("ascii"))
+        if frame.command == Command.GET_PARAM_LIST and frame.data == b"\x00\x00":
+            return self._long(frame.command, self._parameters())
+        return self._obey(frame.command, frame.data)
+
+    def _query(self, command: int) -> bytes | None:
+        """Return the data of the answer to a short query; ``None`` if the command is none."""
+        currents = [self.axes[0].effort, self.axes[1].effort if len(self.axes) == 2 else 0.0]
+        positions = self._by_encoder([axis.position for axis in self.axes])
         match command:
             case Command.PING:
-                return self._reply(command)
+                return b""
+            case Command.GET_ACTIVATE:
+                true_mask = self.options.activation_mask or len(self.axes) > 1
+                return bytes([self.active if true_mask else 3 * self.active])
+            case Command.GET_INPUTS:
+                return codec.pack_int16(*self._references)
+            case Command.GET_MEASUREMENTS:
+                return codec.pack_int16(*positions)
+            case Command.GET_CURRENTS:
+                return codec.pack_int16(*currents)
+            case Command.GET_CURR_AND_MEAS:
+                return codec.pack_int16(*currents, *positions)
+            case Command.GET_VELOCITIES:
+                return codec.pack_int16(*self._by_encoder([axis.velocity for axis in self.axes]))
+            case Command.GET_ACCELERATIONS:
+                return codec.pack_int16(*self._by_encoder(self._accelerations))
+        return None
+
+    def _obey(self, command: int, data: bytes) -> bytes | None:
+        """Do what a command asks for; return the acknowledgement, where it has one."""
+        match command:
             case Command.ACTIVATE if data:
                 self._activate(data[0])
-            case Command.GET_ACTIVATE:
-                told = self.options.activation_mask or len(self.axes) > 1
-                return self._reply(command, bytes([self.active if told else 3 * self.active]))
             case Command.SET_INPUTS if len(data) == 4:
                 self._inputs(data)
             case Command.SET_INPUTS_ACK if len(data) == 4 and self.options.inputs_ack:
                 self._inputs(data)
                 return self._reply(command, b"\x01")
-            case Command.GET_INPUTS:
-                return self._reply(command, codec.pack_int16(*self._references))
-            case Command.GET_MEASUREMENTS:
-                return self._reply(command, codec.pack_int16(*self._positions()))
-            case Command.GET_CURRENTS:
-                return self._reply(command, codec.pack_int16(*self._currents()))
-            case Command.GET_CURR_AND_MEAS:
-                return self._reply(command, codec.pack_int16(*self._currents(), *self._positions()))
-            case Command.GET_VELOCITIES:
-                return self._reply(command, codec.pack_int16(*self._velocities()))
-            case Command.GET_ACCELERATIONS:
-                return self._reply(command, codec.pack_int16(*self._changes()))
             case Command.SET_WATCHDOG if data and self.options.watchdog:
                 self.watchdog = codec.watchdog_seconds(data[0])
             case Command.SET_BAUDRATE if data:
                 self.baudrate = 460_800 if data[0] == 13 else codec.BAUDRATE
-            case Command.STORE_PARAMS | Command.SET_ZEROS:
-                return self._acknowledge(command)
-            case Command.GET_INFO:
-                return self._long(command, self.options.text.encode("ascii"))
-            case Command.GET_PARAM_LIST:
-                if len(data) == 2 and not any(data):
-                    return self._long(command, self._parameters())
+            case Command.STORE_PARAMS | Command.SET_ZEROS | Command.GET_PARAM_LIST:
                 return self._acknowledge(command)
         return None
 
@@ -270,18 +282,6 @@ class QbSoftHandEmulator(Emulator, Grasps):
             return [values[0], 0.0, 0.0]
         first, second = values
         return [first, first, second, second]
-
-    def _positions(self) -> list[float]:
-        return self._by_encoder([axis.position for axis in self.axes])
-
-    def _velocities(self) -> list[float]:
-        return self._by_encoder([axis.velocity for axis in self.axes])
-
-    def _changes(self) -> list[float]:
-        return self._by_encoder(self._accelerations)
-
-    def _currents(self) -> list[float]:
-        return [self.axes[0].effort, self.axes[1].effort if len(self.axes) == 2 else 0.0]
 
     def _parameters(self) -> bytes:
         made = self.options

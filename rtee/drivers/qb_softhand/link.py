@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Coroutine
-from typing import Any
+from collections.abc import Callable, Coroutine
+from functools import lru_cache, partial
+from typing import Any, TypeVar
 
 from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec
@@ -12,7 +12,11 @@ from rtee.drivers.qb_softhand.codec import BROADCAST, Command, Frame, Parser, Qb
 from rtee.drivers.qb_softhand.parameters import ListParser, Parameter
 from rtee.errors import BusTimeout, FrameError
 
+T = TypeVar("T")
+
 _LIST_DEADLINE = 0.4
+"""Longest time for the list of parameters, 700 bytes and more in one packet [s]."""
+
 PATIENCE = 0.5
 """Longest time for an exchange that belongs to no cycle [s]."""
 
@@ -74,7 +78,7 @@ class QbLink:
         return reply.device
 
     async def parameters(self) -> dict[int, Parameter]:
-        """Return the hand's parameters by index, or nothing where it does not tell them."""
+        """Return the hand's parameters by index, or nothing where it does not answer."""
         request = Frame(self.device, Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
         try:
             return await self.bus.transact(
@@ -85,30 +89,25 @@ class QbLink:
 
     async def active(self) -> int:
         """Return the mask of active motors."""
-        data = await self.request(Command.GET_ACTIVATE)
-        try:
-            return codec.activation(data)
-        except QbFrameError as error:
-            raise FrameError(self.bus.name, str(error), data) from error
+        return self._decoded(codec.activation, await self.request(Command.GET_ACTIVATE))
 
     async def integers(self, command: Command, least: int) -> tuple[int, ...]:
         """Return the 16-bit values that a command answers; raises `BusError`."""
-        data = await self.request(command)
-        try:
-            return codec.read_int16(data, least=least)
-        except QbFrameError as error:
-            raise FrameError(self.bus.name, str(error), data) from error
+        return self._decoded(partial(codec.read_int16, least=least), await self.request(command))
 
     async def currents_and_positions(self) -> codec.CurrentsAndPositions:
         """Return currents and positions in one exchange."""
         data = await self.request(Command.GET_CURR_AND_MEAS)
+        return self._decoded(codec.CurrentsAndPositions.from_bytes, data)
+
+    def _decoded(self, decode: Callable[[bytes], T], data: bytes) -> T:
         try:
-            return codec.CurrentsAndPositions.from_bytes(data)
+            return decode(data)
         except QbFrameError as error:
             raise FrameError(self.bus.name, str(error), data) from error
 
 
-@functools.lru_cache(64)
+@lru_cache(64)
 def _asking(device: int, command: Command, data: bytes) -> bytes:
     """Return a request; there are few, and some are sent in every cycle."""
     return Frame(device, command, data).to_bytes()

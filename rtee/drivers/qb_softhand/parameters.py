@@ -10,10 +10,11 @@ from typing import ClassVar, Self
 
 from rtee.drivers.qb_softhand.codec import HEADER, Command, QbFrameError
 
-SLOT = 50
+SLOT = 50  # bytes of a parameter
 MOST = 64
 """Most parameters a list may have; more means that the bytes are something else."""
 
+# Type byte to the form of a value (big-endian).
 _FORMS = {0: "B", 1: "b", 2: "B", 3: "h", 4: "H", 5: "i", 6: "I", 7: "f", 8: "d"}
 
 

@@ -1,4 +1,4 @@
-"""The replay driver: what it measures is what a recording tells; references change nothing."""
+"""The replay driver: it measures what a recording holds; references change nothing."""
 
 from __future__ import annotations
 
@@ -6,20 +6,19 @@ import asyncio
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import anyio.to_thread
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
+from rtee.sample import MEASURED
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
-
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
 
 _PATIENCE = 0.02
 """An exchange waits this long for what is being read [s]; it must not count as unanswered."""
@@ -43,7 +42,7 @@ class ReplayDriver(Driver):
     Attributes:
         now: The clock that it follows [s].
         ended: Whether the recording has been played to its end.
-        behind: Whether what is to be shown now is still being read; the last state stands.
+        behind: Whether what is to be shown now is still being read; the last state is kept.
     """
 
     Options = ReplayOptions
@@ -65,7 +64,7 @@ class ReplayDriver(Driver):
         self._begin: float | None = None
         self._patience = 0.0
         self.capabilities = Capabilities(
-            measures=frozenset({"position", "velocity", "effort", "current", "temperature"}),
+            measures=frozenset(MEASURED),
             identity={"model": "replay", "file": self._options.file.name},
         )
 
@@ -92,14 +91,9 @@ class ReplayDriver(Driver):
         await self._advance(passed * self._options.speed)
         block, row = self._block, self._row
         fresh, self._shown = row != self._shown, row
-        position, velocity, effort, current, temperature = block.values[row]
         words = block.grasped[row].tolist()
         return ActuatorState(
-            position=position,
-            velocity=velocity,
-            effort=effort,
-            current=current,
-            temperature=temperature,
+            *block.values[row],
             stamp=self.now(),
             fresh=fresh,
             grasped=None if max(words) < 0 else tuple(_WORDS[word] for word in words),

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from numpy.typing import NDArray
 
 from rtee.errors import LogError, MessageError
-from rtee.messages.schema import message_type
+from rtee.messages.codec import channels_of
+from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.topics import ACTUATOR_STATES, CHANNELS, TYPES, log_topic
-from rtee.types import FloatArray
-
-_MEASURED = ("position", "velocity", "effort", "current", "temperature")
+from rtee.sample import COLUMNS, MEASURED, FloatArray
 
 Extras = Mapping[str, FloatArray]
 
@@ -28,7 +28,7 @@ class Block:
 
     Attributes:
         stamp: When they were measured ``(k,)`` [s].
-        values: Position, velocity, effort, current and temperature ``(k, 5, n)``.
+        values: The quantities of `rtee.sample.MEASURED`, in its order ``(k, m, n)``.
         grasped: The device's own word ``(k, n)``: 1 holding, 0 not, -1 none.
         extras: Further channels at each of them, such as pressure.
     """
@@ -53,8 +53,6 @@ class RecordedStates:
 
     def __init__(self, path: Path, hand: str, actuators: tuple[str, ...]) -> None:
         self.path = path
-        self._decode = message_type(TYPES[ACTUATOR_STATES]).decode
-        self._decode_extras = message_type(TYPES[CHANNELS]).decode
         try:
             self._file = path.open("rb")
         except OSError as error:
@@ -101,11 +99,18 @@ class RecordedStates:
         """Yield every state, with the further channels as they were last."""
         extras: Extras = {}
         topics = [self._topic, self._extras_topic]
-        for _, channel, message in self._reader.iter_messages(topics=topics):
-            if channel.topic == self._topic:
-                yield self._decode(message.data), extras
+        kinds: dict[str, MessageType] = {}
+        for schema, channel, message in self._reader.iter_messages(topics=topics):
+            topic = channel.topic
+            if topic not in kinds:
+                name = TYPES[topic.rpartition("/")[2]]
+                text = schema.data.decode("utf-8", "replace") if schema else ""
+                kinds[topic] = recorded_type(name, text) if text else message_type(name)
+            fields = kinds[topic].decode(message.data)
+            if topic == self._topic:
+                yield fields, extras
             else:
-                extras = _extras(self._decode_extras(message.data))
+                extras = _extras(fields)
 
     def blocks(self, size: int = 500) -> Iterator[Block]:
         """Read the states from the beginning, in blocks of at most this many."""
@@ -114,17 +119,17 @@ class RecordedStates:
             rows = [row for row, _ in found]
             yield Block(
                 stamp=np.array([row["time"] for row in rows]),
-                values=np.array(
-                    [
-                        [np.asarray(row[channel])[self._columns] for channel in _MEASURED]
-                        for row in rows
-                    ]
-                ),
-                grasped=np.array(
-                    [np.asarray(row["grasped"])[self._columns] for row in rows], dtype=np.int8
-                ),
+                values=np.array([[self._column(row, name) for name in MEASURED] for row in rows]),
+                grasped=np.array([self._column(row, "grasped") for row in rows]),
                 extras=tuple(extras for _, extras in found),
             )
+
+    def _column(self, row: dict[str, Any], name: str) -> NDArray[Any]:
+        """Return a quantity of the actuators; a recording may be older than the quantity."""
+        if name in row:
+            values: NDArray[Any] = row[name][self._columns]
+            return values
+        return np.full(len(self._columns), COLUMNS[name].default)
 
     def close(self) -> None:
         """Close the file; idempotent."""
@@ -133,11 +138,9 @@ class RecordedStates:
 
 def _extras(fields: dict[str, Any]) -> Extras:
     """Return further channels by name, without the device's in front where they stay distinct."""
-    ends = np.cumsum(fields["length"].astype(np.int64))
-    if len(ends) != len(fields["name"]):
+    try:
+        found = channels_of(fields["name"], fields["length"], fields["value"])
+    except MessageError:
         return {}
-    names = list(fields["name"])
-    short = [name.rpartition("/")[2] for name in names]
-    if len(set(short)) == len(short):
-        names = short
-    return dict(zip(names, np.split(fields["value"], ends[:-1]), strict=True))
+    short = {name.rpartition("/")[2]: values for name, values in found.items()}
+    return short if len(short) == len(found) else found

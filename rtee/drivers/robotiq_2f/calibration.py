@@ -10,6 +10,7 @@ from rtee.errors import CalibrationError
 from rtee.hand.files import make_folder, write_atomically
 
 _LEAST_RANGE = 100
+"""Counts between the ends, at least; a gripper whose way is free has about 227."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,7 @@
 """Registers and units of Robotiq's two-finger grippers; no I/O.
 
 Sources: the grippers' instruction manuals (register map, bits, fault codes, example frames) and,
-    for
-speeds and end counts, published drivers. Every two bytes make a register, the first in its high
+for speeds and end counts, published drivers. Every two bytes make a register, the first in its high
 half.
 """
 
@@ -13,29 +12,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
-from rtee.drivers.robotiq_faults import Fault
+from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand
+from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
-
-OUTPUT = 0x03E8
-"""First register of the block that the host writes."""
-
-INPUT = 0x07D0
-"""First register of the block that the gripper answers with."""
 
 COUNT = 3
 """Registers of either block that carry something."""
 
 _CURRENT = 0.01
 """Motor current per count of gCU [A]."""
-
-
-class Activation(IntEnum):
-    """gSTA: how far the activation is."""
-
-    RESET = 0
-    UNDER_WAY = 1
-    UNUSED = 2
-    DONE = 3
 
 
 class Grasp(IntEnum):
@@ -92,22 +77,16 @@ MODELS: dict[str, Model] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(RobotiqCommand):
     """What the host asks for: the output block.
 
     Attributes:
-        activate: rACT; clearing it resets the gripper and its faults.
-        go: rGTO; clearing it stops.
-        release: rATR, the automatic release.
         direction: rARD, the direction of the automatic release.
         position: rPR, 0 open to 255 closed.
         speed: rSP, 0 slowest (not stopped) to 255.
         force: rFR, 0 weakest (not none) to 255.
     """
 
-    activate: bool = False
-    go: bool = False
-    release: bool = False
     direction: bool = False
     position: int = 0
     speed: int = 0
@@ -151,7 +130,7 @@ class Status:
 
     activated: bool = False
     going: bool = False
-    activation: Activation = Activation.RESET
+    activation: Progress = Progress.RESET
     grasp: Grasp = Grasp.MOVING
     fault: int = 0
     controller_fault: int = 0
@@ -162,12 +141,12 @@ class Status:
     @property
     def ready(self) -> bool:
         """Whether it is activated and takes commands."""
-        return self.activated and self.activation is Activation.DONE
+        return self.activated and self.activation is Progress.DONE
 
     @property
     def reset(self) -> bool:
         """Whether it is not activated, nor about to be."""
-        return self.activation is Activation.RESET
+        return self.activation is Progress.RESET
 
     @property
     def current(self) -> float:
@@ -194,7 +173,7 @@ class Status:
         return cls(
             activated=bool(state & 0x01),
             going=bool(state & 0x08),
-            activation=Activation(state >> 4 & 3),
+            activation=Progress(state >> 4 & 3),
             grasp=Grasp(state >> 6 & 3),
             fault=registers[1] >> 8 & 0x0F,
             controller_fault=registers[1] >> 12,
@@ -204,7 +183,6 @@ class Status:
         )
 
 
-@dataclass(frozen=True, slots=True)
 class Scale:
     """Converts between counts and the actuator's units.
 
@@ -212,66 +190,32 @@ class Scale:
     force are those of the fingertips; at the actuator they follow from the virtual work of the
     linear width, so that force times change of width is effort times change of position.
 
-    Attributes:
+    Args:
         model: The gripper.
         opened: Position of the actuator when fully open [rad | m].
         closed: Position of the actuator when fully closed [rad | m].
         open_count: gPO when fully open.
         closed_count: gPO when fully closed.
+
+    Attributes:
+        open_count: gPO when fully open.
+        closed_count: gPO when fully closed.
+        position: gPO or rPR to [rad | m].
+        velocity: rSP to [rad/s | m/s].
+        effort: rFR to [N·m | N].
     """
 
-    model: Model
-    opened: float
-    closed: float
-    open_count: int = 3
-    closed_count: int = 230
-
-    @property
-    def width_per_position(self) -> float:
-        """Change of the fingertips' distance per change of the actuator's position [m/rad | 1]."""
-        return self.model.stroke / abs(self.closed - self.opened)
-
-    def position(self, count: float) -> float:
-        """Return the actuator's position for a count [rad | m]."""
-        part = (count - self.open_count) / (self.closed_count - self.open_count)
-        return self.opened + part * (self.closed - self.opened)
-
-    def count(self, position: float) -> int:
-        """Return the count for an actuator's position, the nearest one that can be sent."""
-        part = (position - self.opened) / (self.closed - self.opened)
-        return _byte(self.open_count + part * (self.closed_count - self.open_count))
-
-    def width(self, position: float) -> float:
-        """Return the distance of the fingertips for an actuator's position [m]."""
-        return self.model.stroke * (self.closed - position) / (self.closed - self.opened)
-
-    def at_width(self, width: float) -> float:
-        """Return the actuator's position for a distance of the fingertips [rad | m]."""
-        return self.closed - width / self.model.stroke * (self.closed - self.opened)
-
-    def speed_count(self, velocity: float) -> int:
-        """Return rSP for a velocity of the actuator [rad/s | m/s]; infinite is the fastest."""
-        return _share(velocity * self.width_per_position, self.model.speed)
-
-    def velocity(self, count: int) -> float:
-        """Return the velocity of the actuator that rSP means [rad/s | m/s]."""
-        low, high = self.model.speed
-        return (low + (high - low) * count / 255) / self.width_per_position
-
-    def force_count(self, effort: float) -> int:
-        """Return rFR for an effort of the actuator [N·m | N]; infinite is the strongest."""
-        return _share(effort / self.width_per_position, self.model.force)
-
-    def effort(self, count: int) -> float:
-        """Return the effort of the actuator that rFR means [N·m | N]."""
-        low, high = self.model.force
-        return (low + (high - low) * count / 255) * self.width_per_position
-
-
-def _share(value: float, between: tuple[float, float]) -> int:
-    low, high = between
-    return _byte(min((value - low) / (high - low), 1.0) * 255)
-
-
-def _byte(value: float) -> int:
-    return min(max(round(value), 0), 255)
+    def __init__(
+        self,
+        model: Model,
+        opened: float,
+        closed: float,
+        open_count: int = 3,
+        closed_count: int = 230,
+    ) -> None:
+        self.open_count, self.closed_count = open_count, closed_count
+        self.position = LinearScale((open_count, closed_count), (opened, closed), ends=COUNTS)
+        width = model.stroke / abs(closed - opened)  # [m/rad | 1]
+        (slow, fast), (weak, strong) = model.speed, model.force
+        self.velocity = LinearScale(COUNTS, (slow / width, fast / width))
+        self.effort = LinearScale(COUNTS, (weak * width, strong * width))

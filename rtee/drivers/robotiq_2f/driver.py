@@ -10,9 +10,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.calibration import (
@@ -24,19 +22,15 @@ from rtee.drivers.robotiq_2f.calibration import (
 from rtee.drivers.robotiq_2f.codec import (
     COUNT,
     FAULTS,
-    INPUT,
     MODELS,
-    OUTPUT,
     Command,
     Grasp,
     Scale,
     Status,
 )
-from rtee.drivers.robotiq_2f.emulator import Robotiq2FEmulator
 from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.drivers.robotiq_faults import Fault
-from rtee.drivers.robotiq_kinds import SAME, Grip
 from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
 
@@ -44,7 +38,7 @@ _MORE = 6
 """Registers that published programs read from a two-finger gripper, too."""
 
 
-class Robotiq2FDriver(RobotiqDriver[Status]):
+class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     """A 2F-85, 2F-140 or Hand-E.
 
     A gripper that holds an object and is asked to stay where it is keeps its grip.
@@ -52,6 +46,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq2FOptions
     MODEL: ClassVar[str] = "Robotiq 2-finger gripper"
+    EMULATOR: ClassVar[str] = "robotiq_2f"
     FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
     HINT: ClassVar[str] = (
         "`rtee recover`, or `rtee run --home`, activates it: the fingers close and open once, so "
@@ -69,7 +64,6 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
                 f"not {len(spec.actuators)}",
                 key=f"devices.{spec.name}.actuators",
             )
-        self._sent: Command | None = None
         self._grip = Grip()
         self._requested = -1
         super().__init__(spec, buses, self.options)
@@ -86,7 +80,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
         )
 
     async def configure(self) -> None:
-        """Take the calibration, open the line, see whether such a gripper answers."""
+        """Read the calibration, open the line, check that such a gripper answers."""
         options = self.options
         if options.calibration is not None:
             stops = read_end_stops(options.calibration, self.spec.name, options.model, options.unit)
@@ -97,9 +91,9 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
         await super()._identify()
         if self.options.register_base is not None or not self.options.check_fingers:
             return
-        # Inactive grippers of two and three fingers differ only in what follows: there the other
-        # gripper tells where its second and third finger are.
-        bus, options = self._open().bus, self.options
+        # Inactive grippers of two and three fingers differ only in the registers that follow, where
+        # the 3-Finger reports the positions of its second and third finger.
+        bus, options = self.connection.link.bus, self.options
         try:
             block = await bus.read(
                 options.unit, INPUT, _MORE, deadline=PATIENT, function=self._places()[2]
@@ -116,18 +110,13 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
                 "'check_fingers: false'",
             )
 
-    def _told(self, block: Sequence[int]) -> Status:
+    def _decoded(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()
-
-    def _emulator(self) -> EmulatorFactory | None:
-        # Found active, as after an earlier run, unless it is to be homed on connecting.
-        found = {"activated": self.options.home == "on_demand", **self.options.emulator}
-        return emulator_of(self.spec, Robotiq2FEmulator, emulator=found)
 
     def _places(self) -> tuple[int, int, int]:
         base = self.options.register_base
         places = (OUTPUT, INPUT) if base is None else (base, base)
-        # At one place, function 3 tells what was written, function 4 what is measured.
+        # At one place, function 3 reads what was written, function 4 what is measured.
         return *places, self.options.function or (3 if base is None else 4)
 
     def _identity(self) -> Mapping[str, str]:
@@ -142,7 +131,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             text = f"the optional controller reports fault {status.controller_fault}"
             warnings = (*warnings, text)
         return ActuatorState.measured(
-            [self.scale.position(status.position)],
+            [self.scale.position.to_si(status.position)],
             stamp,
             current=[status.current],
             grasped=(self._grasped(status),),
@@ -150,11 +139,10 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
         )
 
     def _grasped(self, status: Status) -> bool:
-        """Return whether something is held: by the gripper's word and by where it stands.
+        """Return whether something is held: by gOBJ and by the position.
 
-        Contact is not reported for thin objects: then the fingers stand short of a request that
-        they could have reached. Where the request is newer than the status before, that word may
-        still be about the older one.
+        Contact is not reported for thin objects: then the fingers stop short of a request that they
+        could have reached. Right after a new request, gOBJ may still be about the one before.
         """
         before, self._requested = self._requested, status.requested
         contact = False
@@ -170,16 +158,16 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
         short = reachable - status.position > 2 * SAME and before == status.requested
         return status.going and status.grasp is Grasp.AT_REQUEST and short
 
-    def _asked(self, reference: Reference) -> Sequence[int] | None:
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
         if not reference.mask[0]:
             return None
         status = self._status
         command = Command(
             activate=True,
             go=True,
-            position=self.scale.count(float(reference.position[0])),
-            speed=self.scale.speed_count(float(reference.max_velocity[0])),
-            force=self.scale.force_count(float(reference.max_effort[0])),
+            position=self.scale.position.to_count(float(reference.position[0])),
+            speed=self.scale.velocity.to_count(float(reference.max_velocity[0])),
+            force=self.scale.effort.to_count(float(reference.max_effort[0])),
         )
         if abs(command.position - status.position) <= SAME:
             if self._sent is None:
@@ -197,9 +185,6 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             speed=sent.speed if sent else 255,
             force=sent.force if sent else 255,
         ).to_registers()
-
-    def _forget(self) -> None:
-        self._sent = None
 
     # --- calibration -------------------------------------------------------------------------
 
@@ -219,7 +204,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
             ConfigError: if the file cannot be written.
         """
         await ready("Take everything out of the gripper's reach: it will close and open fully.")
-        self._open().deadline = PATIENT
+        self.connection.link.deadline = PATIENT
         self._home_asked = True
         await self.activate()
         closed = await self._end_stop(255)
@@ -231,7 +216,7 @@ class Robotiq2FDriver(RobotiqDriver[Status]):
         return stops
 
     async def _end_stop(self, request: int) -> int:
-        """Go to an end slowly and weakly; return the count where the gripper stands still."""
+        """Go to an end slowly and weakly; return the count where the gripper stops."""
         command = Command(activate=True, go=True, position=request, speed=64, force=0)
 
         def arrived(status: Status) -> bool:

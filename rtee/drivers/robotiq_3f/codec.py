@@ -1,9 +1,8 @@
 """Registers and units of Robotiq's three-finger gripper; no I/O.
 
 Sources: the gripper's instruction manuals (register map, bits, fault codes, example frames) and,
-    for
-the conversion to joints, published drivers. Every two bytes make a register, the first in its high
-half. The order of the status bits differs from that of the two-finger grippers.
+for the conversion to joints, published drivers. Every two bytes make a register, the first in its
+high half. The order of the status bits differs from that of the two-finger grippers.
 """
 
 from __future__ import annotations
@@ -13,14 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
-from rtee.drivers.robotiq_faults import Fault
+from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand
+from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
-
-OUTPUT = 0x03E8
-"""First register of the output block on a serial line."""
-
-INPUT = 0x07D0
-"""First register of the input block on a serial line."""
 
 COUNT = 8
 """Registers of either block."""
@@ -30,21 +24,12 @@ AXES = ("a", "b", "c", "scissor")
 
 
 class Mode(IntEnum):
-    """rMOD and gMOD: how the fingers stand to each other."""
+    """rMOD and gMOD: how the fingers are placed."""
 
     BASIC = 0
     PINCH = 1
     WIDE = 2
     SCISSOR = 3
-
-
-class Progress(IntEnum):
-    """gIMC: how far the activation or a change of mode is."""
-
-    RESET = 0
-    ACTIVATING = 1
-    CHANGING = 2
-    DONE = 3
 
 
 class Motion(IntEnum):
@@ -95,23 +80,17 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(RobotiqCommand):
     """What the host asks for: the output block.
 
     Attributes:
-        activate: rACT; clearing it resets the gripper and its faults.
         mode: rMOD.
-        go: rGTO; clearing it stops.
-        release: rATR, the automatic release.
         individual: rICF: the three fingers follow their own requests, else all that of ``a``.
         scissor: rICS: the scissor follows its own request, whatever the mode.
         axes: Requests of the four motors, in the order of `AXES`.
     """
 
-    activate: bool = False
     mode: Mode = Mode.BASIC
-    go: bool = False
-    release: bool = False
     individual: bool = False
     scissor: bool = False
     axes: tuple[Request, Request, Request, Request] = (Request(),) * 4
@@ -231,68 +210,50 @@ class Status:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """Converts between counts and radians.
+STROKE = 0.155
+"""Change of the fingertips' opening over all counts [m]."""
 
-    A finger's first joint turns by the same angle per count all the way (the published driver's 200
-    counts per radian); the scissor is linear between its end counts. Speed and force are those of
-    the fingertips; at the joint they follow by virtual work from the stroke.
+SPEED = (0.022, 0.110)
+"""Slowest and fastest fingertip [m/s]."""
+
+FORCE = (15.0, 60.0)
+"""Weakest and strongest fingertip [N]."""
+
+
+class Scale:
+    """Converts between the counts of a motor and its joint's units.
+
+    Speed and force are those of the fingertips; at the joint they follow by virtual work from the
+    stroke.
+
+    Args:
+        position: The joint's angle [rad] by the counts of gPOx and rPRx.
 
     Attributes:
-        counts_per_radian: Of a finger's first joint.
-        scissor_counts: Counts of the scissor at its two ends.
-        scissor_angles: Angles of the first palm joint there [rad].
-        stroke: Change of the fingertips' opening over all counts [m].
-        speed: Slowest and fastest fingertip [m/s].
-        force: Weakest and strongest fingertip [N].
+        position: The same.
+        velocity: rSPx to [rad/s].
+        effort: rFRx to [N·m].
     """
 
-    counts_per_radian: float = 200.0
-    scissor_counts: tuple[float, float] = (15.0, 240.0)
-    scissor_angles: tuple[float, float] = (0.192, -0.192)
-    stroke: float = 0.155
-    speed: tuple[float, float] = (0.022, 0.110)
-    force: tuple[float, float] = (15.0, 60.0)
+    def __init__(self, position: LinearScale) -> None:
+        self.position = position
+        way = STROKE / 255 / abs(position.gain)  # of the fingertip per angle of the joint [m/rad]
+        self.velocity = LinearScale(COUNTS, (SPEED[0] / way, SPEED[1] / way))
+        self.effort = LinearScale(COUNTS, (FORCE[0] * way, FORCE[1] * way))
 
-    def angle(self, axis: str, count: float) -> float:
-        """Return a joint's angle for a count [rad]."""
-        if axis != "scissor":
-            return count / self.counts_per_radian
-        (first, last), (start, end) = self.scissor_counts, self.scissor_angles
-        part = min(max((count - first) / (last - first), 0.0), 1.0)
-        return start + part * (end - start)
+    def angle(self, count: float) -> float:
+        """Return the joint's angle for a count, which may lie beyond its end stops [rad]."""
+        low, high = sorted(self.position.ends or self.position.raw)
+        return self.position.to_si(min(max(count, low), high))
 
-    def count(self, axis: str, angle: float) -> int:
-        """Return the count for a joint's angle, the nearest one that can be sent."""
-        if axis != "scissor":
-            return _byte(angle * self.counts_per_radian)
-        (first, last), (start, end) = self.scissor_counts, self.scissor_angles
-        part = min(max((angle - start) / (end - start), 0.0), 1.0)
-        return _byte(first + part * (last - first))
 
-    def per_radian(self, axis: str) -> float:
-        """Return the fingertip's way per angle of the joint [m/rad]."""
-        if axis != "scissor":
-            return self.stroke / 255 * self.counts_per_radian
-        counts = abs(self.scissor_counts[1] - self.scissor_counts[0])
-        return self.stroke / 255 * counts / abs(self.scissor_angles[1] - self.scissor_angles[0])
+# A finger's first joint turns by the same angle per count all the way: the published driver's 200
+# counts per radian. The scissor turns linearly between its end counts, and no further.
+_FINGER = Scale(LinearScale((0.0, 200.0), (0.0, 1.0), ends=COUNTS))
+_SCISSOR = Scale(LinearScale((15.0, 240.0), (0.192, -0.192)))
 
-    def speed_count(self, axis: str, velocity: float) -> int:
-        """Return rSPx for a joint's velocity [rad/s]; infinite is the fastest."""
-        return _share(velocity * self.per_radian(axis), self.speed)
-
-    def velocity(self, axis: str, count: int) -> float:
-        """Return the joint's velocity that rSPx means [rad/s]."""
-        return _between(count, self.speed) / self.per_radian(axis)
-
-    def force_count(self, axis: str, effort: float) -> int:
-        """Return rFRx for a joint's effort [N·m]; infinite is the strongest."""
-        return _share(effort / self.per_radian(axis), self.force)
-
-    def effort(self, axis: str, count: int) -> float:
-        """Return the joint's effort that rFRx means [N·m]."""
-        return _between(count, self.force) * self.per_radian(axis)
+SCALES = {"fingers": _FINGER, "a": _FINGER, "b": _FINGER, "c": _FINGER, "scissor": _SCISSOR}
+"""The scales of the motors, and of all fingers together."""
 
 
 def _packed(data: Sequence[int]) -> tuple[int, ...]:
@@ -301,15 +262,3 @@ def _packed(data: Sequence[int]) -> tuple[int, ...]:
 
 def _unpacked(registers: Sequence[int]) -> list[int]:
     return [byte for register in registers[:COUNT] for byte in (register >> 8, register & 0xFF)]
-
-
-def _between(count: int, ends: tuple[float, float]) -> float:
-    return ends[0] + (ends[1] - ends[0]) * count / 255
-
-
-def _share(value: float, ends: tuple[float, float]) -> int:
-    return _byte(min((value - ends[0]) / (ends[1] - ends[0]), 1.0) * 255)
-
-
-def _byte(value: float) -> int:
-    return min(max(round(value), 0), 255)

@@ -7,29 +7,23 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from rtee.buses.emulator import EmulatorFactory
 from rtee.buses.pool import BusPool
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
 from rtee.drivers.robotiq_3f.codec import (
     AXES,
     COUNT,
     FAULTS,
-    INPUT,
-    OUTPUT,
+    SCALES,
     AxisStatus,
     Command,
     Contact,
     Mode,
     Request,
-    Scale,
     Status,
 )
-from rtee.drivers.robotiq_3f.emulator import Robotiq3FEmulator
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.drivers.robotiq_faults import Fault
-from rtee.drivers.robotiq_kinds import SAME, Grip
 from rtee.errors import DeviceFault, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, Reference
 
@@ -38,7 +32,7 @@ _SIMPLE = 3
 """Registers that are enough for all fingers together."""
 
 
-class Robotiq3FDriver(RobotiqDriver[Status]):
+class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     """The three-finger gripper: all fingers together or each for itself, and the scissor.
 
     A motor that presses on an object and is asked to stay where it is keeps pressing.
@@ -46,6 +40,7 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions
     MODEL: ClassVar[str] = "Robotiq 3-Finger"
+    EMULATOR: ClassVar[str] = "robotiq_3f"
     FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
     HINT: ClassVar[str] = (
         "`rtee recover`, or `rtee run --home`, activates it: all fingers and the scissor then "
@@ -58,17 +53,15 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(Robotiq3FOptions, spec)
         self.roles = roles_of(spec, self.options)
-        self.scale = Scale()
         self._individual = any(role in ("a", "b", "c") for role in self.roles)
         self._scissor = "scissor" in self.roles
-        self._sent: Command | None = None
         self._grips = tuple(Grip() for _ in AXES)
         super().__init__(spec, buses, self.options)
 
     async def _identify(self) -> None:
         await super()._identify()
-        # The scissor rests in the middle and open fingers at some counts, so zeros tell of no such
-        # motors. No manual says what a gripper tells before it is activated: hence the option.
+        # The scissor rests in the middle and open fingers at some counts, so zeros mean that there
+        # are no such motors. No manual says what an inactive gripper reports: hence the option.
         if self.options.check_fingers and not any(axis.position for axis in self._status.axes[1:]):
             raise HandshakeError(
                 self.spec.name,
@@ -78,13 +71,8 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
                 "'check_fingers: false'",
             )
 
-    def _told(self, block: Sequence[int]) -> Status:
+    def _decoded(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()
-
-    def _emulator(self) -> EmulatorFactory | None:
-        # Found active, as after an earlier run, unless it is to be homed on connecting.
-        found = {"activated": self.options.home == "on_demand", **self.options.emulator}
-        return emulator_of(self.spec, Robotiq3FEmulator, emulator=found)
 
     def _places(self) -> tuple[int, int, int]:
         network, base = self.options.port.startswith("tcp://"), self.options.register_base
@@ -124,7 +112,7 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
 
     def _measured(self, status: Status, stamp: float) -> ActuatorState:
         return ActuatorState.measured(
-            [self.scale.angle(role, self._position(role)) for role in self.roles],
+            [SCALES[role].angle(self._position(role)) for role in self.roles],
             stamp,
             current=[self._current(role) for role in self.roles],
             grasped=tuple(self._grasped(role) for role in self.roles),
@@ -165,16 +153,17 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
         moving = going and axis.contact is Contact.MOVING
         return self._grips[at].steady(contact, moving, axis.position, requested)
 
-    def _asked(self, reference: Reference) -> Sequence[int] | None:
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
         axes = [self._kept(at) for at in range(4)]
         moving = self._sent is not None
         for index, role in enumerate(self.roles):
             if not reference.mask[index]:
                 continue
+            scale = SCALES[role]
             request = Request(
-                self.scale.count(role, float(reference.position[index])),
-                self.scale.speed_count(role, float(reference.max_velocity[index])),
-                self.scale.force_count(role, float(reference.max_effort[index])),
+                scale.position.to_count(float(reference.position[index])),
+                scale.velocity.to_count(float(reference.max_velocity[index])),
+                scale.effort.to_count(float(reference.max_effort[index])),
             )
             stays = abs(request.position - self._position(role)) <= SAME
             moving |= not stays
@@ -219,6 +208,3 @@ class Robotiq3FDriver(RobotiqDriver[Status]):
     def _stopping(self) -> Sequence[int]:
         axes = [self._kept(at) for at in range(4)]
         return self._registers(self._command(axes, self._status.mode, False))
-
-    def _forget(self) -> None:
-        self._sent = None

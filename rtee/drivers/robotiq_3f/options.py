@@ -6,23 +6,16 @@ from typing import Literal
 
 from pydantic import Field
 
-from rtee.drivers.options import DeviceOptions
-from rtee.drivers.register_blocks import ExchangeKind
+from rtee.drivers.robotiq_common import RobotiqOptions
 from rtee.errors import ConfigError
 from rtee.types import DeviceSpec
 
 Role = Literal["fingers", "a", "b", "c", "scissor"]
 
 
-class Robotiq3FOptions(DeviceOptions):
+class Robotiq3FOptions(RobotiqOptions):
     """Options of Robotiq's three-finger gripper."""
 
-    port: str = Field("/dev/ttyUSB0", description="tty, socket://, rfc2217:// (RTU) or tcp://")
-    unit: int = Field(9, ge=0, le=255, description="Modbus number of the gripper")
-    baudrate: int = Field(115200, gt=0)
-    home: Literal["on_demand", "on_connect"] = Field(
-        "on_demand", description="when an inactive gripper is activated, which moves all fingers"
-    )
     mode: Literal["basic", "pinch", "wide", "scissor"] = Field(
         "basic", description="how the fingers stand; changing it moves the scissor"
     )
@@ -35,10 +28,6 @@ class Robotiq3FOptions(DeviceOptions):
     )
     function: Literal[3, 4] | None = Field(
         None, description="Modbus function to read with; by default 4 on tcp://, else 3"
-    )
-    exchange: ExchangeKind = Field("auto", description="function 23, or 16 and a read")
-    check_fingers: bool = Field(
-        True, description="refuse a gripper that tells no positions of a second and third finger"
     )
     current_per_count: float = Field(
         0.01, gt=0.0, description="[A]; the manuals contradict each other about it"

@@ -121,6 +121,7 @@ def channels_for(firmware: tuple[int, int]) -> tuple[Channel, ...]:
     return tuple(table)
 
 
+# The vendor's parameter set for firmware 1.2, by channel: ticks/s, gains, and mA.
 _RATES = (65e3, 50e3, 45e3, 40e3, 45e3, 40e3, 45e3, 45e3, 25e3)
 _KP = (0.5, 0.5, 0.5, 0.8, 0.5, 0.8, 0.5, 0.5, 0.5)
 _KI = (0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

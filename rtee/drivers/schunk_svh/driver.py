@@ -5,18 +5,20 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
-from rtee.drivers.schunk_svh import codec, power
+from rtee.drivers.schunk_svh import codec, homing, power
 from rtee.drivers.schunk_svh.channels import (
     CHANNELS,
     HOMING_ORDER,
@@ -24,13 +26,10 @@ from rtee.drivers.schunk_svh.channels import (
     channels_for,
     channels_of,
 )
-from rtee.drivers.schunk_svh.emulator import SchunkSvhEmulator
-from rtee.drivers.schunk_svh.health import HOMING, Health
 from rtee.drivers.schunk_svh.limits import Limits
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.drivers.schunk_svh.options import SchunkSvhOptions
 from rtee.drivers.schunk_svh.scales import Scales
-from rtee.drivers.schunk_svh.stops import plausible, read_stops, write_stops
 from rtee.errors import (
     BusTimeout,
     DeviceFault,
@@ -40,9 +39,6 @@ from rtee.errors import (
     RteeError,
 )
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
-
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
 
 
 class SchunkSvhDriver(Driver):
@@ -67,12 +63,12 @@ class SchunkSvhDriver(Driver):
         self.options = read_options(SchunkSvhOptions, spec)
         self._index = channels_of(spec)
         self._table: tuple[Channel, ...] = CHANNELS
-        self._link: SvhLink | None = None
+        self.connection: Connection[SvhLink] = Connection(spec)
         self.stops: dict[int, int] = {}
         self._scales: Scales | None = None
         self._limits = Limits()
         self._targets = [0] * codec.CHANNELS
-        self._health = Health(spec.name)
+        self._health = power.Health(spec.name)
         self._attached = Attached(spec.actuators)
         self._here: FloatArray = np.full(len(spec.actuators), math.nan)
         self._home_asked = False
@@ -88,22 +84,18 @@ class SchunkSvhDriver(Driver):
             recoverable=True,
         )
 
-    @property
-    def _hand(self) -> SvhLink:
-        if self._link is None:
-            raise NotConnected(self.spec.name, "it is not connected")
-        return self._link
-
     async def configure(self) -> None:
         """Open the line, identify the hand and see whether it is still enabled; sends no motion."""
         options = self.options
-        bus = await self.buses.serial(
-            options.port,
-            owner=owner_of(self.spec),
-            baudrate=codec.BAUDRATE,
-            emulator=emulator_of(self.spec, SchunkSvhEmulator),
+        link = await self.connection.open(
+            self.buses.serial(
+                options.port,
+                owner=self.connection.owner,
+                baudrate=codec.BAUDRATE,
+                emulator=emulator_of(self.spec, "schunk_svh"),
+            ),
+            lambda bus: SvhLink(bus, options.deadline, options.retries),
         )
-        link = self._link = SvhLink(bus, options.deadline, options.retries)
         try:
             firmware = await link.firmware()
         except (BusTimeout, FrameError) as error:
@@ -123,8 +115,8 @@ class SchunkSvhDriver(Driver):
         enabled = {c for c in range(codec.CHANNELS) if state.enabled >> c & 1}
         self._health.found(state)
         if not self.stops:
-            self._adopt_stops(read_stops(options.stops_file))
-        if self.stops and not plausible(self.stops, self._table, await link.feedback_all()):
+            self._adopt_stops(homing.read_stops(options.stops_file))
+        if self.stops and not homing.plausible(self.stops, self._table, await link.feedback_all()):
             self._adopt_stops({})
         if not set(self._index) <= enabled:
             # Switched off since: the supply may have been, too, and with it the encoders' zero.
@@ -157,26 +149,26 @@ class SchunkSvhDriver(Driver):
         return [self._table[index] for index in self._index]
 
     async def activate(self) -> None:
-        """Enable the channels where they stand; homes first if that is needed and allowed."""
-        self._hand.patient = True
+        """Enable the channels where they are; homes first if that is needed and allowed."""
+        self.connection.link.patient = True
         wanted = sum(1 << channel for channel in self._index)
         homed = set(self._index) <= set(self.stops)
         if homed and self._health.enabled & wanted == wanted:
             await self._seed()
             self._attached.begin(range(len(self._index)))
-            self._hand.patient = False
+            self.connection.link.patient = False
             return
         if not homed:
             if self.options.home == "on_demand" and not self._home_asked:
-                raise DeviceFault(self.spec.name, power.NOT_HOMED, "not homed", hint=HOMING)
+                raise DeviceFault(self.spec.name, power.NOT_HOMED, "not homed", hint=power.HOMING)
             await self.home()
         self._home_asked = False
         await self._enable()
-        self._hand.patient = False
+        self.connection.link.patient = False
 
     async def examine(self) -> str:
         """Return whether it is not homed; raises the fault that it reports."""
-        self._check(await self._hand.state())
+        self._check(await self.connection.link.state())
         return "" if set(self._index) <= set(self.stops) else "not homed"
 
     async def home(self) -> None:
@@ -189,15 +181,15 @@ class SchunkSvhDriver(Driver):
         self._answer = None
         self._health.off()
         self._adopt_stops({})
-        await power.disable(self._hand)
-        await self._limits.write(self._hand, self._index)
+        await power.disable(self.connection.link)
+        await self._limits.write(self.connection.link, self._index)
         stops: dict[int, int] = {}
         order = [channel for channel in HOMING_ORDER if channel in self._index]
         try:
             for number, channel in enumerate(order, start=1):
                 self.doing = f"homing {self._table[channel].name}, {number} of {len(order)}"
-                stops[channel] = await power.home(
-                    self._hand,
+                stops[channel] = await homing.home(
+                    self.connection.link,
                     self.spec.name,
                     self._table[channel],
                     self._limits.position[channel],
@@ -207,13 +199,13 @@ class SchunkSvhDriver(Driver):
         finally:
             self.doing = ""
         self._adopt_stops(stops)
-        write_stops(self.options.stops_file, stops)
+        homing.write_stops(self.options.stops_file, stops)
 
     async def _enable(self) -> None:
-        await self._limits.write(self._hand, self._index)
+        await self._limits.write(self.connection.link, self._index)
         await self._seed()
-        await self._hand.set_targets(self._targets)
-        state = await power.enable(self._hand, self._index)
+        await self.connection.link.set_targets(self._targets)
+        state = await power.enable(self.connection.link, self._index)
         self._health.begin(state, self._index)
         self._check(state)
 
@@ -221,24 +213,24 @@ class SchunkSvhDriver(Driver):
         """Take the measured positions for targets, so that nothing moves when power comes."""
         self._answer = self._last = None
         self._attached.begin()
-        feedback = await self._hand.feedback_all()
+        feedback = await self.connection.link.feedback_all()
         self._targets = list(feedback.positions)
 
     async def sense(self) -> ActuatorState:
         """Return what the hand measures: the answer to the last move where there was one."""
         self._count += 1
         if self._count % self.options.status_every == 0:
-            self._check(await self._hand.state())
+            self._check(await self.connection.link.state())
         answer, self._answer = self._answer, None
         if answer is None:
-            feedback = await self._hand.feedback_all()
+            feedback = await self.connection.link.feedback_all()
             answer = feedback, time.monotonic()
         feedback, stamp = answer
         units = self._units
         before, self._last = self._last, (feedback, stamp)
         if before is not None and units.jumped(before[0], feedback, stamp - before[1]):
-            # No finger is that fast: the encoders have begun anew, as after a cut of the supply.
-            self._check(await self._hand.state())
+            # No finger is that fast: the encoders have restarted, as after a cut of the supply.
+            self._check(await self.connection.link.state())
             units = self._units
         position, effort, current = units.measured(feedback)
         self._here = position
@@ -259,9 +251,9 @@ class SchunkSvhDriver(Driver):
         """Send changed limits, then the targets of all channels, which brings the state back."""
         waiting: Collection[int] = ()
         if not self._limits.settled(reference):
-            waiting = await self._limits.update(self._hand, self._used(), reference)
+            waiting = await self._limits.update(self.connection.link, self._used(), reference)
         if self._attached:
-            # One packet tells all channels their targets, and nothing tells what those were.
+            # One packet sets the targets of all channels, and what those were cannot be read.
             if len(self._attached.left(reference, self._here)) == len(self._index):
                 return
             self._attached.begin()
@@ -272,14 +264,14 @@ class SchunkSvhDriver(Driver):
         ):
             if asked and known and index not in waiting:
                 self._targets[index] = target
-        feedback = await self._hand.set_targets(self._targets)
+        feedback = await self.connection.link.set_targets(self._targets)
         self._answer = feedback, time.monotonic()
 
     async def stop(self) -> None:
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self._seed)
-            await patiently(lambda: self._hand.set_targets(self._targets))
+            await patiently(lambda: self.connection.link.set_targets(self._targets))
 
     async def disable(self) -> None:
         """Switch every channel off; the fingers go limp."""
@@ -287,14 +279,14 @@ class SchunkSvhDriver(Driver):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Clear latched faults; enable the channels where they stand, if that is known.
+        """Clear latched faults; enable the channels where they are, if that is known.
 
         Where it isn't, the next `activate` homes the hand, which moves it.
         """
-        self._hand.patient = True
-        await power.disable(self._hand)
+        self.connection.link.patient = True
+        await power.disable(self.connection.link)
         self._health.off()
-        state = await self._hand.state()
+        state = await self.connection.link.state()
         self._health.cleared(state)
         self._check(state)
         self._home_asked = not set(self._index) <= set(self.stops)
@@ -304,17 +296,11 @@ class SchunkSvhDriver(Driver):
     async def deactivate(self) -> None:
         """Switch every channel off."""
         self._answer = None
-        if self._link is not None:
+        if self.connection.is_open:
             self._health.off()
-            await power.disable(self._link)
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the line."""
-        return {} if self._link is None else self._link.bus.counters.as_mapping()
+            await power.disable(self.connection.link)
 
     async def close(self) -> None:
         """Give the line back; what is enabled stays enabled."""
-        link, self._link = self._link, None
         self._answer = None
-        if link is not None:
-            await link.bus.detach(owner_of(self.spec))
+        await super().close()

@@ -103,7 +103,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         return cls(read_properties(SvhOptions, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
-        """Begin anew: everything off, encoders at 0 where the fingers stand."""
+        """Restart: everything off, encoders at 0 where the fingers are."""
         closures, before = [self.options.start] * codec.CHANNELS, self.channels
         if before:
             closures = [self.closure(index) for index in range(codec.CHANNELS)]

@@ -14,7 +14,10 @@ from rtee.errors import HandshakeError
 from rtee.types import Reference
 
 _PER_CYCLE = 2
+"""Changed limits sent in one cycle: each costs an exchange of about 2 ms."""
+
 _TOLERANCE = 5e-3
+"""Relative change of a limit that is not worth an exchange."""
 
 
 class Limits:

@@ -8,11 +8,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.schunk_svh.channels import CHANNELS, Channel
-from rtee.drivers.schunk_svh.packets import TURNAROUND
-
-Positive = Annotated[float, Field(gt=0.0)]
+from rtee.drivers.schunk_svh.codec import TURNAROUND
 
 
 class ChannelOptions(BaseModel):

@@ -1,30 +1,31 @@
-"""Enabling, disabling and homing the SVH's channels, in the order the hand needs."""
+"""Power of the SVH's channels, and what its controllers report of faults, lost power and heat."""
 
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 
-from rtee.drivers.schunk_svh import codec
-from rtee.drivers.schunk_svh.channels import HOMING_ORDER, HOMING_RATE, Channel
+from rtee.drivers.schunk_svh.channels import HOMING_ORDER, Channel
 from rtee.drivers.schunk_svh.codec import ControllerState
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.errors import DeviceFault
 
 _CLEAR = ControllerState.CLEAR
 _SUPPLY = ControllerState.SUPPLY
-_HITS = 10
-_FAR = 1_000_000
-_NEAR = 1_000
-_POLL = 0.005
-_MOVED = 50
+
+_SETTLING = 0.002
+"""Pause between two steps of enabling, as in the vendor's library [s]."""
 
 NOT_HOMED = 1
-HOMING_FAILED = 2
 DRIVER_FAULT = 3
 LOST_POWER = 4
+"""Codes of faults; the hand itself has none."""
+
+HOMING = (
+    "`rtee recover`, or `rtee run --home`, homes it: every finger moves to its open stop, so "
+    "nothing may be in the way"
+)
+"""What to do about a hand that is not homed."""
 
 
 async def disable(link: SvhLink) -> None:
@@ -42,11 +43,11 @@ async def enable(link: SvhLink, channels: Sequence[int], *, already: int = 0) ->
     """
     if not already:
         await link.set_state(ControllerState(_CLEAR, _CLEAR))
-        await asyncio.sleep(0.002)
+        await asyncio.sleep(_SETTLING)
         await link.set_state(ControllerState(_CLEAR, _CLEAR, _SUPPLY, _SUPPLY))
-        await asyncio.sleep(0.002)
+        await asyncio.sleep(_SETTLING)
         await link.set_state(ControllerState(_CLEAR, _CLEAR, _SUPPLY, _SUPPLY, 1, 1))
-        await asyncio.sleep(0.002)
+        await asyncio.sleep(_SETTLING)
     mask = already
     state = ControllerState()
     for channel in HOMING_ORDER:
@@ -57,86 +58,64 @@ async def enable(link: SvhLink, channels: Sequence[int], *, already: int = 0) ->
     return state if state.enabled else await link.state()
 
 
-async def home(
-    link: SvhLink,
-    device: str,
-    channel: Channel,
-    position: codec.PositionSettings,
-    current: codec.CurrentSettings,
-    *,
-    timeout: float,
-) -> int:
-    """Look for a channel's stop, slowly; leave it off the stop, switched off.
+class Health:
+    """Compares the controllers' states with what was so when the hand was enabled.
 
-    Returns:
-        The position of the stop [ticks].
-
-    Raises:
-        DeviceFault: if it stands still for ``timeout`` [s] without meeting a stop, or does not come
-            back from it.
-        BusError: if an exchange fails.
+    Attributes:
+        enabled: Mask of the channels that must be on.
+        warnings: Conditions that are no faults.
     """
-    slow = replace(position, max_rate=position.max_rate * HOMING_RATE)
-    await link.set_position_settings(channel.index, slow)
-    here = (await link.feedback(channel.index)).position
-    await link.set_target(channel.index, here)
-    try:
-        await enable(link, [channel.index])
-        stop = await _seek(link, device, channel, current, timeout)
-        await _settle(link, device, channel, channel.idle(stop), timeout)
-    finally:
-        ending = asyncio.ensure_future(disable(link))
-        ending.add_done_callback(_ended)
-        await asyncio.shield(ending)
-    await link.set_position_settings(channel.index, position)
-    return stop
 
+    def __init__(self, device: str) -> None:
+        self.enabled = 0
+        self.warnings: tuple[str, ...] = ()
+        self._device = device
+        self._baseline = ControllerState()
 
-def _ended(task: asyncio.Future[None]) -> None:
-    """Take the error of switching off when nobody waits for it any more."""
-    if not task.cancelled():
-        task.exception()
+    def found(self, state: ControllerState) -> None:
+        """Take a hand as it is found: what is on must stay on."""
+        self.enabled = state.enabled
+        self._baseline = _latched(state)
 
+    def begin(self, state: ControllerState, channels: Iterable[int]) -> None:
+        """Ignore the bits that are set now; these channels must stay on."""
+        self.enabled = sum(1 << channel for channel in channels)
+        self._baseline = state
 
-async def _seek(
-    link: SvhLink,
-    device: str,
-    channel: Channel,
-    current: codec.CurrentSettings,
-    timeout: float,
-) -> int:
-    threshold = channel.reset_factor * current.maximum
-    far = channel.direction * _FAR
-    hits, last, since = 0, None, time.monotonic()
-    while True:
-        feedback = await link.set_target(channel.index, far)
-        pressing = abs(feedback.current_ma) >= threshold
-        hits = hits + 1 if pressing else max(0, hits - 1)
-        if hits >= _HITS:
-            return feedback.position
-        now = time.monotonic()
-        if last is None or abs(feedback.position - last) > _MOVED:
-            last, since = feedback.position, now
-        elif now - since > timeout:
+    def off(self) -> None:
+        """Expect no channel to be on."""
+        self.enabled = 0
+
+    def cleared(self, state: ControllerState) -> None:
+        """Start again after latched faults have been cleared."""
+        self.enabled = 0
+        self.warnings = ()
+        self._baseline = _latched(state)
+
+    def check(self, state: ControllerState, table: Sequence[Channel]) -> None:
+        """Raise `DeviceFault` if a state reports one; notes the warnings."""
+        faults = state.pwm_fault & ~self._baseline.pwm_fault
+        lost = self.enabled & ~state.enabled
+        hot = state.pwm_otw & ~self._baseline.pwm_otw
+        self.warnings = (f"over-temperature warning {hot:#04x}",) if hot else ()
+        if faults:
             raise DeviceFault(
-                device,
-                HOMING_FAILED,
-                f"homing failed: {channel.name} does not move",
-                hint="switch the 24 V supply on, clear its way; `rtee recover` homes again",
+                self._device,
+                DRIVER_FAULT,
+                f"driver fault {faults:#04x}",
+                hint="let it cool down, then `rtee recover`",
             )
-        await asyncio.sleep(_POLL)
+        if lost:
+            names = ", ".join(c.name for c in table if lost >> c.index & 1)
+            raise DeviceFault(
+                self._device,
+                LOST_POWER,
+                f"switched off: {names}",
+                hint=f"was the 24 V supply cut? {HOMING}",
+            )
 
 
-async def _settle(link: SvhLink, device: str, channel: Channel, goal: int, timeout: float) -> None:
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        feedback = await link.set_target(channel.index, goal)
-        if abs(feedback.position - goal) < _NEAR:
-            return
-        await asyncio.sleep(_POLL)
-    raise DeviceFault(
-        device,
-        HOMING_FAILED,
-        f"homing failed: {channel.name} does not come back from its stop",
-        hint="free the finger; `rtee recover` homes again",
-    )
+def _latched(state: ControllerState) -> ControllerState:
+    """Return the bits that mean nothing: those written to clear latches, if they come back."""
+    echoed = state.pwm_fault == ControllerState.CLEAR
+    return state if echoed else ControllerState()

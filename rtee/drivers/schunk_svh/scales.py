@@ -1,4 +1,4 @@
-"""What the SVH measures and is told, in SI units, for all its channels at once."""
+"""The SVH's measurements and targets in SI units, for all its channels at once."""
 
 from __future__ import annotations
 

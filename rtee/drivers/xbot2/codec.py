@@ -20,8 +20,8 @@ from rtee.drivers.xbot2.messages import (
 )
 from rtee.hand.yamlfile import yaml_reader
 
-STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558
-_LONGEST = 1_000_000
+STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558  # where xbot2_zmq listens by default
+_LONGEST = 1_000_000  # bytes of an answer that is read; a robot's joint names take a few thousand
 
 
 class Control(IntFlag):
@@ -182,36 +182,3 @@ def joint_names(raw: bytes) -> tuple[str, ...]:
     if not isinstance(data, list) or not all(isinstance(name, str) for name in data):
         raise XBot2FrameError("the answer has no list of joints")
     return tuple(data)
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """The units of one joint.
-
-    Attributes:
-        lower: What the server says where the actuator is at its lower limit.
-        upper: What the server says where the actuator is at its upper limit.
-        actuator_lower: The actuator's lower limit [rad | m | closure].
-        actuator_upper: The actuator's upper limit.
-    """
-
-    lower: float
-    upper: float
-    actuator_lower: float
-    actuator_upper: float
-
-    def to_position(self, told: float) -> float:
-        """Return the actuator's position of the server's."""
-        share = (told - self.lower) / (self.upper - self.lower)
-        return self.actuator_lower + share * (self.actuator_upper - self.actuator_lower)
-
-    def to_told(self, position: float) -> float:
-        """Return the server's position of the actuator's."""
-        span = self.actuator_upper - self.actuator_lower
-        share = (position - self.actuator_lower) / span
-        return self.lower + share * (self.upper - self.lower)
-
-    @property
-    def gain(self) -> float:
-        """Server's units per unit of the actuator."""
-        return (self.upper - self.lower) / (self.actuator_upper - self.actuator_lower)

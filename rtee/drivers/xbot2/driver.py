@@ -6,18 +6,20 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
+from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
 from rtee.drivers.base import Driver
-from rtee.drivers.emulators import emulator_of, owner_of
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
+from rtee.drivers.scale import LinearScale
 from rtee.drivers.xbot2 import codec
-from rtee.drivers.xbot2.codec import Command, Control, Scale, State
-from rtee.drivers.xbot2.emulator import XBot2Emulator
+from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.drivers.xbot2.options import JointOptions, XBot2Options
 from rtee.errors import (
@@ -30,11 +32,12 @@ from rtee.errors import (
 )
 from rtee.types import ActuatorSpec, ActuatorState, Capabilities, DeviceSpec, Reference
 
-if TYPE_CHECKING:
-    from rtee.buses.pool import BusPool
-
 _STALE = 0.3
+"""A state older than this counts as lost [s]: thirty periods of the server's usual rate."""
+
 _SAME = 2e-3
+"""A reference this near to the measured position asks for no motion, as part of the range."""
+
 _NO_EFFORT = (
     "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
     "beside them, for boards that take it so, and 'effort' closes and opens with it"
@@ -68,7 +71,7 @@ class XBot2Driver(Driver):
         pairs = list(zip(given, spec.actuators, strict=True))
         self._commanded = [_scale(g.command, a, spec.name) for g, a in pairs]
         self._told = [_scale(g.state or g.command, a, spec.name) for g, a in pairs]
-        self._bus: ZmqBus | None = None
+        self.connection: Connection[ZmqBus] = Connection(spec)
         self._undo: Callable[[], None] | None = None
         self._state: State | None = None
         self._index: list[int] = []
@@ -86,12 +89,6 @@ class XBot2Driver(Driver):
             recoverable=True,
         )
 
-    @property
-    def _server(self) -> ZmqBus:
-        if self._bus is None:
-            raise NotConnected(self.spec.name, "is not connected")
-        return self._bus
-
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
@@ -101,14 +98,17 @@ class XBot2Driver(Driver):
         joints = {
             a.name: {"joint": n} for a, n in zip(self.spec.actuators, self._names, strict=True)
         }
-        ends = [end for scale in self._commanded for end in (scale.lower, scale.upper)]
-        bus = self._bus = await self.buses.zmq(
-            options.address,
-            owner=owner_of(self.spec),
-            ports=(options.state_port, options.command_port, options.service_port),
-            emulator=emulator_of(
-                self.spec, XBot2Emulator, joints=joints, ends=(min(ends), max(ends))
+        ends = [end for scale in self._commanded for end in scale.raw]
+        bus = await self.connection.open(
+            self.buses.zmq(
+                options.address,
+                owner=self.connection.owner,
+                ports=(options.state_port, options.command_port, options.service_port),
+                emulator=emulator_of(
+                    self.spec, "xbot2", joints=joints, ends=(min(ends), max(ends))
+                ),
             ),
+            lambda bus: bus,
         )
         self._undo = bus.subscribe(self._take)
         try:
@@ -159,7 +159,7 @@ class XBot2Driver(Driver):
                 return
             self._index = [state.names.index(name) for name in self._names]
         except (XBot2FrameError, ValueError):
-            self._server.counters.checksum_errors += 1
+            self.connection.link.counters.checksum_errors += 1
             return
         self._state, self._stamp = state, stamp
         self._arrived.set()
@@ -171,19 +171,13 @@ class XBot2Driver(Driver):
             self._undo = None
         self._state = None
         self._touched = False
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            await bus.detach(owner_of(self.spec))
-
-    def counters(self) -> Mapping[str, int]:
-        """Return the counters of the connection."""
-        return {} if self._bus is None else self._bus.counters.as_mapping()
+        await super().close()
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
         """Return the newest state that XBot2 has published; waits a moment for a new one."""
-        bus = self._server
+        bus = self.connection.link
         bus.check()
         if self._stamp == self._seen:
             self._arrived.clear()
@@ -197,9 +191,9 @@ class XBot2Driver(Driver):
         fresh, self._seen = self._stamp != self._seen, self._stamp
         joints = list(zip(self._index, self._told, self._signs, strict=True))
         found = ActuatorState.measured(
-            [scale.to_position(state.position[i]) for i, scale, _ in joints],
+            [scale.to_si(state.position[i]) for i, scale, _ in joints],
             self._stamp,
-            velocity=[state.velocity[i] / scale.gain for i, scale, _ in joints],
+            velocity=[state.velocity[i] * scale.gain for i, scale, _ in joints],
             effort=[sign * state.effort[i] for i, _, sign in joints],
             temperature=[state.temperature[i] for i, _, _ in joints],
         )
@@ -213,7 +207,7 @@ class XBot2Driver(Driver):
         if self.options.control == "limited":
             for i in chosen:
                 limit, most = float(reference.max_effort[i]), self.spec.actuators[i].effort
-                # Once it was told a smaller one, XBot2 must be told that all of it may be used.
+                # After a smaller limit, XBot2 must be sent that all of it may be used.
                 if limit < most or math.isfinite(self._limits[i]):
                     self._limits[i] = max(min(limit, most), 0.0)
         if self.options.control != "effort":
@@ -227,18 +221,18 @@ class XBot2Driver(Driver):
         positions: tuple[float, ...] = ()
         if not all(efforts):
             positions = tuple(
-                self._commanded[i].to_told(float(reference.position[i])) for i in chosen
+                self._commanded[i].to_raw(float(reference.position[i])) for i in chosen
             )
         control = tuple(Control.EFFORT if effort else Control.POSITION for effort in efforts)
         names = tuple(self._names[i] for i in chosen)
-        self._server.send_now(Command(names, positions, efforts, control).to_bytes())
+        self.connection.link.send_now(Command(names, positions, efforts, control).to_bytes())
 
     def _asked(self, chosen: list[int], reference: Reference) -> bool:
         """Return whether anything was ever asked of the joints but to stay where they are."""
         if not self._touched and self._state is not None:
             for i in chosen:
                 actuator = self.spec.actuators[i]
-                here = self._told[i].to_position(self._state.position[self._index[i]])
+                here = self._told[i].to_si(self._state.position[self._index[i]])
                 span = actuator.upper - actuator.lower
                 near = _SAME * (span if math.isfinite(span) else 1.0)
                 self._touched |= abs(float(reference.position[i]) - here) > near
@@ -249,7 +243,7 @@ class XBot2Driver(Driver):
         if self._state is None:
             return 0.0
         actuator = self.spec.actuators[i]
-        here = self._told[i].to_position(self._state.position[self._index[i]])
+        here = self._told[i].to_si(self._state.position[self._index[i]])
         error = float(reference.position[i]) - here
         if abs(error) <= self.options.band * (actuator.upper - actuator.lower):
             return 0.0
@@ -261,7 +255,7 @@ class XBot2Driver(Driver):
     def _send_positions(self, chosen: list[int], positions: list[float]) -> None:
         names = tuple(self._names[i] for i in chosen)
         told = tuple(
-            self._commanded[i].to_told(position)
+            self._commanded[i].to_raw(position)
             for i, position in zip(chosen, positions, strict=True)
         )
         limits = [self._limits[i] for i in chosen]
@@ -273,7 +267,7 @@ class XBot2Driver(Driver):
             Control.POSITION | Control.EFFORT if given else Control.POSITION for given in limited
         )
         command = Command(names, told, efforts if any(limited) else (), control)
-        self._server.send_now(command.to_bytes())
+        self.connection.link.send_now(command.to_bytes())
 
     async def stop(self) -> None:
         """Hold the measured pose."""
@@ -287,13 +281,12 @@ class XBot2Driver(Driver):
         await self.sense()
 
 
-def _scale(ends: tuple[float, float] | None, actuator: ActuatorSpec, device: str) -> Scale:
+def _scale(ends: tuple[float, float] | None, actuator: ActuatorSpec, device: str) -> LinearScale:
     lower, upper = actuator.lower, actuator.upper
     if not math.isfinite(upper - lower):
         if ends is not None:
             raise ConfigError(
                 f"device '{device}': '{actuator.name}' has no limits that could be mapped"
             )
-        return Scale(0.0, 1.0, 0.0, 1.0)
-    told = (lower, upper) if ends is None else ends
-    return Scale(*told, lower, upper)
+        return LinearScale((0.0, 1.0), (0.0, 1.0))
+    return LinearScale((lower, upper) if ends is None else ends, (lower, upper))

@@ -27,7 +27,7 @@ class ServerProperties:
         joints: Its joints.
         lower: Lower end of all joints.
         upper: Upper end of all joints.
-        start: Where they stand.
+        start: Where they are at first.
         speed: Speed to which references are slewed [1/s].
         effort: Effort they are capable of.
         rate: Rate of the states [Hz].
@@ -86,7 +86,7 @@ class XBot2Emulator(Emulator, Grasps):
         return cls(read_properties(ServerProperties, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
-        """Begin anew; the joints stay where they are."""
+        """Restart; the joints stay where they are."""
         self._sequence = 0
         for axis in self.axes.values():
             axis.target = axis.position

@@ -6,10 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from rtee.drivers.options import DeviceOptions
+from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.xbot2.codec import COMMAND_PORT, SERVICE_PORT, STATE_PORT
 
-Positive = Annotated[float, Field(gt=0.0)]
 Port = Annotated[int, Field(gt=0, lt=65536)]
 
 
@@ -22,7 +21,7 @@ class JointOptions(BaseModel):
     Attributes:
         joint: Its name at the server; by default the actuator's.
         command: What is commanded at the actuator's lower and upper limit; by default the limits.
-        state: What is told there; by default as commanded.
+        state: What is reported there; by default as commanded.
         effort_sign: Sign of an effort that drives the actuator up.
     """
 

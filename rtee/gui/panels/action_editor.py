@@ -1,18 +1,15 @@
-"""Making actions: jog, save a posture, compose, put in sequence, rename, delete, undo."""
+"""Editing actions: jog, save a posture, compose, sequence, rename, delete, undo."""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Sequence
 
-from rtee.actions.types import (
-    Action,
-    CustomAction,
-    Primitive,
-)
+from rtee.actions.types import Action, CustomAction, Primitive
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.jog import JogPanel
 from rtee.gui.panels.parts import PartsPanel
 from rtee.gui.panels.tuning import TuningPanel
+from rtee.gui.wording import NOTHING, offer
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
@@ -20,21 +17,18 @@ from rtee.remote.monitoring import HandStatus
 
 Refresh = Callable[[], Awaitable[object]]
 
-_FOLD = 12
-_NONE = "–"
-
 
 class EditPanel:
     """Rename and delete custom actions; a deletion can be undone."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
-        """Put it where the GUI builds now."""
+        """Add the panel to the current container."""
         gui = bridge.server.gui
         self._bridge = bridge
         self._remote = remote
         self._custom: dict[str, CustomAction] = {}
         self._deleted: list[CustomAction] = []
-        self._which = gui.add_dropdown("Action", (_NONE,), hint="Composed, timed or generic")
+        self._which = gui.add_dropdown("Action", (NOTHING,), hint="Composed, timed or generic")
         self._name = gui.add_text("New name", "", hint="Letters, digits, _ - .")
         self._do = gui.add_button_group(
             "", ("Rename", "Delete", "Undo"), hint="Undo brings back what was deleted last"
@@ -44,11 +38,7 @@ class EditPanel:
     def offer(self, actions: Sequence[Action]) -> None:
         """Offer the custom actions among these."""
         self._custom = {a.name: a for a in actions if not isinstance(a, Primitive)}
-        names = tuple(self._custom) or (_NONE,)
-        if tuple(self._which.options) != names:
-            kept = self._which.value if self._which.value in names else names[0]
-            self._which.options = names
-            self._which.value = kept
+        offer(self._which, self._custom)
 
     def _clicked(self, what: str) -> None:
         work = {"Rename": self._rename, "Delete": self._delete, "Undo": self._undo}[what]
@@ -78,10 +68,10 @@ class EditPanel:
 
 
 class MakingPanel:
-    """Everything with which people make actions."""
+    """The panels with which people make actions."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand, refresh: Refresh) -> None:
-        """Put the panel where the GUI builds now."""
+        """Add the panel to the current container."""
         gui = bridge.server.gui
         self._bridge = bridge
         self._remote = remote
@@ -120,15 +110,15 @@ class MakingPanel:
         self._bridge.notify("Saved", f"action '{name}'", "green")
 
     def show_actions(self, actions: Sequence[Action]) -> None:
-        """Offer these actions."""
+        """Offer these actions as parts and for editing."""
         self._parts.offer(actions)
         self._edit.offer(actions)
 
     def show_state(self, state: State) -> None:
-        """Take the measured state."""
+        """Show the measured state."""
         self._state = state
         self._jog.follow(state)
 
     def show_status(self, status: HandStatus) -> None:
-        """Take how the hand is doing."""
+        """Show the status of the hand."""
         self._tuning.show(status)

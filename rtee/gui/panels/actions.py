@@ -1,4 +1,4 @@
-"""All actions of a hand as cards, grouped by kind, kept in step while it runs."""
+"""All actions of a hand as cards, grouped by kind, and updated when they change."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rtee.gui.trial_results import Tried
 from rtee.remote.client import RemoteHand
 
 _FEW = 3
+"""Cards of primitives that are open at first: these fit on the screen."""
 
 
 def _title(kind: ActionKind) -> str:
@@ -18,7 +19,7 @@ def _title(kind: ActionKind) -> str:
 
 
 def grouped(actions: Sequence[Action]) -> dict[tuple[ActionKind, str], list[Action]]:
-    """Return the actions by kind and name: the primitives of one name share a card."""
+    """Return the actions by kind and name; the primitives of one name share a card."""
     groups: dict[tuple[ActionKind, str], list[Action]] = {}
     for kind in ActionKind:
         for action in actions:
@@ -37,7 +38,7 @@ class ActionsPanel:
         show: Show,
         remark: Callable[[Action], str] = lambda action: "",
     ) -> None:
-        """Put the panel where the GUI builds now; `refresh` fills it."""
+        """Add the panel to the current container; `refresh` fills it."""
         gui = bridge.server.gui
         self._bridge = bridge
         self._hand = hand
@@ -58,13 +59,14 @@ class ActionsPanel:
         return dict(self._cards)
 
     async def refresh(self) -> list[Action]:
-        """Ask the hand for its actions; changes only the cards whose actions have changed."""
+        """Ask the hand for its actions; rebuilds only the cards whose actions have changed."""
         actions = await self._hand.actions()
         groups = grouped(actions)
         for key in [key for key in self._cards if key not in groups]:
             self._cards.pop(key).remove()
             del self._known[key]
         for place, (key, group) in enumerate(groups.items()):
+            # Rebuilding a card resets its controls, so unchanged ones are kept.
             signature = tuple(_signature(action) for action in group)
             if self._known.get(key) == signature:
                 self._cards[key].place(place)
@@ -93,7 +95,7 @@ class ActionsPanel:
             card.show_trials(tried)
 
     def remove(self) -> None:
-        """Take the cards away, and their commands."""
+        """Remove the cards and their commands."""
         while self._cards:
             self._cards.popitem()[1].remove()
 

@@ -1,4 +1,4 @@
-"""A card per grasping action: elements, intensity, Do, Preview, Cancel, and how far it has come."""
+"""A card per grasping action: elements, intensity, Do, Preview, Cancel, and its progress."""
 
 from __future__ import annotations
 
@@ -7,13 +7,7 @@ from html import escape
 
 import viser
 
-from rtee.actions.types import (
-    Action,
-    Evidence,
-    Posture,
-    Primitive,
-    Timed,
-)
+from rtee.actions.types import Action, Evidence, Posture, Primitive, Timed
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.choice import ElementChoice
 from rtee.gui.panels.execution import Execution, last_posture
@@ -21,11 +15,12 @@ from rtee.gui.trial_results import Tried, key_of
 from rtee.gui.trial_results import line as tried_line
 from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, small
-from rtee.remote.client import GoalOptions, RemoteHand
+from rtee.remote.client import RemoteHand
+from rtee.remote.goal import GoalOptions
 from rtee.types import Stage
 
 Show = Callable[[Posture | None, float, Evidence | None], None]
-"""Shows a posture at an intensity as a ghost, with its contact; ``None`` hides it."""
+"""Shows a posture at an intensity as a ghost, with its contact; ``None`` hides the ghost."""
 
 _STAGES = {
     "to the grasp": Stage.BOTH,
@@ -38,8 +33,8 @@ class Card:
     """One action, or all primitives of one name.
 
     Attributes:
-        name: What it is called.
-        words: What a search looks in.
+        name: Name of the action.
+        words: The text in which a search looks.
     """
 
     def __init__(
@@ -53,16 +48,16 @@ class Card:
         order: float,
         remark: Callable[[Action], str] = lambda action: "",
     ) -> None:
-        """Put the card where the GUI builds now.
+        """Add the card to the current container.
 
         Args:
             bridge: Carries clicks.
             hand: The hand.
             actions: The primitives of one name, or one other action.
             show: Shows a posture.
-            expanded: Whether it is unfolded at once.
-            order: Where it stands among the others.
-            remark: Says in words what an action does besides what its name says.
+            expanded: Whether the card is open at first.
+            order: Position among the cards.
+            remark: Returns what an action does besides what its name says, in words.
         """
         self.name = actions[0].name
         self._bridge = bridge
@@ -107,11 +102,11 @@ class Card:
             case Primitive():
                 whole = [a.elements for a in self._actions]
                 noun = action.kind.noun.capitalize()
-                self._choice = ElementChoice(gui, whole, self._chosen_anew, noun)
+                self._choice = ElementChoice(gui, whole, self._on_choice, noun)
                 self._said = gui.add_html("", visible=False, order=0.5)
                 self._show_remark()
             case Timed():
-                pass  # its steps stand below, where their progress is shown
+                pass  # its steps are listed below, with their progress
             case _ if action.uses:
                 gui.add_html(small(" + ".join(escape(described(u)) for u in action.uses)), order=0)
             case _:
@@ -150,11 +145,11 @@ class Card:
                     "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
                 )
 
-    # --- what is chosen
+    # --- the choice
 
     @property
     def action(self) -> Action:
-        """The action that the card stands for now."""
+        """The chosen action."""
         if self._choice is None:
             return self._actions[0]
         chosen = self._choice.chosen
@@ -165,15 +160,15 @@ class Card:
 
     @property
     def evidence(self) -> Evidence | None:
-        """The evidence of the action, where it has any."""
+        """The evidence of the chosen action, if it has any."""
         return next(iter(self.action.evidence), None)
 
-    def _chosen_anew(self) -> None:
+    def _on_choice(self) -> None:
         evidence = self.evidence
         contact = None if evidence is None else evidence.contact_at
         if contact != self._contact:
             value = int(self._slider.value)
-            self._slider.remove()
+            self._slider.remove()  # the marks of a slider cannot be changed
             with self._folder:
                 self._slider = self._make_slider(self._bridge.server.gui, value)
         self._show_remark()
@@ -204,7 +199,7 @@ class Card:
             )
         self._found.visible = bool(results)
 
-    # --- what is clicked
+    # --- clicks
 
     async def _clicked(self, event: viser.GuiEvent) -> None:
         match str(event.target.value):
@@ -233,7 +228,7 @@ class Card:
             options["stage"] = _STAGES[str(self._stage.value)]
         await self._execution.do(self.action, options, self._effort.value / 100.0)
 
-    # --- where it stands
+    # --- its place among the cards
 
     @property
     def visible(self) -> bool:
@@ -246,11 +241,11 @@ class Card:
             self._folder.visible = shown
 
     def place(self, order: float) -> None:
-        """Stand at another place among the cards."""
+        """Move the card to another position."""
         if self._folder.order != order:
             self._folder.order = order
 
     def remove(self) -> None:
-        """Take the card away."""
+        """Remove the card."""
         self._command.remove()
         self._folder.remove()

@@ -1,4 +1,4 @@
-"""Choosing the elements of a primitive: only combinations that exist can be chosen."""
+"""Choosing the elements of a primitive among the combinations that exist."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Combination = tuple[str, ...]
 
 
 def options_at(combinations: Sequence[Combination], chosen: Sequence[str]) -> tuple[str, ...]:
-    """Return the elements that can follow those chosen so far, in the order they occur."""
+    """Return the elements that can follow the chosen ones, in the order of the combinations."""
     taken = set(chosen)
     found: dict[str, None] = {}
     for combination in combinations:
@@ -22,10 +22,10 @@ def options_at(combinations: Sequence[Combination], chosen: Sequence[str]) -> tu
 
 
 class ElementChoice:
-    """One dropdown per element; each offers only partners of those before it.
+    """One dropdown per element; each offers only what fits those before it.
 
     Attributes:
-        combinations: The combinations there are.
+        combinations: The existing combinations.
     """
 
     def __init__(
@@ -35,11 +35,11 @@ class ElementChoice:
         changed: Callable[[], None],
         noun: str,
     ) -> None:
-        """Put the dropdowns where the GUI builds now.
+        """Add the dropdowns to the current container.
 
         Args:
             gui: The browser's controls.
-            combinations: The combinations there are, at least one, all of one length.
+            combinations: The existing combinations, at least one, all of the same length.
             changed: Called when the choice has changed.
             noun: What an element is: ``Finger`` or ``Actuator``.
         """
@@ -65,7 +65,7 @@ class ElementChoice:
 
     @property
     def chosen(self) -> Combination:
-        """The combination chosen, as it is written in the action's file."""
+        """The chosen combination, as it is written in the action's file."""
         values = {str(box.value) for box in self._boxes}
         for combination in self.combinations:
             if set(combination) == values:
@@ -77,6 +77,7 @@ class ElementChoice:
         for box in self._boxes[index + 1 :]:
             offered = options_at(self.combinations, chosen)
             wanted = str(box.value) if box.value in offered else offered[0]
+            # Changing the options calls back, so they are changed only if necessary.
             if tuple(box.options) != offered:
                 box.options = offered
             if box.value != wanted:

@@ -1,4 +1,4 @@
-"""Executing the action of a card: a bar that fills, a bar per inner action, and how it ended."""
+"""Executing the action of a card: progress bars, one per inner action, and the result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, PREVIEW
 from rtee.gui.trial_results import key_of
 from rtee.gui.wording import described, said, small
-from rtee.remote.client import GoalOptions, RemoteHand
+from rtee.remote.client import RemoteHand
+from rtee.remote.goal import GoalOptions
 from rtee.types import Feedback, Result
 
 
@@ -31,10 +32,10 @@ def _step(step: Step) -> str:
 
 
 class Execution:
-    """The bars of an action, and what fills them."""
+    """The progress bars of an action, and its execution."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand, steps: Sequence[Step]) -> None:
-        """Put the bars where the GUI builds now.
+        """Add the bars to the current container.
 
         Args:
             bridge: Carries clicks.
@@ -54,11 +55,11 @@ class Execution:
         self._word = gui.add_html("", order=6)
 
     async def do(self, action: Action, options: GoalOptions, effort: float) -> None:
-        """Execute an action and show how it goes.
+        """Execute an action and show its progress and result.
 
         Args:
             action: The action.
-            options: How.
+            options: Options of the goal.
             effort: Share of the actuators' effort limits, 0 to 1.
         """
         if effort < 1.0:
@@ -87,7 +88,7 @@ class Execution:
         self._say("", "")
 
     def _progress(self, feedback: Feedback) -> None:
-        if feedback.goal_id != self._goal_id:
+        if feedback.goal_id != self._goal_id:  # of a goal that this card has replaced
             return
         self._bar.value = round(100.0 * feedback.progress, 1)
         for name, progress in feedback.inner_progress.items():

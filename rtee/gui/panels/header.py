@@ -1,4 +1,4 @@
-"""What is always visible and always works: stop, open, the devices, who holds the hand."""
+"""The part that is always visible and works: stop, open, the devices, who holds the lease."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SIGNS = {
 
 
 def device_line(device: DeviceStatus) -> str:
-    """Return a device's state as HTML: sign, name, state, fault and hint."""
+    """Return a device's status as HTML: sign, name, state, fault and hint."""
     sign, colour = _SIGNS[device.lifecycle]
     words = [f"<b>{escape(device.name)}</b> {escape(str(device.lifecycle))}"]
     if device.fault_name:
@@ -35,10 +35,10 @@ def device_line(device: DeviceStatus) -> str:
 
 
 class Header:
-    """Stop, Open, Recover, the devices and the holder of a hand."""
+    """Stop, Open, Recover, the devices and the holder of the lease."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
-        """Put them where the GUI builds now.
+        """Add them to the current container.
 
         Args:
             bridge: Carries clicks.
@@ -79,6 +79,7 @@ class Header:
 
     async def _do_stop(self) -> None:
         confirmed = await self._hand.stop()
+        # A device that has not confirmed may still move: say so in red.
         silent = [name for name, word in confirmed.items() if not word]
         if silent:
             self._bridge.notify("Stop NOT confirmed", f"by {', '.join(silent)}", "red")
@@ -86,7 +87,7 @@ class Header:
             self._bridge.notify("Stopped", f"confirmed by {', '.join(confirmed)}", "green")
 
     def show(self, status: HandStatus) -> None:
-        """Show how the hand is doing."""
+        """Show the status of the hand."""
         lines = [device_line(device) for device in status.devices]
         holder = "nobody" if not status.holder else escape(status.holder)
         if status.holder == self._hand.client:
@@ -105,10 +106,10 @@ class Header:
     def _put(self, lines: list[str]) -> None:
         body = "<br>".join(lines)
         html = f'<div role="status" style="font-size:0.85em;padding:0 0.75em">{body}</div>'
-        if self._state.content != html:
+        if self._state.content != html:  # each change is sent to all windows
             self._state.content = html
 
     def remove(self) -> None:
-        """Take everything away."""
+        """Remove everything."""
         for handle in (self._stop, self._open, self._state, self._recover, *self._commands):
             handle.remove()

@@ -6,20 +6,23 @@ import viser
 
 from rtee.errors import RemoteError
 from rtee.gui.bridge import Bridge
-from rtee.gui.labels import short_names
+from rtee.gui.wording import short_names
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
 
 _FOLD = 12
+"""With more actuators than this the folder of sliders is closed at first, or it fills the panel."""
+
 _STEPS = {"rad": 0.001, "m": 0.0001}
+"""Steps of the sliders: finer than a hand is repeatable."""
 
 
 class JogPanel:
-    """A slider per actuator; moves the hand while this GUI holds it."""
+    """A slider per actuator; moves the hand while this GUI holds the lease."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
-        """Put it where the GUI builds now."""
+        """Add the panel to the current container."""
         gui = bridge.server.gui
         self._bridge = bridge
         self._remote = remote
@@ -35,6 +38,7 @@ class JogPanel:
         with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
             names = short_names(hand.actuator_names)
             for index, actuator in enumerate(hand.actuators):
+                # A continuous joint has no limits; a slider of one turn is enough for it.
                 lower = actuator.lower if actuator.lower > -7.0 else -3.1416
                 upper = actuator.upper if actuator.upper < 7.0 else 3.1416
                 unit = "m" if actuator.kind == "prismatic" else "rad"
@@ -49,9 +53,9 @@ class JogPanel:
                 )
                 slider.on_update(lambda _, at=index: self._moved(at))
                 self._sliders.append(slider)
-        self._hold.on_update(lambda _: bridge.call(self._take_or_give))
+        self._hold.on_update(lambda _: bridge.call(self._acquire_or_release))
 
-    async def _take_or_give(self) -> None:
+    async def _acquire_or_release(self) -> None:
         try:
             await (self._remote.acquire() if self._hold.value else self._remote.release())
         except RemoteError:
@@ -73,10 +77,11 @@ class JogPanel:
         """Let the sliders follow the hand while nobody jogs."""
         if self._hold.value:
             return
-        self._quiet = True
+        self._quiet = True  # else each slider that is moved here would jog the hand
         try:
             for slider, position in zip(self._sliders, state.position, strict=True):
                 value = min(max(float(position), slider.min), slider.max)
+                # Not NaN, and moved by more than the noise of a measurement.
                 if value == value and abs(value - slider.value) > 2.0 * slider.step:
                     slider.value = value
         finally:

@@ -9,23 +9,21 @@ from html import escape
 from rtee.actions.build import StepPlan
 from rtee.actions.types import Action, ActionReference, Timed
 from rtee.gui.bridge import Bridge
-from rtee.gui.wording import described, small
+from rtee.gui.wording import NOTHING, described, offer, small
 from rtee.remote.client import RemoteHand
-
-_NONE = "–"
 
 
 class PartsPanel:
     """Composing actions and putting them in sequence: a list of parts, then a name."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
-        """Put it where the GUI builds now."""
+        """Add the panel to the current container."""
         gui = bridge.server.gui
         self._bridge = bridge
         self._remote = remote
         self._uses: dict[str, ActionReference] = {}
         self._parts: list[StepPlan] = []
-        self._what = gui.add_dropdown("Action", (_NONE,), hint="What to add")
+        self._what = gui.add_dropdown("Action", (NOTHING,), hint="What to add")
         self._scale = gui.add_slider(
             "Scale [%]",
             0,
@@ -47,7 +45,7 @@ class PartsPanel:
         )
         self._add = gui.add_button("Add part", hint="Add it at the end of the list below")
         self._list = gui.add_html("")
-        self._part = gui.add_dropdown("Part", (_NONE,), hint="The part to move or remove")
+        self._part = gui.add_dropdown("Part", (NOTHING,), hint="The part to move or remove")
         self._edit = gui.add_button_group(
             "", ("Up", "Down", "Remove"), hint="Move the chosen part in the list, or remove it"
         )
@@ -68,11 +66,7 @@ class PartsPanel:
             if not isinstance(action, Timed):
                 use = ActionReference(action.name, action.elements)
                 self._uses[described(use)] = use
-        names = tuple(self._uses) or (_NONE,)
-        if tuple(self._what.options) != names:
-            kept = self._what.value if self._what.value in names else names[0]
-            self._what.options = names
-            self._what.value = kept
+        offer(self._what, self._uses)
 
     def _append(self) -> None:
         if self._what.value in self._uses:
@@ -110,7 +104,7 @@ class PartsPanel:
         ]
         text = "<br>".join(lines) or "no parts yet"
         self._list.content = small(text)
-        names = [f"{index}. {part.alias}" for index, part in enumerate(self._parts, 1)] or [_NONE]
+        names = [f"{index}. {part.alias}" for index, part in enumerate(self._parts, 1)] or [NOTHING]
         self._part.options = names
         self._part.value = names[min(max(chosen, 0), len(names) - 1)]
 

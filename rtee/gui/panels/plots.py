@@ -1,4 +1,4 @@
-"""Live plots of what is measured of the actuators, of their references, and of all joints."""
+"""Live plots of the actuators, their references, and all joints."""
 
 from __future__ import annotations
 
@@ -18,24 +18,20 @@ from rtee.gui.history import (
     Source,
     nice_range,
 )
-from rtee.gui.labels import short_names, units
+from rtee.gui.wording import short_names, units
 from rtee.hand.model import Hand
+from rtee.sample import MEASURED
 from rtee.types import FloatArray
 
-_LEAST = {
-    "position": 0.1,
-    "velocity": 0.1,
-    "effort": 0.1,
-    "current": 0.05,
-    "temperature": 5.0,
-    "joint_position": 0.1,
-    "joint_velocity": 0.1,
-}
 _SHOWN = frozenset({"position", "velocity", "effort", *JOINT_QUANTITIES})
-"""Quantities shown at first; those of the joints as soon as one is chosen."""
+"""Quantities shown at first; those of joints appear once a joint is chosen."""
 
 _FOLD = 6
+"""Actuators shown at first: more lines would be hard to tell apart."""
+
 _HEIGHT = 140
+"""Height of a plot [pixels]: four fit on a laptop's screen."""
+
 _SMALL = "10px system-ui, sans-serif"
 
 
@@ -45,20 +41,18 @@ def _said(name: str) -> str:
 
 def _units(actuators: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
     """Return the unit of each quantity for actuators and joints of these kinds."""
-    found = {}
-    for names, kinds in ((QUANTITIES, set(actuators)), (JOINT_QUANTITIES, set(joints))):
-        slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
-        for name in names:
-            quantity = name.removeprefix("joint_")
-            found[name] = units(quantity, slides=slides, turns=turns)
-    return found
+    return {
+        name: units(name.removeprefix("joint_"), kinds)
+        for names, kinds in ((QUANTITIES, actuators), (JOINT_QUANTITIES, joints))
+        for name in names
+    }
 
 
 class PlotsPanel:
     """Plots of the chosen actuators and joints."""
 
     def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
-        """Put the panel where the GUI builds now."""
+        """Add the panel to the current container."""
         self._gui = gui
         self._units = _units([a.kind for a in hand.actuators], [j.kind for j in hand.joints])
         self._names = short_names(hand.actuator_names)
@@ -108,7 +102,7 @@ class PlotsPanel:
         self._stale = True
 
     def follow(self, source: Source | None) -> None:
-        """Show lines of another source; ``None``: the live ones."""
+        """Show the lines of another source; ``None`` for the live hand."""
         self._source = self.history if source is None else source
 
     @property
@@ -159,7 +153,7 @@ class PlotsPanel:
                     width=width,
                     dash=line_dash(number),
                     alpha=alpha,
-                    auto=False,  # what isn't measured is NaN, and would leave no scale at all
+                    auto=False,  # NaN, where nothing is measured, would spoil the scale
                 )
             )
 
@@ -172,7 +166,7 @@ class PlotsPanel:
         if name == "position":
             for index in columns:
                 add(index, f"{self._names[index]} reference", 0.75, 0.7)
-        # Changing a plot's scales would make it anew; unseen lines keep its range as it should be.
+        # Changing a plot's scales would rebuild it; invisible lines set its range instead.
         series += [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]
         return self._gui.add_uplot(
             self._data(name),
@@ -194,11 +188,11 @@ class PlotsPanel:
         data = self._source.window(name, columns, length)
         if name == "position":
             data += self._source.window("reference", columns, length)[1:]
-        ends = nice_range(data[1:], _LEAST[name])
+        ends = nice_range(data[1:], MEASURED[name.removeprefix("joint_")].span)
         return (*data, *(np.full(len(data[0]), end) for end in ends))
 
     def draw(self) -> None:
-        """Bring the plots up to date; call it a few times a second."""
+        """Update the plots; called a few times a second."""
         if self._stale:
             self._stale = False
             self._rebuild()
@@ -206,7 +200,7 @@ class PlotsPanel:
             return
         for name, plot in self._plots.items():
             data = self._data(name)
-            if len(data) != len(plot.data):
+            if len(data) != len(plot.data):  # the source changed, so that the lines do not fit
                 self._stale = True
                 return
             plot.data = data

@@ -1,4 +1,4 @@
-"""Recordings: start, stop and mark the running one; open one and scrub through it."""
+"""Recordings: start, stop and mark one; open one and scrub through it."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import viser
 from rtee.errors import LogError, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.playback import Playback, open_playback, timeline
+from rtee.gui.wording import NOTHING, offer
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.log.rotation import recordings
@@ -19,15 +20,16 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 
 Opened = Callable[[Playback | None], None]
-"""Told of the recording that is shown; ``None``: the live hand again."""
+"""Called with the recording that is shown; with ``None`` for the live hand."""
 
-_NONE = "–"
 _SPEEDS = {"⅒ ×": 0.1, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "10 ×": 10.0}
+"""Labels of the speeds of playback, as multiples of real time."""
 _REDRAW = 0.1
+"""Time between two updates of the slider while a recording plays [s]: smooth enough to follow."""
 
 
 def configured_folder(hand: str) -> Path:
-    """Return where recordings of a hand go as its configuration says, if it has one here."""
+    """Return the folder of a hand's recordings: that of its configuration, if it has one here."""
     try:
         return Path(load_configured(hand)[1].log.directory)
     except RteeError:
@@ -35,7 +37,7 @@ def configured_folder(hand: str) -> Path:
 
 
 def files_in(folder: Path, hand: str) -> dict[str, Path]:
-    """Return the recordings of a hand in a folder, newest first, by what they are called."""
+    """Return the recordings of a hand in a folder by their labels, newest first."""
     if not folder.is_dir():
         return {}
     found = sorted(recordings(folder, hand), key=lambda file: file.path.name, reverse=True)
@@ -43,16 +45,16 @@ def files_in(folder: Path, hand: str) -> dict[str, Path]:
 
 
 class RecordingsPanel:
-    """The recording under way, and the one that is looked at."""
+    """The recording being written, and the one being viewed."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand, opened: Opened) -> None:
-        """Put it where the GUI builds now.
+        """Add the panel to the current container.
 
         Args:
             bridge: Carries clicks.
             remote: The hand.
             hand: Its model.
-            opened: Told of the recording that is shown.
+            opened: Called with the recording that is shown.
         """
         gui = bridge.server.gui
         self._bridge, self._remote, self._hand, self._opened = bridge, remote, hand, opened
@@ -62,7 +64,7 @@ class RecordingsPanel:
         self._played = self._drawn = 0.0
         self._status = gui.add_html("")
         record = gui.add_button_group(
-            "Record", ("Start", "Stop"), hint="Begin a new recording, or end the one under way"
+            "Record", ("Start", "Stop"), hint="Start a new recording, or stop the current one"
         )
         self._text = gui.add_text("Mark", "", hint="Text of a mark in the recording, one line")
         mark = gui.add_button("Set mark", icon=viser.Icon.BOOKMARK, hint="Mark this moment")
@@ -72,7 +74,7 @@ class RecordingsPanel:
                 str(configured_folder(hand.name)),
                 hint="Folder of recordings on the computer of this GUI",
             )
-            self._file = gui.add_dropdown("File", (_NONE,), hint="Newest first")
+            self._file = gui.add_dropdown("File", (NOTHING,), hint="Newest first")
             show = gui.add_button_group(
                 "", ("Refresh", "Open", "Live"), hint="Live: back to the running hand"
             )
@@ -85,7 +87,7 @@ class RecordingsPanel:
                 "Speed", tuple(_SPEEDS), initial_value="1 ×", hint="1 × is real time"
             )
             self._span = gui.add_dropdown(
-                "Go to", (_NONE,), hint="Begin of an action, or a mark, in the recording"
+                "Go to", (NOTHING,), hint="Start of an action, or a mark, in the recording"
             )
         self._places: dict[str, float] = {}
         record.on_click(lambda event: bridge.call(lambda: self._record(str(event.target.value))))
@@ -96,7 +98,7 @@ class RecordingsPanel:
         self._span.on_update(lambda _: self._go())
         self._refresh()
 
-    # --- the one under way
+    # --- the recording being written
 
     async def _record(self, what: str) -> None:
         await self._remote.record(what.lower())
@@ -109,7 +111,7 @@ class RecordingsPanel:
         self._bridge.notify("Marked", text, "green")
 
     def show_status(self, status: HandStatus) -> None:
-        """Show which file is written."""
+        """Show which file is being written."""
         text = (
             f"● recording to <b>{Path(status.recording).name}</b>" if status.recording else "○ off"
         )
@@ -122,14 +124,11 @@ class RecordingsPanel:
             self._folder.value = str(folder)
         self._refresh()
 
-    # --- the one looked at
+    # --- the recording being viewed
 
     def _refresh(self) -> None:
         self._files = files_in(Path(str(self._folder.value)).expanduser(), self._hand.name)
-        names = tuple(self._files) or (_NONE,)
-        chosen = self._file.value
-        self._file.options = names
-        self._file.value = chosen if chosen in names else names[0]
+        offer(self._file, self._files)
 
     def _clicked(self, what: str) -> None:
         match what:
@@ -146,7 +145,7 @@ class RecordingsPanel:
             raise LogError(f"there is no recording of {self._hand.name} in this folder")
         playback = await anyio.to_thread.run_sync(open_playback, path, self._hand)
         self._playback = None
-        self._quiet = True
+        self._quiet = True  # the slider changes here, not by the user
         self._time.value = 0.0
         self._time.max = playback.duration
         self._time.step = max(playback.duration / 1e5, 0.001)
@@ -154,7 +153,7 @@ class RecordingsPanel:
             **{f"{s.start:.1f} s {s.name}: {s.outcome}": s.start for s in playback.recording.spans},
             **{f"{at:.1f} s mark: {text}": at for at, text in playback.marks},
         }
-        self._span.options = tuple(sorted(self._places, key=self._places.__getitem__)) or (_NONE,)
+        self._span.options = tuple(sorted(self._places, key=self._places.__getitem__)) or (NOTHING,)
         self._span.value = self._span.options[0]
         self._quiet = False
         self._playback = playback
@@ -179,12 +178,13 @@ class RecordingsPanel:
             self._line.content = timeline(playback)
 
     def advance(self) -> None:
-        """Let the time run if it is to; called about thirty times a second."""
+        """Advance the time while the recording plays; called about thirty times a second."""
         now = time.monotonic()
         passed, self._played = now - self._played, now
         playback = self._playback
         if playback is None or not self._play.value:
             return
+        # After a pause of the event loop the recording goes on where it was.
         playback.time += min(passed, 0.5) * _SPEEDS[str(self._speed.value)]
         if playback.time >= playback.duration:
             playback.time = playback.duration

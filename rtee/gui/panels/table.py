@@ -1,4 +1,4 @@
-"""All joints with their limits, the loop's clock and the buses' counters, as tables."""
+"""Tables of the actuators, the joints with their limits, the loop's clock and the buses."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from html import escape
 
 import viser
 
-from rtee.gui.labels import short_names, units
+from rtee.gui.wording import short_names, units
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.monitoring import HandStatus
 
 _STYLE = "font-size:0.75em;border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums"
-
-
 _HEAD = "text-align:right;padding-left:0.6em;vertical-align:bottom"
 _NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
 
@@ -43,18 +41,14 @@ class TablePanel:
     """Joints, actuators, clock and buses."""
 
     def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
-        """Put the panel where the GUI builds now."""
+        """Add the panel to the current container."""
         self._hand = hand
         self._names = short_names(hand.actuator_names)
         self._joint_names = short_names(hand.joint_names)
         kinds = {actuator.kind for actuator in hand.actuators}
-        slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
-        self._unit = units("position", slides=slides, turns=turns)
-        self._force = units("effort", slides=slides, turns=turns)
+        self._unit, self._force = units("position", kinds), units("effort", kinds)
         kinds = {joint.kind for joint in hand.joints}
-        slides, turns = "prismatic" in kinds, kinds != {"prismatic"}
-        self._joint_unit = units("position", slides=slides, turns=turns)
-        self._joint_speed = units("velocity", slides=slides, turns=turns)
+        self._joint_unit, self._joint_speed = units("position", kinds), units("velocity", kinds)
         with gui.add_folder("Actuators"):
             self._actuators = gui.add_html("")
         with gui.add_folder("Joints", expand_by_default=len(hand.joints) <= 24):
@@ -65,7 +59,7 @@ class TablePanel:
             self._buses = gui.add_html("")
 
     def show_state(self, state: State) -> None:
-        """Show what is measured."""
+        """Show a measured state."""
         rows = [
             [
                 self._names[i],

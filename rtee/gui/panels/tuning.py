@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from rtee.errors import RequestRejected
 from rtee.gui.bridge import Bridge
+from rtee.gui.wording import NOTHING
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
-
-_NONE = "–"
 
 
 class TuningPanel:
     """The grip effort and the devices' gains."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
-        """Put it where the GUI builds now."""
+        """Add the panel to the current container."""
         gui = bridge.server.gui
         self._bridge = bridge
         self._remote = remote
@@ -30,15 +29,15 @@ class TuningPanel:
             40,
             hint="Effort kept on what is held, as a share of the effort limit [%]",
         )
-        self._which = gui.add_dropdown("Gain", (_NONE,), hint="Gain of a device", visible=False)
+        self._which = gui.add_dropdown("Gain", (NOTHING,), hint="Gain of a device", visible=False)
         self._value = gui.add_number(
             "Value",
             0.0,
             step=0.001,
-            hint="In the device's own unit; what it has now is not told by the device",
+            hint="In the device's own unit; the device does not report its present value",
             visible=False,
         )
-        self._set = gui.add_button("Set gain", hint="Change it now; needs the hand", visible=False)
+        self._set = gui.add_button("Set gain", hint="Change it now; needs the lease", visible=False)
         self._holding.on_update(lambda _: self._hold())
         self._which.on_update(lambda _: self._recall())
         self._value.on_update(lambda _: self._type())
@@ -59,7 +58,7 @@ class TuningPanel:
     async def _change(self) -> None:
         label, value = str(self._which.value), float(self._value.value)
         if not self._typed:
-            raise RequestRejected("the device does not tell what the gain is; type a value first")
+            raise RequestRejected("the device does not report its gain; type a value first")
         if label in self._gains:
             device, gain = self._gains[label]
             await self._remote.set_gains({gain: value}, device)
@@ -70,7 +69,7 @@ class TuningPanel:
         """Offer the gains that the devices have."""
         share = round(100.0 * status.grip_effort)
         if share != self._holding.value:
-            self._quiet = True
+            self._quiet = True  # else the change would be sent back to the hand
             self._holding.value = share
             self._quiet = False
         gains = {
@@ -81,7 +80,7 @@ class TuningPanel:
         if gains == self._gains:
             return
         self._gains = gains
-        self._which.options = tuple(gains) or (_NONE,)
+        self._which.options = tuple(gains) or (NOTHING,)
         self._which.value = self._which.options[0]
         self._recall()
         for control in (self._which, self._value, self._set):

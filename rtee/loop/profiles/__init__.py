@@ -1,6 +1,43 @@
 """Profiles between set-points."""
 
+from __future__ import annotations
+
+from rtee.errors import ConfigError
+from rtee.loop.motion import Limits
 from rtee.loop.profiles.base import Profile
-from rtee.loop.profiles.make import make_profile
+from rtee.loop.profiles.s_curve import SCurve
+from rtee.loop.profiles.stepwise import Filter, Step
+from rtee.loop.settings import ProfileKind, ProfileSettings
 
 __all__ = ["Profile", "make_profile"]
+
+
+def make_profile(settings: ProfileSettings, limits: Limits, period: float) -> Profile:
+    """Return a profile.
+
+    Args:
+        settings: Which one.
+        limits: Limits of the actuators.
+        period: Time between ticks [s].
+
+    Raises:
+        ConfigError: if the profile needs ruckig, and that is not installed.
+    """
+    match settings.kind:
+        case ProfileKind.JERK_LIMITED:
+            # Imported here: ruckig has no package for ARM.
+            try:
+                from rtee.loop.profiles.jerk_limited import JerkLimited
+            except ImportError:
+                raise ConfigError(
+                    "the profile 'jerk_limited' needs ruckig, which is not installed: pip install"
+                    " ruckig (where it has no package, with a C++ compiler); the profile 's_curve'"
+                    " does without"
+                ) from None
+            return JerkLimited(limits, period)
+        case ProfileKind.S_CURVE:
+            return SCurve(limits, period)
+        case ProfileKind.FILTER:
+            return Filter(limits, period, settings.bandwidth)
+        case ProfileKind.STEP:
+            return Step(limits, period)

@@ -37,7 +37,7 @@ class Profile(ABC):
         return len(self.position)
 
     def seed(self, positions: Mapping[int, float]) -> None:
-        """Start some actuators anew, standing at a position; the others go on.
+        """Set some actuators to a position, at rest; the others go on.
 
         Args:
             positions: Position by index [rad | m].

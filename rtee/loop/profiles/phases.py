@@ -14,7 +14,7 @@ _SEARCH = 40
 """Steps of a search at most; five to ten are usual, and a bisection would need this many."""
 
 _NOTHING = 1e-12
-"""A way this short is no way [rad | m]: a step of it is far below what any device resolves."""
+"""A way this short counts as none [rad | m]: it is far below what any device resolves."""
 
 Phase = tuple[float, float]
 """Duration [s] and jerk [rad/s³ | m/s³]."""

@@ -75,19 +75,19 @@ def test_any_registers_are_a_status_or_refused(found: tuple[int, ...]) -> None:
 def test_every_diameter_and_force_comes_back() -> None:
     scale = Scale(0.0, 2.9)
     for register in range(346, 1501):
-        assert scale.register(scale.measured(register)) == register
+        assert scale.position.to_count(scale.position.to_si(register)) == register
     for register in range(1001):
-        assert scale.force_register(scale.effort(register)) == register
-    assert scale.position(0.150) == 0.0
-    assert scale.position(0.0346) == pytest.approx(2.9)
-    assert scale.register(3.5) == 346
-    assert scale.force_register(math.inf) == 1000
+        assert scale.effort.to_count(scale.effort.to_si(register)) == register
+    assert scale.position.to_si(1500) == pytest.approx(0.0, abs=1e-12)
+    assert scale.position.to_si(346) == pytest.approx(2.9)
+    assert scale.position.to_count(3.5) == 346
+    assert scale.effort.to_count(math.inf) == 1000
 
 
 def test_effort_follows_from_force_by_virtual_work() -> None:
     scale = Scale(0.0, 2.9)
-    work = 240.0 * (scale.diameter(1.0) - scale.diameter(1.1))
-    assert scale.effort(1000) * 0.1 == pytest.approx(work)
+    work = 240.0 * (scale.position.to_raw(1.0) - scale.position.to_raw(1.1)) * 1e-4
+    assert scale.effort.to_si(1000) * 0.1 == pytest.approx(work)
 
 
 @pytest.mark.parametrize("position", [1, 2, 3])

@@ -19,7 +19,7 @@ SCALE = Scale(0.0, 2.9)
 
 
 def with_an_object(emulator: Any) -> list[float]:
-    return [SCALE.effort(emulator.begun)]
+    return [SCALE.effort.to_si(emulator.begun)]
 
 
 TCP = DeviceCase(
@@ -62,7 +62,9 @@ async def test_targets_between_the_tips_are_reached_too(grip: str) -> None:
     async with Session(replace(TCP, options=options)) as session:
         await session.start()
         assert session.near(await session.reach([1.2]), [1.2])
-        assert session.emulator.status().raw_diameter == pytest.approx(SCALE.register(1.2), abs=10)
+        assert session.emulator.status().raw_diameter == pytest.approx(
+            SCALE.position.to_count(1.2), abs=10
+        )
 
 
 async def test_a_reference_that_rests_is_gripped_at_with_its_force() -> None:
@@ -71,7 +73,7 @@ async def test_a_reference_that_rests_is_gripped_at_with_its_force() -> None:
         session.emulator.axis.obstacle = VirtualObject(0.090, 1e5, closing=-1.0)
         state = await gripped(session, 2.5, max_effort=[3.0])
         assert float(state.effort[0]) == pytest.approx(3.0, rel=0.1)
-        assert float(state.position[0]) == pytest.approx(SCALE.position(0.090), abs=0.05)
+        assert float(state.position[0]) == pytest.approx(SCALE.position.to_si(900), abs=0.05)
         moves = session.emulator.moves
         for _ in range(20):
             await session.cycle(Reference.at([2.5], max_effort=[3.0]))
@@ -102,7 +104,7 @@ async def test_an_internal_grip_opens_into_its_object() -> None:
         await session.reach([2.0])
         session.emulator.axis.obstacle = VirtualObject(0.100, 1e5, closing=1.0)
         state = await gripped(session, 0.2)
-        assert float(state.position[0]) == pytest.approx(SCALE.position(0.100), abs=0.08)
+        assert float(state.position[0]) == pytest.approx(SCALE.position.to_si(1000), abs=0.08)
 
 
 @pytest.mark.parametrize("exchange", ["auto", "separate"])

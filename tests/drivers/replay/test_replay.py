@@ -14,9 +14,9 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.replay.driver import ReplayDriver
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import ConfigError, LogError, NotConnected
-from rtee.messages.convert import header
-from rtee.messages.layout import actuator_state_fields
+from rtee.messages.codec import header
 from rtee.messages.schema import message_type
+from rtee.messages.state import actuator_state_fields
 from rtee.messages.topics import log_topic
 from rtee.types import ActuatorSpec, ActuatorState, DeviceSpec, JointKind, Reference
 

@@ -13,12 +13,12 @@ from rtee.buses.modbus_frames import rtu_frame
 from rtee.drivers.robotiq_2f.codec import (
     FAULTS,
     MODELS,
-    Activation,
     Command,
     Grasp,
     Scale,
     Status,
 )
+from rtee.drivers.robotiq_common import Progress
 from rtee.errors import FrameError
 
 
@@ -64,31 +64,31 @@ def test_a_whole_cycle_is_one_frame() -> None:
 READS = [
     (
         "09 03 06 39 00 00 FF 0E 0A F7 8B",
-        Status(True, True, Activation.DONE, Grasp.MOVING, 0, 0, 255, 14, 10),
+        Status(True, True, Progress.DONE, Grasp.MOVING, 0, 0, 255, 14, 10),
     ),
     (
         "09 04 06 B9 00 00 FF BD 00 5C 9A",
-        Status(True, True, Activation.DONE, Grasp.CONTACT_CLOSING, 0, 0, 255, 189, 0),
+        Status(True, True, Progress.DONE, Grasp.CONTACT_CLOSING, 0, 0, 255, 189, 0),
     ),
     (
         "09 04 06 39 00 00 00 BB 10 71 06",
-        Status(True, True, Activation.DONE, Grasp.MOVING, 0, 0, 0, 187, 16),
+        Status(True, True, Progress.DONE, Grasp.MOVING, 0, 0, 0, 187, 16),
     ),
     (
         "09 03 06 F9 00 00 00 0D 00 56 4C",
-        Status(True, True, Activation.DONE, Grasp.AT_REQUEST, 0, 0, 0, 13, 0),
+        Status(True, True, Progress.DONE, Grasp.AT_REQUEST, 0, 0, 0, 13, 0),
     ),
     (
         "09 17 06 39 00 00 80 10 0A CF 0C",
-        Status(True, True, Activation.DONE, Grasp.MOVING, 0, 0, 0x80, 16, 10),
+        Status(True, True, Progress.DONE, Grasp.MOVING, 0, 0, 0x80, 16, 10),
     ),
     (
         "09 04 06 F1 00 0F 00 03 00 11 96",
-        Status(True, False, Activation.DONE, Grasp.AT_REQUEST, 15, 0, 0, 3, 0),
+        Status(True, False, Progress.DONE, Grasp.AT_REQUEST, 15, 0, 0, 3, 0),
     ),
     (
         "09 04 06 00 00 07 00 03 00 06 D7",
-        Status(False, False, Activation.RESET, Grasp.MOVING, 7, 0, 0, 3, 0),
+        Status(False, False, Progress.RESET, Grasp.MOVING, 7, 0, 0, 3, 0),
     ),
 ]
 
@@ -102,9 +102,9 @@ def test_a_status_is_the_manuals_frame(frame: str, status: Status) -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "state"), [(0x1100, Activation.UNDER_WAY), (0x3100, Activation.DONE)]
+    ("word", "state"), [(0x1100, Progress.ACTIVATING), (0x3100, Progress.DONE)]
 )
-def test_the_activation_is_read_from_the_first_register(word: int, state: Activation) -> None:
+def test_the_activation_is_read_from_the_first_register(word: int, state: Progress) -> None:
     assert Status.from_registers([word, 0, 0]).activation is state
 
 
@@ -135,31 +135,28 @@ def scales() -> list[Scale]:
     ]
 
 
-@pytest.mark.parametrize("scale", scales(), ids=lambda s: s.model.name)
+@pytest.mark.parametrize("scale", scales(), ids=list(MODELS))
 def test_every_count_comes_back(scale: Scale) -> None:
     for count in range(scale.open_count, scale.closed_count + 1):
-        assert scale.count(scale.position(count)) == count
+        assert scale.position.to_count(scale.position.to_si(count)) == count
     for count in range(256):
-        assert scale.speed_count(scale.velocity(count)) == count
-        assert scale.force_count(scale.effort(count)) == count
+        assert scale.velocity.to_count(scale.velocity.to_si(count)) == count
+        assert scale.effort.to_count(scale.effort.to_si(count)) == count
 
 
-@pytest.mark.parametrize("scale", scales(), ids=lambda s: s.model.name)
-def test_the_width_is_the_stroke_when_open_and_nothing_when_closed(scale: Scale) -> None:
-    assert scale.width(scale.opened) == pytest.approx(scale.model.stroke)
-    assert scale.width(scale.closed) == pytest.approx(0.0)
-    for width in (0.0, 0.01, 0.02):
-        assert scale.width(scale.at_width(width)) == pytest.approx(width)
-    closer = scale.width(scale.position(150)) - scale.width(scale.position(151))
-    assert closer == pytest.approx(scale.model.stroke / (scale.closed_count - scale.open_count))
+def test_the_actuator_is_at_its_ends_where_the_gripper_is() -> None:
+    scale = Scale(MODELS["2f_140"], 0.1, 0.7, open_count=13)
+    assert scale.position.to_si(13) == pytest.approx(0.1)
+    assert scale.position.to_si(230) == pytest.approx(0.7)
+    assert scale.position.to_count(math.inf) == 255
 
 
 def test_effort_and_velocity_are_those_of_the_fingertips_by_virtual_work() -> None:
     scale = Scale(MODELS["2f_85"], 0.0, 0.8)
-    assert scale.effort(255) == pytest.approx(235.0 * 0.085 / 0.8)
-    assert scale.velocity(255) == pytest.approx(0.150 * 0.8 / 0.085)
-    assert scale.force_count(math.inf) == scale.speed_count(math.inf) == 255
-    assert scale.force_count(0.0) == scale.speed_count(0.0) == 0
+    assert scale.effort.to_si(255) == pytest.approx(235.0 * 0.085 / 0.8)
+    assert scale.velocity.to_si(255) == pytest.approx(0.150 * 0.8 / 0.085)
+    assert scale.effort.to_count(math.inf) == scale.velocity.to_count(math.inf) == 255
+    assert scale.effort.to_count(0.0) == scale.velocity.to_count(0.0) == 0
 
 
 def test_every_fault_has_a_name_and_all_but_warnings_a_hint() -> None:

@@ -21,7 +21,7 @@ SCALE = Scale(MODELS["2f_85"], 0.0, 0.82)
 
 
 def begun_with(emulator: Any) -> list[float]:
-    return [SCALE.effort(emulator.begun.force)]
+    return [SCALE.effort.to_si(emulator.begun.force)]
 
 
 RTU = DeviceCase(

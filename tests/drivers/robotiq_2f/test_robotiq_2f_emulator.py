@@ -7,7 +7,7 @@ from typing import Literal
 
 import pytest
 
-from rtee.buses.modbus_frames import find_answer, rtu_frame
+from rtee.buses.modbus_frames import rtu_frame
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.robotiq_2f.codec import Command, Grasp, Status
@@ -32,7 +32,8 @@ class Host:
 
     def status(self, after: float = 0.01) -> Status:
         answer = bytes.fromhex(self.frame("09 03 07 D0 00 03 04 0E", after))
-        assert find_answer(answer, 9, 3) == (0, 11)
+        assert answer == rtu_frame(9, answer[1:-2])
+        assert (len(answer), answer[:3]) == (11, b"\x09\x03\x06")
         return Status.from_registers(struct.unpack(">3H", answer[3:9]))
 
     def wait(self, seconds: float) -> Status:

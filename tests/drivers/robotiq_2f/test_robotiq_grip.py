@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rtee.drivers.robotiq_kinds import Grip
+from rtee.drivers.robotiq_common import Grip
 
 
 def test_a_new_request_in_the_same_direction_takes_nothing_back() -> None:

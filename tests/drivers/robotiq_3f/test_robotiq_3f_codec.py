@@ -13,16 +13,16 @@ from rtee.buses.modbus_frames import rtu_frame
 from rtee.drivers.robotiq_3f.codec import (
     AXES,
     FAULTS,
+    SCALES,
     AxisStatus,
     Command,
     Contact,
     Mode,
     Motion,
-    Progress,
     Request,
-    Scale,
     Status,
 )
+from rtee.drivers.robotiq_common import Progress
 from rtee.errors import FrameError
 
 FULL = Request(255, 255, 255)
@@ -175,21 +175,21 @@ def test_a_command_comes_back(found: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize("name", AXES)
 def test_every_count_comes_back(name: str) -> None:
-    scale = Scale()
+    scale = SCALES[name]
     low, high = (15, 240) if name == "scissor" else (0, 255)
     for count in range(low, high + 1):
-        assert scale.count(name, scale.angle(name, count)) == count
+        assert scale.position.to_count(scale.angle(count)) == count
     for count in range(256):
-        assert scale.speed_count(name, scale.velocity(name, count)) == count
-        assert scale.force_count(name, scale.effort(name, count)) == count
-    assert scale.force_count(name, math.inf) == 255
+        assert scale.velocity.to_count(scale.velocity.to_si(count)) == count
+        assert scale.effort.to_count(scale.effort.to_si(count)) == count
+    assert scale.effort.to_count(math.inf) == 255
 
 
 def test_the_scissor_swings_eleven_degrees_to_either_side() -> None:
-    scale = Scale()
-    assert math.degrees(scale.angle("scissor", 0)) == pytest.approx(11.0, abs=0.01)
-    assert math.degrees(scale.angle("scissor", 255)) == pytest.approx(-11.0, abs=0.01)
-    assert scale.count("scissor", -1.0) == 240
+    scale = SCALES["scissor"]
+    assert math.degrees(scale.angle(0)) == pytest.approx(11.0, abs=0.01)
+    assert math.degrees(scale.angle(255)) == pytest.approx(-11.0, abs=0.01)
+    assert scale.position.to_count(-1.0) == 240
 
 
 def test_every_fault_has_a_name_and_a_hint_or_is_a_warning() -> None:

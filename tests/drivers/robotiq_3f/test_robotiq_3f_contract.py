@@ -8,19 +8,19 @@ from typing import Any
 import pytest
 
 from rtee.buses.pool import BusPool
-from rtee.drivers.robotiq_3f.codec import Mode, Scale
+from rtee.drivers.robotiq_3f.codec import SCALES, Mode
 from rtee.drivers.robotiq_3f.driver import Robotiq3FDriver
 from rtee.errors import ConfigError, DeviceFault
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 
-SCALE = Scale()
 FINGERS = actuator("finger_1_joint_1", 0.0495, 1.2218, effort=8.0)
 SCISSOR = actuator("palm_finger_1_joint", -0.1784, 0.192, effort=8.0, rest=0.0)
 
 
 def efforts(emulator: Any) -> list[float]:
     begun = emulator.begun
-    return [SCALE.effort("a", begun.axes[0].force), SCALE.effort("scissor", begun.axes[3].force)]
+    axes = (("a", begun.axes[0]), ("scissor", begun.axes[3]))
+    return [SCALES[name].effort.to_si(axis.force) for name, axis in axes]
 
 
 CASE = DeviceCase(

@@ -9,8 +9,9 @@ import pytest
 from rtee.buses.modbus_frames import rtu_frame
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.axis import VirtualObject
-from rtee.drivers.robotiq_3f.codec import Command, Contact, Mode, Motion, Progress, Request, Status
+from rtee.drivers.robotiq_3f.codec import Command, Contact, Mode, Motion, Request, Status
 from rtee.drivers.robotiq_3f.emulator import Robotiq3FEmulator, Robotiq3FProperties
+from rtee.drivers.robotiq_common import Progress
 
 CLOSE = Request(255, 255, 255)
 REST = (Request(), Request(), Request())

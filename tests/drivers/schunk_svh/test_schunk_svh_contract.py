@@ -9,7 +9,6 @@ import numpy as np
 from rtee.drivers.schunk_svh.channels import CHANNELS
 from rtee.drivers.schunk_svh.codec import Command
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
-from rtee.testing.session import run
 
 USED = (CHANNELS[3],)
 
@@ -42,30 +41,22 @@ class TestSvh(DriverContract):
         cycles=cycles(100),
     )
 
-    def test_the_first_state_is_measured(self) -> None:
+    async def test_the_first_state_is_measured(self) -> None:
         """Switched off and connected again it has to be homed, and stands where that leaves it."""
+        async with self.session() as session:
+            await session.start()
+            await session.reach(self.case.between()[0])
+            await session.driver.deactivate()
+            await session.driver.close()
+            again = await session.start()
+            idle = [c.to_rad(c.idle(0), c.zero(0)) for c in USED]
+            assert again.fresh
+            assert session.near(again, idle)
 
-        async def test() -> None:
-            async with self.session() as session:
-                await session.start()
-                await session.reach(self.case.between()[0])
-                await session.driver.deactivate()
-                await session.driver.close()
-                again = await session.start()
-                idle = [c.to_rad(c.idle(0), c.zero(0)) for c in USED]
-                assert again.fresh
-                assert session.near(again, idle)
-
-        run(test)
-
-    def test_connecting_identifies_and_moves_nothing(self) -> None:
+    async def test_connecting_identifies_and_moves_nothing(self) -> None:
         """Positions are not known before homing, and homing is no part of connecting."""
-
-        async def test() -> None:
-            async with self.session() as session:
-                await session.connect()
-                assert session.driver.capabilities.identity
-                assert np.isnan((await session.driver.sense()).position).all()
-                assert moves(session.emulator) == 0
-
-        run(test)
+        async with self.session() as session:
+            await session.connect()
+            assert session.driver.capabilities.identity
+            assert np.isnan((await session.driver.sense()).position).all()
+            assert moves(session.emulator) == 0

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_zmq import SimulatedZmq
 from rtee.drivers.xbot2 import codec
-from rtee.drivers.xbot2.codec import Command, Control, Scale, State
+from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.driver import XBot2Driver
 from rtee.drivers.xbot2.emulator import ServerProperties, XBot2Emulator
 from rtee.drivers.xbot2.messages import XBot2FrameError
@@ -83,14 +83,6 @@ def test_joint_names_are_taken_as_list_or_text(data: Any) -> None:
     assert codec.joint_names(codec.answer(True, data=data)) == ("a", "b")
     with pytest.raises(XBot2FrameError, match="refused: no"):
         codec.joint_names(codec.answer(False, "no"))
-
-
-@given(st.floats(-1.5, 1.3))
-def test_units_have_an_inverse(told: float) -> None:
-    scale = Scale(-1.5, 1.3, 0.0, 1.0)
-    assert scale.to_told(scale.to_position(told)) == pytest.approx(told, abs=1e-9)
-    assert scale.to_position(1.3) == pytest.approx(1.0)
-    assert scale.gain == pytest.approx(2.8)
 
 
 # --- driver --------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import base64
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtee.hand.embedded_meshes import carried_meshes, with_addresses
+from rtee.hand.embedded_meshes import embed_meshes, with_mesh_addresses
 from rtee.hand.load import load_model
 
 from .marks import in_a_browser
@@ -36,10 +36,10 @@ async (text) => {
 def test_a_browser_loads_every_mesh_of_a_description(context: BrowserContext, shared: Path) -> None:
     folder = shared / "hands" / "robotiq_2f_85"
     hand = load_model(folder / "robotiq_2f_85.urdf")
-    meshes = carried_meshes(hand).meshes
+    meshes = embed_meshes(hand).meshes
     inside = {address: str(mesh.data_url) for address, mesh in meshes.items()}
     page = context.new_page()
-    found = page.evaluate(LOAD, with_addresses(hand.urdf.text, inside))
+    found = page.evaluate(LOAD, with_mesh_addresses(hand.urdf.text, inside))
     page.close()
     shapes = [s for link in hand.urdf.links.values() for s in (*link.visuals, *link.collisions)]
     named = [shape.mesh for shape in shapes if shape.kind == "mesh"]

@@ -1,0 +1,203 @@
+"""`rtee doctor`, `rtee locate` and `rtee calibrate`: check, find and calibrate a hand's devices."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rtee.cli._common import Hand, JsonOption, complete_hand, hand_folder, report_copy
+
+if TYPE_CHECKING:
+    from rtee.drivers.diagnosis.checks import Check
+    from rtee.types import DeviceSpec
+
+DeviceOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="One device of the hand; by default all.")
+]
+
+_MODEL = "the hand"
+"""Heading of the checks of the model; no device can have this name."""
+
+
+def _devices_of(name: str, only: str | None, emulated: bool) -> list[DeviceSpec]:
+    """Return the devices of a hand, or one of them.
+
+    Raises:
+        UserError: if there is no such hand or device.
+    """
+    from rtee.errors import ConfigError, suggestion
+    from rtee.run import RunOptions, prepare
+
+    prepared = prepare(name, RunOptions(driver="devices", emulated=emulated))
+    specs = [device.spec for device in prepared.devices]
+    if only is None:
+        return specs
+    found = [spec for spec in specs if spec.name == only]
+    if not found:
+        names = [spec.name for spec in specs]
+        raise ConfigError(f"hand '{name}' has no device '{only}'; {suggestion(only, names)}")
+    return found
+
+
+def _with_options(spec: DeviceSpec, **options: Any) -> DeviceSpec:
+    """Return a device with some of its options replaced; ``None`` removes one."""
+    merged = {**spec.options, **options}
+    return replace(spec, options={k: v for k, v in merged.items() if v is not None})
+
+
+def doctor(
+    hand: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[HAND]",
+            help="Name of a hand, or its folder; without it only this computer is checked.",
+            autocompletion=complete_hand,
+        ),
+    ] = None,
+    device: DeviceOption = None,
+    emulated: Annotated[
+        bool, typer.Option("--emulated", help="Check emulators instead of the real devices.")
+    ] = False,
+    files: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Only write the files for a robot PC: udev rule, limits, service."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check this computer and a hand's devices; each line is ok, or says what to type."""
+    if files is not None:
+        from rtee.drivers.diagnosis.machine import write_files
+
+        for path in write_files(files):
+            print(path)
+        return
+
+    from rtee.buses.pool import BusPool
+    from rtee.drivers.diagnosis.checks import Verdict
+    from rtee.drivers.diagnosis.device import check_device
+    from rtee.drivers.diagnosis.machine import check_machine
+    from rtee.drivers.diagnosis.model import check_model, has_devices
+
+    async def execute() -> dict[str, list[Check]]:
+        found = {"computer": check_machine()}
+        if hand:
+            found[_MODEL] = check_model(hand)
+        if hand and (device is not None or has_devices(hand)):
+            async with BusPool() as pool:
+                for spec in _devices_of(hand, device, emulated):
+                    found[spec.name] = await check_device(spec, pool)
+        return found
+
+    found = asyncio.run(execute())
+    if as_json:
+        print(json.dumps({k: [asdict(c) for c in v] for k, v in found.items()}, indent=2))
+    else:
+        for name, checks in found.items():
+            _print(name, checks)
+    wrong = any(check.verdict is Verdict.WRONG for checks in found.values() for check in checks)
+    raise typer.Exit(1 if wrong else 0)
+
+
+def _print(name: str, checks: list[Check]) -> None:
+    print(name)
+    for check in checks:
+        print(f"  {check.verdict:8} {check.subject}: {check.text}")
+        if check.remedy:
+            print(f"  {'':8} -> {check.remedy}")
+
+
+def locate(
+    hand: Hand,
+    device: DeviceOption = None,
+    times: Annotated[int, typer.Option(min=1, max=50, help="How often it twitches.")] = 3,
+    share: Annotated[
+        float, typer.Option(min=0.01, max=0.3, help="Part of the range that it moves.")
+    ] = 0.06,
+    home: Annotated[
+        bool, typer.Option("--home", help="Home a device that needs it, which moves it fully.")
+    ] = False,
+    emulated: Annotated[
+        bool, typer.Option("--emulated", help="Move emulators instead of the real devices.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't ask for confirmation.")] = False,
+) -> None:
+    """Move a hand's actuators a little and back, one device after the other."""
+    from rtee.buses.pool import BusPool
+    from rtee.drivers.diagnosis.locate import twitch
+    from rtee.drivers.registry import find_driver
+
+    specs = _devices_of(hand, device, emulated)
+    if not yes:
+        typer.confirm(f"{hand} will move; is it free?", abort=True)
+
+    async def execute() -> None:
+        async with BusPool() as pool:
+            for spec in specs:
+                made = _with_options(spec, home="on_connect") if home else spec
+                driver = find_driver(spec.driver, source=spec.source)(made, pool)
+                print(f"{spec.name}: twitching", flush=True)
+                await twitch(driver, times=times, share=share)
+                identity = driver.capabilities.identity
+                print(f"{spec.name}: that was {', '.join(identity.values()) or 'it'}")
+
+    asyncio.run(execute())
+
+
+def calibrate(
+    hand: Hand,
+    device: DeviceOption = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="File to write; by default that in hand.yaml, or one beside it."
+        ),
+    ] = None,
+    emulated: Annotated[
+        bool, typer.Option("--emulated", help="Calibrate emulators instead of the real devices.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't wait for Enter.")] = False,
+) -> None:
+    """Find a device's offsets or end stops and store them; it may move fully."""
+    from rtee.buses.pool import BusPool
+    from rtee.drivers import calibration
+    from rtee.drivers.registry import find_driver
+    from rtee.hand.own_copy import own
+
+    specs = _devices_of(hand, device, emulated)
+
+    async def ready(text: str) -> None:
+        print(text, flush=True)
+        if not yes:
+            await asyncio.to_thread(input, "Press Enter when it is so, Ctrl-C to end. ")
+
+    def file_of(spec: DeviceSpec) -> Path:
+        """Return the file for a device's values; a hand that must not be changed is copied."""
+        stored, folder = spec.options.get("calibration"), hand_folder(hand)
+        path = Path(str(stored)) if stored else folder / "calibration" / f"{spec.name}.json"
+        if out is not None or not path.resolve().is_relative_to(folder.resolve()):
+            return out or path
+        copy = own(folder)
+        report_copy(folder, copy)
+        return copy / path.resolve().relative_to(folder.resolve())
+
+    async def execute() -> None:
+        async with BusPool() as pool:
+            for spec in specs:
+                path = file_of(spec)
+                made = _with_options(spec, calibration=None)
+                driver = find_driver(spec.driver, source=spec.source)(made, pool)
+                found: object = await calibration.calibrate(driver, path, ready)
+                values = found if isinstance(found, list | tuple) else [found]
+                print(f"{spec.name}: {'; '.join(map(str, values))}")
+                print(f"{spec.name}: stored in {path}")
+                if not spec.options.get("calibration"):
+                    print(f"  to use it, add to the device's options: calibration: {path}")
+
+    asyncio.run(execute())

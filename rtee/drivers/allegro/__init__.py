@@ -1,0 +1,1 @@
+"""The Allegro Hand over CAN."""

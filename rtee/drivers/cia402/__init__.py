@@ -1,0 +1,1 @@
+"""Grippers of CiA 402 drives over CANopen."""

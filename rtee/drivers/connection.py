@@ -1,0 +1,78 @@
+"""The connection of a driver to its device, from `configure` to `close`."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Generic, TypeVar
+
+from rtee.buses.bus import Bus
+from rtee.errors import NotConnected
+from rtee.types import DeviceSpec
+
+B = TypeVar("B", bound=Bus)
+L = TypeVar("L")
+
+
+def owner_of(spec: DeviceSpec) -> str:
+    """Return the name under which a device owns its bus; unique among all hands of a process."""
+    return f"{spec.hand}/{spec.name}"
+
+
+class Connection(Generic[L]):
+    """Holds the bus of one device while its driver is connected, and what talks over it.
+
+    A driver makes one in its constructor, opens it in `configure`, and uses `link` everywhere else.
+    `Driver.counters` and `Driver.close` use it, too.
+
+    ``L`` is what the driver talks to: the bus, or an object that speaks the device's protocol.
+
+    Attributes:
+        owner: The name under which the device owns its bus.
+    """
+
+    def __init__(self, spec: DeviceSpec) -> None:
+        self.owner = owner_of(spec)
+        self._device = spec.name
+        self._bus: Bus | None = None
+        self._link: L | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether `open` was called since the last `close`; the bus may be broken."""
+        return self._link is not None
+
+    @property
+    def link(self) -> L:
+        """What the driver talks to.
+
+        Raises:
+            NotConnected: unless it is open.
+        """
+        if self._link is None:
+            raise NotConnected(self._device, "is not connected")
+        return self._link
+
+    async def open(self, opening: Awaitable[B], talk: Callable[[B], L]) -> L:
+        """Close what is open, acquire a bus and return what talks over it.
+
+        Args:
+            opening: Acquires the bus for `owner`: what a method of the pool returns.
+            talk: Returns what the driver talks to, given the bus.
+
+        Raises:
+            BusError: if the bus cannot be opened.
+        """
+        await self.close()
+        bus = await opening
+        self._bus, self._link = bus, talk(bus)
+        return self._link
+
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of the bus; none unless it is open."""
+        return {} if self._bus is None else self._bus.counters.as_mapping()
+
+    async def close(self) -> None:
+        """Detach from the bus; idempotent."""
+        bus, self._bus, self._link = self._bus, None, None
+        if bus is not None:
+            await bus.detach(self.owner)

@@ -1,0 +1,1 @@
+"""The HERI II on EtherCAT."""

@@ -1,0 +1,1 @@
+"""The qb SoftHand on a serial line."""

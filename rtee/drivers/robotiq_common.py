@@ -1,0 +1,156 @@
+"""What all of Robotiq's grippers share: options, faults, how they report contact.
+
+Sources: the instruction manuals of the 2F-85, 2F-140 and Hand-E, and of the 3-Finger gripper, whose
+register names (rACT, gFLT ...) are used here.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal, Protocol
+
+from pydantic import Field
+
+from rtee.drivers.options import DeviceOptions
+from rtee.drivers.register_blocks import ExchangeKind
+
+OUTPUT = 0x03E8
+"""First register of the block that the host writes, on a serial line."""
+
+INPUT = 0x07D0
+"""First register of the block that the gripper answers with, on a serial line."""
+
+COUNTS = (0.0, 255.0)
+"""Least and greatest position, speed and force that can be sent; each is a byte."""
+
+NOT_ACTIVATED = 0x07
+"""The code of gFLT of a gripper that was never activated, or lost its activation."""
+
+SAME = 2
+"""Positions this near to each other are the same [counts]; at rest gPO varies by one."""
+
+
+class Progress(IntEnum):
+    """How far the activation is: gSTA of the two-finger grippers, gIMC of the 3-Finger."""
+
+    RESET = 0
+    ACTIVATING = 1
+    CHANGING = 2
+    """The mode changes; only the 3-Finger has modes."""
+    DONE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A code of gFLT.
+
+    Attributes:
+        name: What it is called.
+        hint: What to do.
+        warning: It does not stop the gripper.
+        major: Only a reset with a new activation clears it.
+    """
+
+    name: str
+    hint: str = ""
+    warning: bool = False
+    major: bool = False
+
+
+class RobotiqOptions(DeviceOptions):
+    """Options of all of Robotiq's grippers."""
+
+    port: str = Field("/dev/ttyUSB0", description="tty, socket://, rfc2217:// (RTU) or tcp://")
+    unit: int = Field(9, ge=0, le=255, description="Modbus number of the gripper")
+    baudrate: int = Field(115200, gt=0)
+    home: Literal["on_demand", "on_connect"] = Field(
+        "on_demand", description="when an inactive gripper is activated, which moves all fingers"
+    )
+    exchange: ExchangeKind = Field("auto", description="function 23, or 16 and a read")
+    check_fingers: bool = Field(
+        True, description="refuse a gripper whose registers are those of another number of fingers"
+    )
+    activation_timeout: float = Field(15.0, gt=0.0, description="[s]")
+
+
+@dataclass(frozen=True, slots=True)
+class RobotiqCommand(ABC):
+    """What every gripper is asked for, in the first byte of its output block.
+
+    Attributes:
+        activate: rACT; clearing it resets the gripper and its faults.
+        go: rGTO; clearing it stops.
+        release: rATR, the automatic release.
+    """
+
+    activate: bool = False
+    go: bool = False
+    release: bool = False
+
+    @abstractmethod
+    def to_registers(self) -> Sequence[int]:
+        """Return the registers."""
+
+
+class RobotiqStatus(Protocol):
+    """What driver and emulator need of a gripper's status."""
+
+    def to_registers(self) -> Sequence[int]:
+        """Return the registers."""
+        ...
+
+    @property
+    def activated(self) -> bool:
+        """Whether gACT is set."""
+        ...
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is activated and takes commands."""
+        ...
+
+    @property
+    def reset(self) -> bool:
+        """Whether it is neither activated nor about to be."""
+        ...
+
+    @property
+    def fault(self) -> int:
+        """The code of gFLT, 0 for none."""
+        ...
+
+
+class Grip:
+    """Contact as one motor reports it, debounced.
+
+    A gripper withdraws its report of contact at every new request, and repeats it when it has found
+    that the fingers do not move. While a request moves on, the report therefore comes and goes,
+    although the fingers press on the object all the time. So it is kept as long as the gripper is
+    about to move on in the same direction and the fingers are where they were.
+    """
+
+    def __init__(self) -> None:
+        self._side = 0.0
+        self._position = math.nan
+
+    def steady(self, contact: bool, moving: bool, position: float, requested: float) -> bool:
+        """Return whether the motor is in contact.
+
+        Args:
+            contact: It reports contact.
+            moving: It reports that it moves, or is about to.
+            position: Where it is [counts].
+            requested: Where it is asked to go [counts].
+        """
+        side = (requested > position) - (requested < position)
+        if contact:
+            self._side, self._position = side, position
+            return True
+        if moving and side == self._side and abs(position - self._position) <= SAME:
+            return True
+        self._side, self._position = 0.0, math.nan
+        return False

@@ -1,0 +1,294 @@
+"""What the emulated Robotiq grippers share: registers, activation, faults, automatic release.
+
+What no manual states is a property: how long the activation takes, for example. Illegal requests,
+like bad frames, are not answered.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from rtee.buses.modbus_frames import READ_HOLDING
+from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Grasps
+from rtee.drivers.properties import Byte, Duration, Positive, Rate
+from rtee.drivers.robotiq_common import (
+    NOT_ACTIVATED,
+    Fault,
+    Progress,
+    RobotiqCommand,
+    RobotiqStatus,
+)
+
+BLOCK = 8
+"""Registers of either block that are served; published programs read six of a two-finger one."""
+
+_RELEASING, _RELEASED = 0x0B, 0x0F
+_ACTIVATION_FAILED = 0x0D
+
+_SELF_TEST = 800.0
+"""Way of a motor in the time of an activation, at most [counts]: there and back, and some more."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotiqProperties:
+    """What an emulated gripper is like.
+
+    Attributes:
+        unit: Its number on the line.
+        framing: ``rtu`` or ``tcp``.
+        baudrate: Bits per second.
+        activation_time: Time of the activation [s].
+        activated: It is activated at power-up, as if the host had been here before.
+        functions: Function codes that it knows.
+        haste: How much faster than the real one it moves and activates.
+    """
+
+    unit: Byte = 9
+    framing: Framing = "rtu"
+    baudrate: Rate = 115200
+    activation_time: Duration = 1.5
+    activated: bool = False
+    functions: tuple[int, ...] = (3, 4, 6, 16, 23)
+    haste: Positive = 1.0
+
+
+class RobotiqEmulator(ModbusEmulator, Grasps):
+    """An emulated gripper; a model says what its registers mean and how its motors move.
+
+    Attributes:
+        CODES: The codes of gFLT by the names of the faults that can be injected.
+        CODES_OF: All codes of gFLT.
+        PASSING: The injected fault that ends with its cause; the others stay until a reset.
+        WRONG: A register of the input block and bits of it that no such gripper sets.
+        axes: The motors; positions in counts, efforts in N.
+        output: The registers that the host has written.
+        activations: Activations completed since it was made.
+        moves: Times a new target was set.
+        begun: The command with which that happened last.
+    """
+
+    CODES: ClassVar[Mapping[str, int]]
+    CODES_OF: ClassVar[Mapping[int, Fault]]
+    PASSING: ClassVar[str]
+    WRONG: ClassVar[tuple[int, int]]
+
+    def __init__(self, properties: RobotiqProperties, axes: Sequence[Axis]) -> None:
+        made = self._made = properties
+        super().__init__(made.unit, made.framing, baudrate=made.baudrate, functions=made.functions)
+        self.axes = list(axes)
+        for axis in self.axes:
+            axis.enabled = True
+        self.output = [0] * BLOCK
+        self.activations = 0
+        self.moves = 0
+        self.begun: Any = self._command()
+        self._now: float | None = None
+        self._power_up(made.activated)
+
+    # --- what differs ------------------------------------------------------------------------
+
+    @abstractmethod
+    def _command(self) -> RobotiqCommand:
+        """Return the command that the output block holds."""
+
+    @abstractmethod
+    def _closing(self, force: int) -> RobotiqCommand:
+        """Return the command that closes all fingers with a force [counts]."""
+
+    @abstractmethod
+    def _staying(self) -> RobotiqCommand:
+        """Return the command to stay, as after an earlier run."""
+
+    @abstractmethod
+    def _windows(self) -> Sequence[tuple[int, int]]:
+        """Return where the input and the output block begin, in each place that is served."""
+
+    @abstractmethod
+    def status(self) -> RobotiqStatus:
+        """Return what the gripper reports."""
+
+    @abstractmethod
+    def _follow(self, command: Any) -> bool:
+        """Set the motors' speeds, forces and targets; return whether any target is a new one."""
+
+    @abstractmethod
+    def _release(self, command: Any) -> None:
+        """Set the motors' speeds and targets for the automatic release."""
+
+    # --- faults and objects ------------------------------------------------------------------
+
+    def power_cycle(self, now: float) -> None:
+        """Lose activation and command; the gears keep the fingers where they are."""
+        self.line_reset()
+        self._power_up(False)
+
+    def _power_up(self, activated: bool) -> None:
+        self.output = [0] * BLOCK
+        self._fault = 0
+        self._progress = Progress.DONE if activated else Progress.RESET
+        self._left = 0.0
+        self._releasing = False
+        self._started = False
+        self._halt()
+        if activated:
+            self._order(self._staying())
+
+    def _order(self, command: RobotiqCommand) -> None:
+        registers = command.to_registers()
+        self.output[: len(registers)] = registers
+        self._apply(command)
+
+    def grip_object(self, count: int = 150, stiffness: float = 10.0, force: int = 128) -> None:
+        """Close on an object met at ``count``, as if another program had gripped it before."""
+        for one in self.closings():
+            one.motor.obstacle = VirtualObject(count, stiffness)
+        self._power_up(True)
+        self._order(self._closing(force))
+        for axis in self.axes:
+            axis.advance(10.0)
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the gripper; most stop it."""
+        super().inject(fault)
+        self._hamper()
+        self._fault = self.CODES.get(fault, self._fault)
+
+    def clear(self, fault: str | None = None) -> None:
+        """Take the cause of a fault away; major faults stay until the host resets the gripper."""
+        super().clear(fault)
+        self._hamper()
+        if self._fault == self.CODES[self.PASSING] and self.PASSING not in self.faults:
+            self._fault = 0
+
+    def _hamper(self) -> None:
+        for axis in self.axes:
+            axis.stuck = "stuck" in self.faults
+
+    # --- registers ---------------------------------------------------------------------------
+
+    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
+        """Return registers of the input block, or of the output block where that is read."""
+        self.advance(now)
+        for inputs, outputs in self._windows():
+            # At one place, function 3 reads what was written, the others what is measured.
+            shared = inputs == outputs and function == READ_HOLDING
+            if inputs <= address and address + count <= inputs + BLOCK and not shared:
+                return self._input_block()[address - inputs : address - inputs + count]
+            if outputs <= address and address + count <= outputs + BLOCK:
+                return self.output[address - outputs : address - outputs + count]
+        raise Refused(ILLEGAL_ADDRESS)
+
+    def _input_block(self) -> list[int]:
+        values = list(self.status().to_registers())
+        if "wrong_device" in self.faults:
+            register, bits = self.WRONG
+            values[register] |= bits
+        return values + [0] * (BLOCK - len(values))
+
+    def write(self, address: int, values: Sequence[int], now: float) -> None:
+        """Merge registers into the output block, wherever they start, and obey."""
+        for _, outputs in self._windows():
+            start = address - outputs
+            if start >= 0 and start + len(values) <= BLOCK:
+                self.advance(now)
+                self.output[start : start + len(values)] = values
+                self._apply(self._command())
+                return
+        raise Refused(ILLEGAL_ADDRESS)
+
+    def _reported_fault(self, command: RobotiqCommand) -> int:
+        """Return gFLT: a fault, or why a request to move is not followed yet."""
+        if self._fault or not command.go:
+            return self._fault
+        if not command.activate:
+            return NOT_ACTIVATED
+        return {Progress.ACTIVATING: 0x05, Progress.CHANGING: 0x06}.get(self._progress, 0)
+
+    def _going(self, command: RobotiqCommand) -> bool:
+        """Return gGTO."""
+        done = self._progress is Progress.DONE and not self._releasing
+        return command.activate and command.go and done
+
+    # --- behaviour ---------------------------------------------------------------------------
+
+    def _apply(self, command: RobotiqCommand) -> None:
+        if not command.activate:
+            self._progress = Progress.RESET
+            self._releasing = False
+            if not any(self.CODES.get(fault) == self._fault for fault in self.faults):
+                self._fault = 0
+            self._halt()
+        elif command.release:
+            if not self._releasing:
+                self._releasing = True
+                self._fault = _RELEASING
+                self._release(command)
+        elif self._progress is Progress.RESET and not self._releasing:
+            self._progress, self._left = Progress.ACTIVATING, self._made.activation_time
+        elif self._progress is Progress.DONE:
+            self._obey(command)
+
+    def _obey(self, command: RobotiqCommand) -> None:
+        if self._blocked() or self._releasing or not command.go:
+            self._halt()
+        elif self._follow(command):
+            self.moves += 1
+            self.begun = command
+            self._started = True
+
+    def _blocked(self) -> bool:
+        fault = self.CODES_OF.get(self._fault)
+        return fault is not None and not fault.warning
+
+    def _halt(self) -> None:
+        for axis in self.axes:
+            axis.target = axis.position
+
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
+        dt = 0.0 if self._now is None else max(0.0, now - self._now) * self._made.haste
+        self._now = now
+        if dt > 0.0:
+            self._started = False
+        if self._progress is Progress.ACTIVATING:
+            self._activate(dt)
+        if self._blocked() and not self._releasing:
+            self._halt()
+        for axis in self.axes:
+            axis.advance(dt)
+        if self._releasing and dt > 0.0 and all(axis.velocity == 0.0 for axis in self.axes):
+            self._fault = _RELEASED
+
+    def _activate(self, dt: float) -> None:
+        """Close all motors, then open them, within the activation's time."""
+        if "activation_failed" in self.faults:
+            self._fault = _ACTIVATION_FAILED
+            return
+        self._left -= dt
+        closing = self._left > self._made.activation_time / 2
+        for axis in self.axes:
+            axis.max_velocity = _SELF_TEST / max(self._made.activation_time, 1e-3)
+            axis.max_effort = axis.rating
+            axis.target = axis.upper if closing else axis.lower
+        self._finish()
+
+    def _finish(self) -> None:
+        """End an activation, or a change of mode, whose time is over."""
+        if self._left <= 0.0:
+            self.activations += self._progress is Progress.ACTIVATING
+            self._progress = Progress.DONE
+            self._halt()
+            self._obey(self._command())
+
+
+def fitting(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return the properties that follow from a driver's options: ``names`` and the framing."""
+    found = {name: options[name] for name in names if options.get(name) is not None}
+    if str(options.get("port", "")).startswith("tcp://"):
+        found["framing"] = "tcp"
+    return found

@@ -1,0 +1,1 @@
+"""The SCHUNK SVH on a serial line."""

@@ -1,0 +1,1 @@
+"""Joints behind XBot2."""

@@ -1,0 +1,263 @@
+"""The devices of one hand: who drives which actuator, who may be moved, what all of them do."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+
+import anyio
+import numpy as np
+
+from rtee.commands import Abort, Command, Freeze, SetAcceptsEffort, SetActive
+from rtee.drivers.base import Driver
+from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
+from rtee.hand.model import Hand
+from rtee.loop.settings import DeviceSettings
+from rtee.loop.state_aggregator import StateAggregator
+from rtee.loop.supervisor import Supervisor
+from rtee.sample import TickRecord
+from rtee.types import Event, FloatArray, Lifecycle, Reference, readonly
+
+log = logging.getLogger(__name__)
+
+CONFIRM_WITHIN = 0.15
+"""Time a device has to confirm a stop [s]: several exchanges on the slowest bus."""
+
+_REPEAT_AFTER = 1.0
+"""The same refusal of a device, which may come at every tick, is one event in this time [s]."""
+
+Steer = Callable[[Command], None]
+"""Has a command done by the controller."""
+
+
+class Devices:
+    """The devices of one hand.
+
+    Args:
+        hand: The hand.
+        devices: The devices with their drivers; together they drive every actuator once.
+        on_event: Called with events.
+        now: The clock [s].
+
+    Attributes:
+        by_name: The devices' supervisors, by name.
+        state: What they measured, as the state of the hand.
+
+    Raises:
+        ConfigError: if an actuator is driven by no device, or by two.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        devices: Sequence[tuple[DeviceSettings, Driver]],
+        on_event: Callable[[Event], None],
+        now: Callable[[], float],
+    ) -> None:
+        self._hand = hand
+        self._on_event = on_event
+        self._now = now
+        self.by_name: dict[str, Supervisor] = {}
+        driven: dict[str, str] = {}
+        for settings, driver in devices:
+            spec = settings.spec
+            for actuator in spec.actuators:
+                if actuator.name in driven:
+                    raise ConfigError(
+                        f"{spec.source + ': ' if spec.source else ''}the actuator"
+                        f" '{actuator.name}' is driven by two devices,"
+                        f" '{driven[actuator.name]}' and '{spec.name}'"
+                    )
+                driven[actuator.name] = spec.name
+            indices = tuple(hand.actuator_index(actuator.name) for actuator in spec.actuators)
+            supervisor = Supervisor(settings, driver, indices, on_event, now=now)
+            self.by_name[spec.name] = supervisor
+        missing = [name for name in hand.actuator_names if name not in driven]
+        if missing or len(self.by_name) != len(devices):
+            what = f"the actuator '{missing[0]}'" if missing else "a device's name is used twice:"
+            raise ConfigError(f"{hand.name}: {what} is driven by no device of its own")
+        self._all = tuple(self.by_name.values())
+        self.state = StateAggregator(self._all)
+        self._active = dict.fromkeys(self.by_name, False)
+        self._masks = {d.name: np.ones(len(d.indices), dtype=np.bool_) for d in self._all}
+        self._max_velocity: list[float] = []
+        self._velocity_limits: FloatArray = np.empty(0)
+        self._refusals: dict[str, float] = {}
+
+    # --- who may be moved --------------------------------------------------------------------
+
+    @property
+    def any_active(self) -> bool:
+        """Whether any device may be moved."""
+        return any(self._active.values())
+
+    def follow(self, steer: Steer, on_lost: Callable[[str], None]) -> None:
+        """Notice devices that may be moved now, or not any more, or that refused a reference.
+
+        Args:
+            steer: Called with the commands for the controller that follow from it.
+            on_lost: Called with the reason when a device can't be moved any more, but others can.
+        """
+        active = self._active
+        for device in self._all:
+            link = device.connection
+            if (link.lifecycle is Lifecycle.ACTIVE) is not active[device.name]:
+                self._follow(device, steer, on_lost)
+            if link.rejected:
+                self._refused(device, steer)
+
+    def _follow(self, device: Supervisor, steer: Steer, on_lost: Callable[[str], None]) -> None:
+        names = device.actuators
+        if device.active:
+            if self.state.known(device):
+                self._active[device.name] = True
+                accepts = "max_effort" in device.driver.capabilities.accepts
+                steer(SetAcceptsEffort(dict.fromkeys(names, accepts)))
+                steer(SetActive(dict.fromkeys(names, True)))
+            return
+        self._active[device.name] = False
+        text = f"device '{device.name}': {device.connection.trouble}"
+        steer(Abort(text, names))
+        steer(SetActive(dict.fromkeys(names, False)))
+        if self.any_active:
+            on_lost(text)
+
+    def _refused(self, device: Supervisor, steer: Steer) -> None:
+        """Begin again where the device is, since it did not take a reference."""
+        text, device.connection.rejected = device.connection.rejected, ""
+        steer(Abort(text, device.actuators))
+        steer(Freeze(text, device.actuators))
+        now = self._now()
+        if now - self._refusals.get(text, -math.inf) >= _REPEAT_AFTER:
+            self._refusals = {text: now}
+            self._on_event(Event("rejected", device.name, text, now, "warning"))
+
+    def movable(self) -> frozenset[int]:
+        """Return the actuators that may be moved."""
+        active = (device for device in self._all if self._active[device.name])
+        return frozenset().union(*(device.indices for device in active))
+
+    def check_movable(self, indices: Iterable[int], movable: Collection[int]) -> None:
+        """Check that some actuators may be moved.
+
+        Raises:
+            GoalRejected: if not.
+        """
+        idle = [self._hand.actuators[i].name for i in sorted(indices) if i not in movable]
+        if not idle:
+            return
+        doing = [f"; {d.name} is {d.driver.doing}" for d in self._all if d.driver.doing]
+        hint = "".join(doing) or "; see `rtee status`, then recover"
+        raise GoalRejected(f"the device of {', '.join(idle)} is not active{hint}")
+
+    def refuse_effort(self) -> dict[int, str]:
+        """Return the actuators whose device takes no effort limits, each with the reason."""
+        return {
+            index: device.driver.capabilities.refuses.get("max_effort", "")
+            for device in self._all
+            if "max_effort" not in device.driver.capabilities.accepts
+            for index in device.indices
+        }
+
+    # --- at a tick ---------------------------------------------------------------------------
+
+    def move(self, record: TickRecord, max_velocity: list[float]) -> None:
+        """Have every device that is due exchange with its part of a tick's reference.
+
+        Args:
+            record: What is known at the tick.
+            max_velocity: Velocity limits of all actuators [rad/s | m/s].
+        """
+        if max_velocity != self._max_velocity:
+            self._max_velocity = list(max_velocity)
+            self._velocity_limits = readonly(max_velocity)
+        for device in self._all:
+            if device.due(record.tick):
+                moving = self._active[device.name] and not device.muted
+                device.exchange(self._reference(device, record) if moving else None)
+
+    def _reference(self, device: Supervisor, record: TickRecord) -> Reference:
+        where, mask, top = self.state.where(device), self._masks[device.name], self._velocity_limits
+        position, velocity = record.reference_position, record.reference_velocity
+        effort = record.reference_effort
+        if where is None:
+            return Reference(position, effort, top, mask, velocity)
+        return Reference(position[where], effort[where], top[where], mask, velocity[where])
+
+    # --- all at once -------------------------------------------------------------------------
+
+    def mute(self, muted: bool) -> None:
+        """Send no references to any device, or send them again."""
+        for device in self._all:
+            device.muted = muted
+
+    async def confirm(
+        self, reason: str, what: Callable[[Supervisor, float], Awaitable[bool]]
+    ) -> list[tuple[str, bool]]:
+        """Have all devices do something at the same time.
+
+        Args:
+            reason: Why, for the log.
+            what: What a device does within a time [s]; it returns whether that was confirmed.
+
+        Returns:
+            Every device with whether it confirmed.
+        """
+        confirmed = dict.fromkeys(self.by_name, False)
+
+        async def one(device: Supervisor) -> None:
+            try:
+                confirmed[device.name] = await what(device, CONFIRM_WITHIN)
+            except Exception:
+                log.exception("device '%s' could not be reached: %s", device.name, reason)
+
+        async with anyio.create_task_group() as group:
+            for device in self._all:
+                group.start_soon(one, device)
+        return list(confirmed.items())
+
+    async def recover(self, name: str | None) -> None:
+        """Recover a device, or all at the same time without a name.
+
+        Raises:
+            ConfigError: if there is no such device.
+            RteeError: the error of one that could not be recovered; the others were.
+        """
+        chosen, errors = self._chosen(name), list[RteeError]()
+
+        async def one(device: Supervisor) -> None:
+            try:
+                await device.recover()
+            except RteeError as error:
+                errors.append(error)
+
+        async with anyio.create_task_group() as group:
+            for device in chosen:
+                group.start_soon(one, device)
+        if errors:
+            raise errors[0]
+
+    async def set_gains(self, gains: Mapping[str, float], name: str | None) -> None:
+        """Change gains of a device, or of all that have them.
+
+        Raises:
+            ConfigError: if there is no such device, no device has such a gain, or a value is bad.
+            RteeError: if a device doesn't take them.
+        """
+        chosen = self._chosen(name)
+        known = {gain for device in chosen for gain in device.driver.capabilities.gains}
+        for gain, value in gains.items():
+            if gain not in known:
+                raise ConfigError(f"unknown gain '{gain}'; {suggestion(gain, known)}")
+            if not math.isfinite(value):
+                raise ConfigError(f"the gain '{gain}' must be a number, not {value:g}")
+        for device in chosen:
+            own = {k: v for k, v in gains.items() if k in device.driver.capabilities.gains}
+            if own:
+                await device.set_gains(own)
+
+    def _chosen(self, name: str | None) -> list[Supervisor]:
+        if name is not None and name not in self.by_name:
+            raise ConfigError(f"unknown device '{name}'; {suggestion(name, self.by_name)}")
+        return list(self._all) if name is None else [self.by_name[name]]

@@ -1,0 +1,178 @@
+"""One long-lived task whose work begins at once, inside the call that starts it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import types
+from asyncio.tasks import _enter_task, _leave_task
+from collections.abc import AsyncIterator, Callable, Coroutine, Generator
+from contextlib import asynccontextmanager
+from contextvars import Context
+from typing import Any
+
+Work = Coroutine[Any, Any, object]
+
+
+class Runner:
+    """Runs coroutines in one task, one at a time, and gives them up at a deadline.
+
+    `start` runs a coroutine inside the call, as a part of the task, until it has to wait; then the
+    task carries on with it. Work that doesn't wait is done when `start` returns. To wake the task
+    by an `asyncio.Event` instead takes another turn of the event loop, which costs more processor
+    time than the exchange with a device that answers at once. (Eager tasks, of Python 3.12, begin
+    like this, too, but a new one would be needed for each exchange.)
+
+    Deadlines are kept in the loop's time and checked at its ticks, so that they hold in simulated
+    time, too.
+
+    Args:
+        now: The loop's clock [s].
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._until = math.inf
+        self._timeout: asyncio.Timeout | None = None
+        self._task: asyncio.Task[Any] | None = None
+        self._idle = _Idle()
+        self._begun: tuple[Work, object] | None = None
+
+    # --- work --------------------------------------------------------------------------------
+
+    @property
+    def idle(self) -> bool:
+        """Whether the task waits for work."""
+        return self._idle.resume is not None
+
+    def start(self, work: Work) -> bool:
+        """Begin with some work; return whether it is done already.
+
+        Raises:
+            RuntimeError: if the task is at work.
+        """
+        idle, task, outer = self._idle, self._task, asyncio.current_task()
+        resume, idle.resume = idle.resume, None
+        if resume is None or task is None or idle.context is None:
+            work.close()
+            raise RuntimeError("the task is at work")
+        event_loop = task.get_loop()
+        # What asyncio's documentation of custom tasks describes: tell it whose code is run.
+        if outer is not None:
+            _leave_task(event_loop, outer)
+        try:
+            _enter_task(event_loop, task)
+            try:
+                waits_for = idle.context.run(work.send, None)
+            except BaseException as error:
+                idle.resume = resume
+                if isinstance(error, StopIteration):
+                    return True
+                raise
+            finally:
+                _leave_task(event_loop, task)
+            self._begun = work, waits_for
+            idle.context.run(resume, idle)
+            return False
+        finally:
+            if outer is not None:
+                _enter_task(event_loop, outer)
+
+    async def carry_on(self) -> None:
+        """Wait until some work was started that has to wait, and do the rest of it."""
+        self.end()
+        self._task = asyncio.current_task()
+        await self._idle
+        if self._begun is not None:
+            (work, waits_for), self._begun = self._begun, None
+            await _rest(work, waits_for)
+
+    # --- deadlines ---------------------------------------------------------------------------
+
+    @asynccontextmanager
+    async def guard(self) -> AsyncIterator[None]:
+        """Let the task work; raises `TimeoutError` at a deadline."""
+        try:
+            async with asyncio.timeout(None) as self._timeout:
+                yield
+        finally:
+            self._timeout = None
+
+    def begin(self, within: float) -> None:
+        """Set the deadline of the present work, from now [s]."""
+        self._until = self._now() + within
+
+    def end(self) -> None:
+        """Remove the deadline: the work is done."""
+        self._until = math.inf
+        timeout = self._timeout
+        if timeout is not None and timeout.when() is not None and not timeout.expired():
+            timeout.reschedule(None)
+
+    def check(self) -> None:
+        """Give the present work up if it is beyond its deadline."""
+        if self._now() >= self._until:
+            self.interrupt()
+
+    def interrupt(self, after: float = 0.0) -> None:
+        """Give the present work up, unless it is done within a time of the event loop [s]."""
+        timeout = self._timeout
+        if not self.idle and timeout is not None and not timeout.expired():
+            timeout.reschedule(asyncio.get_running_loop().time() + after)
+
+
+class _Idle:
+    """What an idle task waits for: to asyncio, a future-like object.
+
+    Attributes:
+        resume: Resumes the task; ``None`` while it does not wait.
+        context: The context of its code.
+    """
+
+    _asyncio_future_blocking = False
+
+    def __init__(self) -> None:
+        self.resume: Callable[[_Idle], object] | None = None
+        self.context: Context | None = None
+        self._cancelled: tuple[str, ...] | None = None
+
+    def __await__(self) -> Generator[_Idle, None, None]:
+        self._asyncio_future_blocking = True
+        yield self
+
+    def get_loop(self) -> asyncio.AbstractEventLoop:
+        return asyncio.get_running_loop()
+
+    def add_done_callback(
+        self, resume: Callable[[_Idle], object], *, context: Context | None = None
+    ) -> None:
+        self.resume, self.context = resume, context
+
+    def cancel(self, msg: str | None = None) -> bool:
+        resume, self.resume = self.resume, None
+        if resume is None:
+            return False
+        self._cancelled = () if msg is None else (msg,)
+        self.get_loop().call_soon(resume, self, context=self.context)
+        return True
+
+    def result(self) -> None:
+        if self._cancelled is not None:
+            message, self._cancelled = self._cancelled, None
+            raise asyncio.CancelledError(*message)
+
+
+@types.coroutine
+def _rest(work: Work, waits_for: object) -> Generator[object, None, None]:
+    """Carry on with a coroutine that was begun and waits for something."""
+    while True:
+        try:
+            yield waits_for
+        except BaseException as error:
+            try:
+                waits_for = work.throw(error)
+            except StopIteration:
+                return
+        else:
+            yield from work
+            return

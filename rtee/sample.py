@@ -1,0 +1,183 @@
+"""What is known of a hand's actuators at one moment: measured, sent to them, recorded, published.
+
+`Measurements` is the only list of what devices measure. The loop's state, the recordings, the
+messages, tables, plots and their labels follow from it: a new quantity is a field here and one in
+the definitions of ``rtee_msgs/ActuatorState`` and ``rtee_msgs/State``.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter
+from types import MappingProxyType
+from typing import Annotated, Any, Final, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+"""An empty mapping, as a default."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A quantity that every actuator has.
+
+    Attributes:
+        unit: Its unit for an actuator that turns.
+        sliding_unit: Its unit for an actuator that slides.
+        digits: Decimals worth showing.
+        span: Least length of an axis that it is plotted on: noise should look like noise.
+        heading: What a column of it is headed by; empty: its name.
+        dtype: Type of its arrays.
+        default: Its value where it is not known.
+    """
+
+    unit: str = ""
+    sliding_unit: str = ""
+    digits: int = 0
+    span: float = 1.0
+    heading: str = ""
+    dtype: str = "float64"
+    default: float = math.nan
+
+    def unit_for(self, kinds: Collection[str]) -> str:
+        """Return its unit for actuators or joints of some kinds; see `rtee.types.JointKind`."""
+        sliding_unit = self.sliding_unit or self.unit
+        if sliding_unit == self.unit or "prismatic" not in kinds:
+            return self.unit
+        return sliding_unit if set(kinds) == {"prismatic"} else f"{self.unit} | {sliding_unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class Measurements:
+    """What devices measure of actuators; ``NaN``: not measured.
+
+    The arrays are ``(n,)`` at one moment, ``(k, n)`` over time.
+
+    Attributes:
+        position: Position [rad | m].
+        velocity: Velocity [rad/s | m/s].
+        effort: Effort [N·m | N].
+        current: Motor current [A].
+        temperature: Temperature [°C].
+    """
+
+    position: Annotated[FloatArray, Quantity("rad", "m", digits=4, span=0.1)]
+    velocity: Annotated[FloatArray, Quantity("rad/s", "m/s", digits=4, span=0.1)]
+    effort: Annotated[FloatArray, Quantity("N·m", "N", digits=3, span=0.1)]
+    current: Annotated[FloatArray, Quantity("A", digits=3, span=0.05)]
+    temperature: Annotated[FloatArray, Quantity("°C", digits=1, span=5.0, heading="°C")]
+
+
+def _quantities(kind: type) -> dict[str, Quantity]:
+    hints = get_type_hints(kind, include_extras=True).items()
+    return {name: hint.__metadata__[0] for name, hint in hints if get_origin(hint) is Annotated}
+
+
+MEASURED: Final[Mapping[str, Quantity]] = _quantities(Measurements)
+"""What devices measure, by the attribute of `Measurements`, in order."""
+
+measured_arrays = attrgetter(*MEASURED)
+"""Return the arrays of `Measurements` as a tuple, in their order."""
+
+
+@functools.cache
+def unmeasured(shape: tuple[int, ...]) -> FloatArray:
+    """Return the one read-only array of ``NaN`` for what devices do not measure."""
+    array = np.full(shape, np.nan)
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActuatorState(Measurements):
+    """What a device measured, in the order of its actuators.
+
+    Attributes:
+        stamp: When it was measured, CLOCK_MONOTONIC [s].
+        fresh: ``False`` when it repeats an earlier measurement.
+        grasped: The device's own word per actuator: holding something; ``None``: it says nothing.
+        extras: Further channels by name, for example ``pressure``. ``contact_force`` is the force
+            at the tip of every finger of the hand, in its order [N]; ``NaN``: not measured there.
+        warnings: Conditions the device reports that are no faults.
+    """
+
+    stamp: float
+    fresh: bool = True
+    grasped: tuple[bool | None, ...] | None = None
+    extras: Mapping[str, FloatArray] = field(default_factory=lambda: NOTHING)
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def measured(
+        cls,
+        position: Sequence[float] | FloatArray,
+        stamp: float,
+        *,
+        velocity: Sequence[float] | FloatArray | None = None,
+        effort: Sequence[float] | FloatArray | None = None,
+        current: Sequence[float] | FloatArray | None = None,
+        temperature: Sequence[float] | FloatArray | None = None,
+        grasped: tuple[bool | None, ...] | None = None,
+        extras: Mapping[str, FloatArray] = NOTHING,
+        warnings: tuple[str, ...] = (),
+    ) -> ActuatorState:
+        """Make a fresh state; what is left out counts as not measured (``NaN``)."""
+        where = np.asarray(position, np.float64)
+        shape = where.shape
+
+        def given(values: Sequence[float] | FloatArray | None) -> FloatArray:
+            return unmeasured(shape) if values is None else np.asarray(values, np.float64)
+
+        return cls(
+            where,
+            given(velocity),
+            given(effort),
+            given(current),
+            given(temperature),
+            stamp=stamp,
+            grasped=grasped,
+            extras=extras,
+            warnings=warnings,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TickRecord(Measurements):
+    """What was known of a hand at one tick.
+
+    All arrays have the hand's order of actuators, shape ``(n,)``; they are never changed once they
+    are in here.
+
+    Attributes:
+        tick: Number of the tick; a missed one leaves a gap.
+        stamp: When the tick was due, CLOCK_MONOTONIC of the hand's computer [s].
+        wall_ns: The same since 1970 [ns]; for log times only.
+        grasped: The devices' own word, ``int8``: 1 holding, 0 not, -1 none given.
+        fresh: Whether the measurement is newer than at the tick before.
+        reference_position: Position sent to the devices, after the limiter [rad | m].
+        reference_velocity: Its velocity [rad/s | m/s].
+        reference_effort: Effort limit sent to the devices [N·m | N]; ``inf``: the device's own.
+        channels: Further measured channels, ``device/channel`` to values.
+    """
+
+    tick: int
+    stamp: float
+    wall_ns: int
+    grasped: Annotated[NDArray[np.int8], Quantity(dtype="int8", default=-1)]
+    fresh: Annotated[BoolArray, Quantity(dtype="bool", default=False)]
+    reference_position: Annotated[FloatArray, Quantity("rad", "m", digits=4, heading="reference")]
+    reference_velocity: Annotated[FloatArray, Quantity("rad/s", "m/s", digits=4)]
+    reference_effort: Annotated[FloatArray, Quantity("N·m", "N", digits=3)]
+    channels: Mapping[str, FloatArray]
+
+
+COLUMNS: Final[Mapping[str, Quantity]] = _quantities(TickRecord)
+"""All quantities of a tick, measured and sent, by the attribute of `TickRecord`, in order."""
