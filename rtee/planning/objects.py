@@ -68,6 +68,12 @@ class Piece:
     points: FloatArray
     radius: float = 0.0
 
+    @cached_property
+    def ball(self) -> tuple[FloatArray, float]:
+        """Middle ``(3,)`` and radius of a ball around it [m]."""
+        middle = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
+        return middle, float(np.linalg.norm(self.points - middle, axis=1).max()) + self.radius
+
 
 @dataclass(frozen=True)
 class GraspObject:

@@ -105,6 +105,9 @@ class GraspScene:
         self.finger = tuple(_finger_of(hand, shape.link) for shape in shapes)
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
         self._pose, self._transform = b"", coal.Transform3s()
+        balls = [piece.ball for piece in thing.pieces]
+        self._centres = self._middles = np.array([middle for middle, _ in balls])
+        self._reaches = np.array([reach for _, reach in balls])
         self._middle, self._half = thing.box
         self._axes = thing.frame
 
@@ -138,22 +141,33 @@ class GraspScene:
         there, here = at.where(shape), self._where(pose)
         body, result = self.geometry.shapes[shape].convex, self._result
         least, point, normal = math.inf, _NOWHERE, _NOWHERE
-        for piece in self.object.pieces:
+        pieces = self.object.pieces
+        rooms = self._rooms(shape, at) if len(pieces) > 1 else (-math.inf,)
+        for room, piece in sorted(zip(rooms, pieces, strict=True), key=lambda pair: pair[0]):
+            if room >= least:
+                break
             result.clear()
+            self.asked += 1
             distance = coal.distance(body, there, piece.shape, here, self._request, result)
             if distance < least:
                 least = distance
                 if distance <= TOUCH:
                     point = 0.5 * (result.getNearestPoint1() + result.getNearestPoint2())
                     normal = np.array(result.normal)
-        self.asked += len(self.object.pieces)
         return Touch(shape, least, point, normal)
+
+    def _rooms(self, shape: int, at: HandPose) -> list[float]:
+        """Return lower bounds of a shape's distances from the pieces, where they are last."""
+        apart = np.sqrt(((self._middles - at.middles[shape]) ** 2).sum(axis=1))
+        rooms: list[float] = (apart - self._reaches - self.radii[shape]).tolist()
+        return rooms
 
     def _where(self, pose: FloatArray) -> coal.Transform3s:
         """Return a pose of the object for Coal; the one asked for last is kept."""
         key = pose.tobytes()
         if key != self._pose:
             self._pose, self._transform = key, coal.Transform3s(pose[:3, :3], pose[:3, 3])
+            self._middles = self._centres @ pose[:3, :3].T + pose[:3, 3]
         return self._transform
 
     def apart(
