@@ -23,7 +23,7 @@ from rtee.planning.result import GraspPlan
 DRAFT: Final = "Planned"
 """Name of a composed action while it has none of its own."""
 
-_TRIES: Final = 10
+_TRIES: Final = 12
 """Combinations that are tried: all of three to five fingers, and some pinches with others."""
 
 _POSES: Final = 3
@@ -50,7 +50,7 @@ def composed_for(planner: Planner, library: ActionLibrary) -> GraspPlan | None:
     if best is None or chosen is None:
         return None
     scaled = _draft(library, _scaled(planner, library, chosen, best))
-    again = planner.best(scaled, _POSES)
+    again = planner.best(scaled)
     if isinstance(again, GraspPlan) and again.score >= 0.9 * best.score:
         best, chosen = again, scaled
     return dataclasses.replace(best, action="", parts=chosen.parts)
