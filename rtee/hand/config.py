@@ -152,8 +152,8 @@ def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError
     match error["type"]:
         case "extra_forbidden" | "unexpected_keyword_argument" if location[-1] in FORMER_NAMES:
             return document.error(location, f"is called '{FORMER_NAMES[str(location[-1])]}' now")
-        case "literal_error" if error["input"] in FORMER_NAMES:
-            former = error["input"]
+        case "literal_error" if str(error["input"]) in FORMER_NAMES:
+            former = str(error["input"])
             return document.error(location, f"'{former}' is called '{FORMER_NAMES[former]}' now")
         case "extra_forbidden" | "unexpected_keyword_argument":
             hint = suggestion(str(location[-1]), _keys(location[:-1]))

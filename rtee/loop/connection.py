@@ -22,8 +22,8 @@ from rtee.errors import (
 )
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
-from rtee.sample import ActuatorState, measured_arrays
-from rtee.types import Lifecycle, Reference
+from rtee.sample import measured_arrays
+from rtee.types import ActuatorState, Lifecycle, Reference
 
 log = logging.getLogger(__name__)
 
@@ -171,7 +171,7 @@ class Connection:
             DriverError: if it has not one value for each actuator.
         """
         n = self._size
-        if {len(values) for values in measured_arrays(state)} != {n}:
+        if {*map(len, measured_arrays(state))} != {n}:
             text = f"gave a state that is not one of {n} actuators"
             raise DriverError(self._spec.name, text, hint="mend its driver")
         self.state = state

@@ -64,8 +64,8 @@ class Measured:
 
         Args:
             sample: The sample.
-            before: The one before. Columns that a device does not measure are the same array in
-                both; these are not converted again.
+            before: The one before: arrays that are the same, as those of quantities that a device
+                does not measure, are not converted again.
         """
         self.position = sample.position.tolist()
         if before is None or sample.effort is not before.effort:

@@ -11,15 +11,8 @@ from numpy.typing import NDArray
 
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.supervisor import Supervisor
-from rtee.sample import (
-    MEASURED,
-    ActuatorState,
-    BoolArray,
-    FloatArray,
-    Measurements,
-    measured_arrays,
-)
-from rtee.types import readonly
+from rtee.sample import MEASURED, Measurements, measured_arrays
+from rtee.types import ActuatorState, BoolArray, FloatArray, readonly
 
 _WORDS = {None: -1, False: 0, True: 1}
 
@@ -92,17 +85,18 @@ class StateAggregator:
         return found
 
     def _merge(self, k: int, state: ActuatorState) -> None:
-        measured, sample = self.measured, Measurements(*measured_arrays(state))
-        total = sum(state.position.tolist())
-        if total - total != 0.0:  # something in it is not finite
-            known = self.sample.position[self._indices[k]]
-            position = np.where(np.isfinite(state.position), state.position, known)
-            sample = replace(sample, position=position)
+        measured, before = self.measured, self.sample
+        sample: Measurements = state
         if not self._whole:
             where = self._indices[k]
-            pairs = zip(measured_arrays(self.sample), measured_arrays(sample), strict=True)
+            pairs = zip(measured_arrays(before), measured_arrays(state), strict=True)
             sample = Measurements(*(_put(old, where, new) for old, new in pairs))
-        measured.update(sample, self.sample)
+        measured.update(sample, before)
+        total = sum(measured.position)
+        if total - total != 0.0:  # something in it is not finite
+            position = np.where(np.isfinite(sample.position), sample.position, before.position)
+            sample = replace(sample, position=position)
+            measured.position = position.tolist()
         self.sample = sample
         if state.grasped is not None:
             grasped = self.grasped.copy()

@@ -32,6 +32,8 @@ from rtee.log import column_reader, read
 from rtee.log.recorder import RecorderSettings
 from rtee.messages import encode_string, message_type
 from rtee.messages.layout import joint_state_fields
+from rtee.messages.schema import recorded_type
+from rtee.messages.state import actuator_state_fields
 
 
 def test_arrays_are_what_the_loop_told_bit_for_bit(story: Path) -> None:
@@ -247,6 +249,36 @@ def foreign(path: Path, topic: str, **options: object) -> None:
             writer.add_message(channel, 1000 + number, kind.encode(fields), 1000 + number)
             writer.add_message(chatter, 1000 + number, encode_string("hello"), 1000 + number)
         writer.finish()
+
+
+def test_states_of_another_version_are_read_by_their_own_definition(tmp_path: Path) -> None:
+    path, names = tmp_path / "other_version.mcap", ["first", "second"]
+    ours = message_type("rtee_msgs/ActuatorState")
+    lines = [line for line in ours.schema.splitlines(True) if "temperature" not in line]
+    place = next(i for i, line in enumerate(lines) if "float64[] effort" in line)
+    lines.insert(place, "float64[] humidity\n")
+    kind = recorded_type(ours.name, "".join(lines))
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema(kind.name, "ros2msg", "".join(lines).encode())
+        channel = writer.register_channel("/claw/actuator_states", "cdr", schema)
+        states = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        writer.register_channel("/claw/joint_states", "cdr", states)
+        for number in range(10):
+            fields = actuator_state_fields(names) | {"humidity": np.array([40.0, 50.0])}
+            del fields["temperature"]
+            fields["effort"] = np.array([1.5, float(number)])
+            fields["tick"] = number
+            writer.add_message(channel, 1000 + number, kind.encode(fields), 1000 + number)
+        writer.finish()
+    recording = read(path)
+    assert recording.notes == ()
+    measured = recording.actuator_states
+    assert measured.tick.tolist() == list(range(10))
+    assert measured.effort.tolist() == [[1.5, float(number)] for number in range(10)]
+    assert measured.temperature.shape == (10, 2)
+    assert np.isnan(measured.temperature).all()
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
