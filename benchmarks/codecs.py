@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from common import Table, command_line
 
-from rtee.testing.fuzz import fuzz
 from tests.testing.decoders import DECODERS
+from tests.testing.fuzz import fuzz
 
 
 def main() -> int:

@@ -8,7 +8,7 @@ also notes how late each tick was. Every round has four parts, one after the oth
 of which does not count: the loop without a GUI; with `rtee gui` and no window; with a window on
 another computer; with Chromium.
 
-The window on another computer is `rtee.testing.onlooker`, which connects as the page does and
+The window on another computer is `gui_onlooker`, which connects as the page does and
 receives all that it does, at full rate, but draws nothing. Chromium renders in software here and
 would keep a CPU busy, which where the operator sits costs the robot PC nothing: it runs at the
 lowest priority (`--nice 0` for the same as all others). Afterwards each of the two looks through
@@ -30,9 +30,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from common import Table, command_line
 from gui_common import chromium, gui_of, mover, program, remote_window, shown, used
+from gui_onlooker import kinds
 from gui_relay import Relay
-
-from rtee.testing.onlooker import kinds
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

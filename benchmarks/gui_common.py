@@ -93,7 +93,7 @@ def mover(hand: str) -> Iterator[None]:
 def remote_window(address: str, folder: Path) -> Iterator[Path]:
     """Open a window that receives everything and draws nothing; gives what it says every second."""
     said = folder / "onlooker.txt"
-    command = (sys.executable, "-m", "rtee.testing.onlooker", address, "--tell")
+    command = (sys.executable, Path(__file__).with_name("gui_onlooker.py"), address, "--tell")
     with said.open("w") as output, subprocess.Popen(command, stdout=output) as process:
         try:
             yield said

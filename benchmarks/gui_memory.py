@@ -32,8 +32,7 @@ from gui_common import (
     resident,
     shown,
 )
-
-from rtee.testing.onlooker import controls, use, window
+from gui_onlooker import controls, use, window
 
 HOUR = 3600.0
 PIECE = 10

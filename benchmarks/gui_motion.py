@@ -29,11 +29,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from common import Table, command_line
 from gui_common import COMMAND, chromium, program, shown
+from gui_onlooker import controls, use, window
 
 import rtee
 from rtee.messages.state import State
 from rtee.remote.blocking import BlockingHand
-from rtee.testing.onlooker import controls, use, window
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -29,7 +29,7 @@ def run(folder: Path, *, pictures: bool = True) -> Outcome:
     place = np.eye(4)
     # The handle lies across the fingers, its trigger before finger_1.
     place[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
-    place[:3, 3] = (0.018, -0.012, 0.155)
+    place[:3, 3] = (0.016, -0.024, 0.165)
     options = SimOptions(object="drill", object_mass=0.4, carrier="arm")
     names = ready.hand.actuator_names
     simulation = make_simulation(ready.hand, options, names, ready.settings.period, place=place)

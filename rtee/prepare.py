@@ -10,14 +10,16 @@ from pathlib import Path
 from rtee.actions.library import ActionLibrary
 from rtee.actions.resting import pinch_at_rest
 from rtee.actions.types import Primitive
-from rtee.drivers.homing import homing_allowed
 from rtee.drivers.objects import between_fingers
+from rtee.drivers.registry import find_driver
+from rtee.errors import ConfigError
 from rtee.hand.config import HandConfig, read_document
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.log import RecorderSettings
 from rtee.loop.configure import DeviceChoice, device_settings, loop_settings
 from rtee.loop.settings import DeviceSettings, LoopSettings
+from rtee.types import DeviceSpec
 
 log = logging.getLogger(__name__)
 
@@ -149,3 +151,31 @@ def _asked_for(
     if options.object_in_hand is not None:
         specs = between_fingers(hand, specs, options.object_in_hand)
     return tuple(replace(d, spec=spec) for d, spec in zip(devices, specs, strict=True))
+
+
+def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, ...]:
+    """Return the devices of a hand with leave to home when they are first activated.
+
+    A device that is homed already stays where it is; the others move.
+
+    Args:
+        hand: The hand's name.
+        specs: Its devices.
+
+    Raises:
+        ConfigError: if none of them is ever homed.
+    """
+    found = tuple(
+        replace(spec, options={**spec.options, "home": "on_connect"}) if _homes(spec) else spec
+        for spec in specs
+    )
+    if not any(spec is not given for spec, given in zip(found, specs, strict=True)):
+        drivers = ", ".join(sorted({spec.driver for spec in specs}))
+        hint = "; give --driver devices, too" if drivers == "kinematic" else ""
+        raise ConfigError(f"no device of hand '{hand}' needs homing (driver {drivers}){hint}")
+    return found
+
+
+def _homes(spec: DeviceSpec) -> bool:
+    options = find_driver(spec.driver, source=spec.source).Options
+    return options is not None and "home" in options.model_fields

@@ -89,6 +89,11 @@ class ActuatorSpec:
     rest: float
     fingers: tuple[str, ...] = ()
 
+    @property
+    def farthest(self) -> float:
+        """The limit farthest from rest [rad | m]; the upper one if both are equally far."""
+        return self.upper if self.upper - self.rest >= self.rest - self.lower else self.lower
+
 
 # --- devices ---------------------------------------------------------------------------------
 

@@ -98,6 +98,7 @@ class Emulator(ABC):
         if fault not in self.FAULTS:
             raise ConfigError(f"unknown fault '{fault}'; {suggestion(fault, self.FAULTS)}")
         self.faults.add(fault)
+        self.on_faults()
 
     def clear(self, fault: str | None = None) -> None:
         """Remove one fault, or all."""
@@ -105,6 +106,10 @@ class Emulator(ABC):
             self.faults.clear()
         else:
             self.faults.discard(fault)
+        self.on_faults()
+
+    def on_faults(self) -> None:  # noqa: B027 - some devices look at `faults` where it matters
+        """Act on `faults`, as by blocking a motor; called whenever they have changed."""
 
 
 EmulatorFactory = Callable[[], Emulator]

@@ -43,7 +43,7 @@ class BusPool:
     def __init__(self, *, trace: TraceHook | None = None, wire_time: bool = True) -> None:
         self.trace = trace
         self.wire_time = wire_time
-        self._buses: dict[str, tuple[Bus, type[Bus], object]] = {}
+        self._buses: dict[str, tuple[Bus, object, object]] = {}
         self._ends = PlayedEnds(wire_time=wire_time)
         self._first: dict[str, str] = {}
 
@@ -103,14 +103,7 @@ class BusPool:
         from rtee.buses.serial import SerialBus
 
         line = Line(baudrate, parity, stopbits)
-        return await self._on_line(
-            url,
-            SerialBus,
-            (line, gap),
-            owner,
-            emulator,
-            lambda url, address: SerialBus(url, line, address=address, gap=gap),
-        )
+        return await self._on_line(SerialBus, url, line, owner, emulator, gap=gap)
 
     async def modbus(
         self,
@@ -131,14 +124,7 @@ class BusPool:
 
         line = Line(baudrate, parity, stopbits)
         gap = None if emulator is None or self.wire_time else 0.0
-        return await self._on_line(
-            url,
-            ModbusBus,
-            (line, gap),
-            owner,
-            emulator,
-            lambda url, address: ModbusBus(url, line, address=address, gap=gap),
-        )
+        return await self._on_line(ModbusBus, url, line, owner, emulator, gap=gap)
 
     async def dynamixel(
         self,
@@ -152,14 +138,7 @@ class BusPool:
         from rtee.buses.dynamixel import DynamixelBus
 
         line = Line(baudrate)
-        return await self._on_line(
-            port,
-            DynamixelBus,
-            (line, None),
-            owner,
-            emulator,
-            lambda port, address: DynamixelBus(port, line, address=address),
-        )
+        return await self._on_line(DynamixelBus, port, line, owner, emulator)
 
     async def can(
         self,
@@ -270,7 +249,7 @@ class BusPool:
         await self.aclose()
 
     async def _acquire(
-        self, key: str, kind: type[B], settings: object, owner: str, make: Callable[[], B]
+        self, key: str, kind: Callable[..., B], settings: object, owner: str, make: Callable[[], B]
     ) -> B:
         while (entry := self._buses.get(key)) is not None and not entry[0].owners:
             await entry[0].close()  # its last owner detaches: then its port is free
@@ -300,16 +279,18 @@ class BusPool:
 
     async def _on_line(
         self,
+        kind: Callable[..., B],
         url: str,
-        kind: type[B],
-        settings: tuple[Line, float | None],
+        line: Line,
         owner: str,
         emulator: EmulatorFactory | None,
-        make: Callable[[str, Callable[[], str] | None], B],
+        **more: float | None,
     ) -> B:
         url = self._apart(url, owner, emulator)
-        address = emulator and self._ends.line(url, owner, settings[0], emulator)
-        return await self._acquire(url, kind, settings, owner, lambda: make(url, address))
+        address = emulator and self._ends.line(url, owner, line, emulator)
+        return await self._acquire(
+            url, kind, (line, more), owner, lambda: kind(url, line, address=address, **more)
+        )
 
     async def _on_can(
         self,

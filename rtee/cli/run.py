@@ -34,16 +34,19 @@ def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     return ((sys.executable, "-m", "rtee", "gui", *shown),)
 
 
-def _scene(driver: str | None, shape: str | None, gravity: float | None) -> dict[str, object]:
+def _scene(
+    driver: str | None, shape: str | None, gravity: float | None, friction: float | None
+) -> dict[str, object]:
     """Return the surroundings of the hand as options of the simulation."""
     from rtee.errors import ConfigError
 
-    given = {"object": shape, "gravity": gravity}
+    given = {"object": shape, "gravity": gravity, "friction": friction}
     found: dict[str, object] = {k: value for k, value in given.items() if value is not None}
     if driver == "mujoco":
         return found
-    if gravity is not None:
-        raise ConfigError("--gravity needs --driver mujoco")
+    for name in ("gravity", "friction"):
+        if name in found:
+            raise ConfigError(f"--{name} needs --driver mujoco")
     return {}
 
 
@@ -77,6 +80,16 @@ def run(
     gravity: Annotated[
         float | None,
         typer.Option(metavar="A", help="With --driver mujoco: along z [m/s²], -9.81 unless given."),
+    ] = None,
+    friction: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=10.0,
+            metavar="MU",
+            help="With --driver mujoco: between hand and object; 1 at fingertips, 0.8 elsewhere "
+            "unless given.",
+        ),
     ] = None,
     emulated: Annotated[
         bool, typer.Option("--emulated", help="Talk to emulators instead of the real devices.")
@@ -114,7 +127,7 @@ def run(
         level=logging.INFO if verbose else logging.WARNING,
     )
     driver_options = named_values(option or [], "--option", "the option")
-    driver_options |= _scene(driver, object_, gravity)
+    driver_options |= _scene(driver, object_, gravity, friction)
     options = RunOptions(
         driver=driver,
         emulated=emulated,

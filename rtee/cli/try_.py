@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
     from rtee.trials.trial import Trial, TrialResult
 
+_VARIATIONS = 20
+"""How often a trial of a sweep is varied: 18 of 20 is at least 70 %, with 95 % confidence."""
+
 _WRITING = 0.1
 """Largest share of the time spent writing results, since each time the whole file is written."""
 
@@ -46,6 +49,26 @@ def try_(
     mass: Annotated[
         float | None, typer.Option(min=0.001, max=100.0, help="Mass of the object [kg].")
     ] = None,
+    friction: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=10.0,
+            metavar="MU",
+            help="Friction of hand and object; 1 at fingertips and 0.8 elsewhere unless given.",
+        ),
+    ] = None,
+    variations: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=1000,
+            metavar="N",
+            help="Try N times more with size ±10 %, mass up to +50 %, position ±10 mm, turns of up "
+            "to 10°, friction 0.5 to 1; 20 with --all unless given.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the variations.")] = 0,
     all_: Annotated[
         bool, typer.Option("--all", help="All actions with all standard objects; resumable.")
     ] = False,
@@ -80,14 +103,18 @@ def try_(
     from rtee.errors import ConfigError, needing_extra
 
     with needing_extra("a trial", "sim"):
-        from rtee.trials.sweep import OBJECTS, bench, mass_of
+        from rtee.trials.sweep import OBJECTS, all_trials, bench, mass_of
         from rtee.trials.trial import Trial
 
     name = _resolved(hand)
     if all_:
         if action is not None or pictures is not None or log is not None:
             raise ConfigError("--all tries all actions, without pictures and recordings")
-        results = _all(name, object_ or list(OBJECTS), jobs, again, cluster, out)
+        if friction is not None:
+            raise ConfigError("--all takes the friction that is usual, and varies it")
+        varied = _VARIATIONS if variations is None else variations
+        trials = all_trials(bench(name).library, object_ or OBJECTS, varied, seed)
+        results = _all(name, trials, jobs, again, cluster, out)
         _show(results, json_)
         return
     if action is None:
@@ -102,6 +129,9 @@ def try_(
             shape,
             intensity,
             mass_of(shape) if mass is None else mass,
+            friction=friction,
+            variations=variations or 0,
+            seed=seed,
         )
         for shape in shapes
     ]
@@ -147,7 +177,7 @@ def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> Tr
 
 def _all(
     name: str,
-    shapes: Sequence[str],
+    trials: Sequence[Trial],
     jobs: int,
     again: bool,
     cluster: str | None,
@@ -158,20 +188,19 @@ def _all(
     from rtee.errors import ConfigError
     from rtee.hand.own_copy import own
     from rtee.trials.store import FILE_NAME, fingerprint, read_results
-    from rtee.trials.sweep import all_trials, bench, sweep, sweep_on_cluster
+    from rtee.trials.sweep import bench, sweep, sweep_on_cluster
 
-    for shape in shapes:
+    for shape in {trial.object: None for trial in trials}:
         parse_object(shape)
     ready = bench(name)
     path, made_with = out or ready.folder / FILE_NAME, fingerprint(ready.folder)
-    trials = all_trials(ready.library, shapes)
     if not trials:
         raise ConfigError(
             f"hand '{ready.hand.name}' has no actions to try; find its primitives first: "
             f"rtee extract {name} --save"
         )
     known = read_results(path, made_with)
-    todo = [trial for trial in trials if again or trial.key not in known]
+    todo = [trial for trial in trials if again or not _done(trial, known.get(trial.key))]
     if todo:
         if out is None:
             folder = own(ready.folder)
@@ -185,6 +214,14 @@ def _all(
             for result in _with_progress(coming, len(todo)):
                 keep.add(result)
     return [known[trial.key] for trial in trials]
+
+
+def _done(trial: Trial, known: TrialResult | None) -> bool:
+    """Return whether a trial's result is known, with the variations that are asked for."""
+    return known is not None and (known.trial.variations, known.trial.seed) == (
+        trial.variations,
+        trial.seed,
+    )
 
 
 class _Kept:
@@ -270,7 +307,22 @@ def _show(results: Sequence[TrialResult], as_json: bool) -> None:
             print(f"{what}: lost; {result.reason}")
             continue
         forces = ", ".join(f"{name} {force:.1f} N" for name, force in result.forces if force > 0)
-        print(f"{what}: held; slip {result.slip * 1e3:.1f} mm; {forces or 'no fingertip touches'}")
+        slip = f"slip {result.slip * 1e3:.1f} mm"
+        print(f"{what}: held; {slip}; {forces or 'no finger touches'}{_rate(result)}")
+
+
+def _rate(result: TrialResult) -> str:
+    """Return in how many variations an object was held, in words; empty without variations."""
+    from rtee.trials.variation import interval
+
+    tries = result.trial.variations
+    if tries == 0:
+        return ""
+    low, high = interval(result.survived, tries)
+    return (
+        f"; with variations {result.survived} of {tries} "
+        f"(95 % confidence: {low * 100:.0f} to {high * 100:.0f} %)"
+    )
 
 
 def _table(results: Sequence[TrialResult]) -> None:
@@ -281,10 +333,14 @@ def _table(results: Sequence[TrialResult]) -> None:
     rows: dict[str, dict[str, Any]] = {}
     for result in results:
         name = " ".join((result.trial.action, *result.trial.elements))
-        word = f"{result.slip * 1e3:.1f}" if result.held else "–"
+        tries = result.trial.variations
+        word = f"{result.survived}/{tries}" if tries else f"{result.slip * 1e3:.1f}"
+        word = word if result.held else "–"
         rows.setdefault(name, {})[result.trial.object] = word
     held = sum(result.held for result in results)
-    table = Table(title=f"slip [mm] of what was held: {held} of {len(results)}", box=None)
+    varied = any(result.trial.variations for result in results)
+    what = "variations survived by" if varied else "slip [mm] of"
+    table = Table(title=f"{what} what was held: {held} of {len(results)}", box=None)
     table.add_column("action")
     for shape in shapes:
         table.add_column(shape.replace(":", "\n"), justify="right")

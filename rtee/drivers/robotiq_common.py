@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, Protocol
+from typing import Literal
 
 from pydantic import Field
 
@@ -96,32 +96,35 @@ class RobotiqCommand(ABC):
         """Return the registers."""
 
 
-class RobotiqStatus(Protocol):
-    """What driver and emulator need of a gripper's status."""
+@dataclass(frozen=True, slots=True)
+class RobotiqStatus(ABC):
+    """What every gripper says in its input block.
 
-    def to_registers(self) -> Sequence[int]:
-        """Return the registers."""
-        ...
+    Attributes:
+        activated: gACT.
+        going: gGTO; clear while stopped, activating or releasing.
+        progress: How far the activation is.
+        fault: The code of gFLT, 0 for none; see the gripper's `FAULTS`.
+    """
 
-    @property
-    def activated(self) -> bool:
-        """Whether gACT is set."""
-        ...
+    activated: bool = False
+    going: bool = False
+    progress: Progress = Progress.RESET
+    fault: int = 0
 
     @property
     def ready(self) -> bool:
         """Whether it is activated and takes commands."""
-        ...
+        return self.activated and self.progress is Progress.DONE
 
     @property
     def reset(self) -> bool:
-        """Whether it is neither activated nor about to be."""
-        ...
+        """Whether it is not activated, nor about to be."""
+        return self.progress is Progress.RESET
 
-    @property
-    def fault(self) -> int:
-        """The code of gFLT, 0 for none."""
-        ...
+    @abstractmethod
+    def to_registers(self) -> Sequence[int]:
+        """Return the registers."""
 
 
 class Grip:

@@ -155,17 +155,16 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
     def inject(self, fault: str) -> None:
         """Put a fault into the gripper; most stop it."""
         super().inject(fault)
-        self._hamper()
         self._fault = self.CODES.get(fault, self._fault)
 
     def clear(self, fault: str | None = None) -> None:
         """Take the cause of a fault away; major faults stay until the host resets the gripper."""
         super().clear(fault)
-        self._hamper()
         if self._fault == self.CODES[self.PASSING] and self.PASSING not in self.faults:
             self._fault = 0
 
-    def _hamper(self) -> None:
+    def on_faults(self) -> None:
+        """Block the motors while they are stuck."""
         for axis in self.axes:
             axis.stuck = "stuck" in self.faults
 

@@ -36,14 +36,6 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
     return found
 
 
-def bounds_by_distance(hand: Hand, actuator: int) -> tuple[float, float]:
-    """Return the limit farthest from rest and the other one; the upper first if equally far."""
-    spec = hand.actuators[actuator]
-    if spec.upper - spec.rest >= spec.rest - spec.lower:
-        return spec.upper, spec.lower
-    return spec.lower, spec.upper
-
-
 def _bounded(hand: Hand, finger: Finger) -> tuple[str, ...]:
     return tuple(name for name in finger.own if _has_bounds(hand, hand.actuator_index(name)))
 
@@ -59,13 +51,13 @@ def _posture(hand: Hand, targets: dict[str, float]) -> Posture:
 
 
 def _flex(hand: Hand, kind: PrimitiveKind, finger: str, actuators: tuple[str, ...]) -> Primitive:
-    targets = {name: bounds_by_distance(hand, hand.actuator_index(name))[0] for name in actuators}
+    targets = {name: hand.actuators[hand.actuator_index(name)].farthest for name in actuators}
     return Primitive(kind, (finger,), (_posture(hand, targets),), fingers=(finger,))
 
 
 def _single_joint(hand: Hand, actuator: int) -> Primitive:
     spec = hand.actuators[actuator]
-    bounds = bounds_by_distance(hand, actuator)
+    bounds = sorted((spec.upper, spec.lower), key=lambda bound: bound != spec.farthest)
     postures = tuple(_posture(hand, {spec.name: bound}) for bound in bounds)
     return Primitive(
         PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS,

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.config_schema import (
+    ActuatorDynamics,
     ActuatorLimits,
     DefaultLimits,
     DeviceSection,
@@ -48,6 +49,21 @@ class LimitsSection(BaseModel):
         return dict(self.__pydantic_extra__ or {})
 
 
+class DynamicsSection(BaseModel):
+    """Dynamics by actuator, and those of all others under ``defaults``."""
+
+    model_config = _CONFIG | ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, ActuatorDynamics] = Field(init=False)
+
+    defaults: ActuatorDynamics = ActuatorDynamics()
+    """What holds for all actuators where they say nothing else."""
+
+    @property
+    def actuators(self) -> dict[str, ActuatorDynamics]:
+        """The dynamics by actuator."""
+        return dict(self.__pydantic_extra__ or {})
+
+
 class HandConfig(BaseModel):
     """A hand."""
 
@@ -71,6 +87,9 @@ class HandConfig(BaseModel):
     no action and need no device."""
     limits: LimitsSection = LimitsSection()
     """Limits that tighten or complete the URDF's."""
+    dynamics: DynamicsSection = DynamicsSection()
+    """What the actuators are like inside: gains, inertia, friction, how joints follow them; only
+    the simulation uses it."""
     clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE
     """Distance that clear poses and the ways to them keep from all links that they are not to touch
     [m]; links that have hardly more at rest keep four fifths of what they have there."""
@@ -176,7 +195,8 @@ def _keys(location: Sequence[str | int]) -> list[str]:
     kind: Any = HandConfig
     for part in location:
         fields = _fields(kind)
-        kind = fields.get(str(part), ActuatorLimits) if fields else typing.get_args(kind)[-1]
+        named = ActuatorDynamics if kind is DynamicsSection else ActuatorLimits
+        kind = fields.get(str(part), named) if fields else typing.get_args(kind)[-1]
     return list(_fields(kind))
 
 

@@ -111,6 +111,49 @@ class ActuatorLimits(DefaultLimits):
     """Upper position limit [rad | m]."""
 
 
+class Following(Word):
+    """How joints follow their actuator."""
+
+    RIGID = "rigid"
+    """As geared."""
+    SPRING = "spring"
+    """Each on a spring of its own."""
+    TENDON = "tendon"
+    """On springs, with a tendon that shares the actuator's effort among them."""
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorDynamics(Section):
+    """What an actuator is like inside, where that is known; the simulation derives the rest."""
+
+    kp: Positive | None = None
+    """Position gain of its servo [N·m/rad | N/m]."""
+    kd: NotNegative | None = None
+    """Damping gain of its servo [N·m·s/rad | N·s/m]."""
+    ki: NotNegative | None = None
+    """Integral gain of its servo [N·m/(rad·s) | N/(m·s)]; 0 unless given."""
+    armature: Positive | None = None
+    """Inertia of motor and gear, seen at the joint [kg·m² | kg]."""
+    damping: NotNegative | None = None
+    """Viscous friction of the joint [N·m·s/rad | N·s/m]."""
+    dry_friction: NotNegative | None = None
+    """Dry friction of the joint [N·m | N]."""
+    coupling: Following | None = None
+    """How joints follow it: ``rigid``: as geared, unless given; ``spring``: each on a spring of its
+    own; ``tendon``: on springs, and one tendon shares the effort among them, so that those that are
+    free go on, ahead of the actuator, when others are stopped."""
+    joints: Names | None = None
+    """The joints that follow by springs or the tendon: names, or patterns such as
+    ``*_distal_joint``; unless given, all that follow, with the actuator's own if it carries a
+    shape."""
+    shares: dict[str, float] | None = None
+    """Instead of ``joints``: their torques in relation to one another; unless given, in proportion
+    to how far each follows."""
+    give: Positive | None = None
+    """How far a joint on a spring yields to its part of the full effort [rad | m]; 0.4 rad or 4 mm
+    unless given."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProfileSettings(Section):
     """How references move between set-points."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from rtee.errors import ModelError, UserError
-from rtee.hand.config_schema import ActuatorLimits, DefaultLimits
+from rtee.hand.config_schema import ActuatorDynamics, ActuatorLimits, DefaultLimits
 from rtee.hand.model import CLEARANCE, Joint, JointRole
 from rtee.hand.srdf import Srdf
 from rtee.hand.transmission import Transmission, sample
@@ -43,6 +43,8 @@ class Overrides:
         rest: Rest positions by actuator [rad | m].
         limits: Limits by actuator.
         default_limits: Limits of actuators that have none of their own there.
+        dynamics: What the actuators are like inside, by actuator.
+        default_dynamics: What holds for all actuators where they say nothing else.
         clearance: Distance that clear poses keep from other links [m].
         ignore: Actuators that stand fixed at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
@@ -55,6 +57,8 @@ class Overrides:
     rest: Mapping[str, float] = field(default_factory=dict)
     limits: Mapping[str, ActuatorLimits] = field(default_factory=dict)
     default_limits: DefaultLimits = field(default_factory=DefaultLimits)
+    dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
+    default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
     clearance: float = CLEARANCE
     ignore: tuple[str, ...] = ()
     passive: frozenset[str] = frozenset()

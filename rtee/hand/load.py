@@ -7,10 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtee.errors import ConfigError, ModelError, UnknownActuator, suggestion
+from rtee.errors import ConfigError, ModelError, UnknownActuator, UserError, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf
 from rtee.hand.discovery import make_fingers
+from rtee.hand.dynamics import make_dynamics
 from rtee.hand.limits import (
     Overrides,
     actuator_spec,
@@ -109,6 +110,8 @@ def load_configured(
         rest=config.rest,
         limits=config.limits.actuators,
         default_limits=config.limits.defaults,
+        dynamics=config.dynamics.actuators,
+        default_dynamics=config.dynamics.defaults,
         clearance=config.clearance,
         ignore=tuple(config.ignore),
         error=document.error,
@@ -238,7 +241,24 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         package_dirs=overrides.package_dirs,
         description=overrides.title,
         clearance=overrides.clearance,
+        dynamics=make_dynamics(
+            overrides.dynamics,
+            overrides.default_dynamics,
+            driven,
+            urdf,
+            transmission,
+            lambda place, what: _refused(("dynamics", *place), what, overrides, urdf),
+        ),
     )
+
+
+def _refused(
+    place: tuple[str | int, ...], what: str, overrides: Overrides, urdf: Urdf
+) -> UserError:
+    """Return the error for a configured value, with its line where it stands in a file."""
+    if overrides.error is not None:
+        return overrides.error(place, what)
+    return ModelError(f"{'.'.join(map(str, place))}: {what}", path=urdf.path)
 
 
 def _check_ignored(roles: Mapping[str, JointRole], overrides: Overrides, urdf: Urdf) -> None:

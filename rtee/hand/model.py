@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
+from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.transmission import Transmission
 from rtee.hand.urdf import Urdf
 from rtee.types import ActuatorSpec, FloatArray, JointKind, readonly
@@ -94,6 +95,7 @@ class Hand:
         package_dirs: Where ``package://`` is looked up.
         description: Its name for people.
         clearance: Distance that clear poses and their ways keep from all other links [m].
+        dynamics: What the actuators are like inside, by name; nothing of one that is missing.
     """
 
     name: str
@@ -109,6 +111,7 @@ class Hand:
     package_dirs: tuple[Path, ...] = ()
     description: str = field(default="", kw_only=True)
     clearance: float = field(default=CLEARANCE, kw_only=True)
+    dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict, kw_only=True)
 
     @cached_property
     def lower(self) -> FloatArray:

@@ -1,9 +1,8 @@
-"""The JSON schema of ``hand.yaml``, for editors, and its fields as tables, for people."""
+"""The JSON schema of ``hand.yaml``, for editors."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from typing import Any, Final
 
 from rtee.hand.config_schema import ActuatorLimits, DefaultLimits
@@ -11,8 +10,6 @@ from rtee.hand.config_schema import ActuatorLimits, DefaultLimits
 SCHEMA_FILE: Final = "hand.schema.json"
 SCHEMA_LINE: Final = f"# yaml-language-server: $schema=../{SCHEMA_FILE}\n"
 """First line of a hand.yaml; the schema lies beside the hands' folders."""
-
-_SHOWN: Final = {"null": "empty", "true": "yes", "false": "no"}
 
 
 def hand_schema() -> dict[str, Any]:
@@ -29,94 +26,3 @@ def hand_schema() -> dict[str, Any]:
 def schema_text() -> str:
     """Return the JSON schema as the text of its file."""
     return json.dumps(hand_schema(), indent=2, ensure_ascii=False) + "\n"
-
-
-def field_tables() -> str:
-    """Return every field of ``hand.yaml`` in Markdown tables, section by section."""
-    schema = hand_schema()
-    parts = ["## The hand\n\n" + _table(schema, schema)]
-    for path, section in _sections(schema, schema, ""):
-        text = str(section["description"]).replace("``", "`")
-        parts.append(f"## `{path}`\n\n{text}\n\n" + _table(schema, section))
-    return "\n".join(parts)
-
-
-def _sections(
-    schema: dict[str, Any], section: dict[str, Any], path: str
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the sections inside a section with their paths, in the order of the fields."""
-    inner = [(name, _resolved(schema, field)) for name, field in section["properties"].items()]
-    if isinstance(section.get("additionalProperties"), dict):
-        inner.append(("ACTUATOR", _resolved(schema, section["additionalProperties"])))
-    for name, field in inner:
-        place = f"{path}.{name}" if path else name
-        if "properties" in field:
-            yield place, field
-            yield from _sections(schema, field, place)
-        elif isinstance(field.get("additionalProperties"), dict):
-            item = _resolved(schema, field["additionalProperties"])
-            if "properties" in item:
-                yield f"{place}.NAME", item
-                yield from _sections(schema, item, f"{place}.NAME")
-
-
-def _resolved(schema: dict[str, Any], field: dict[str, Any]) -> dict[str, Any]:
-    reference = field.get("$ref")
-    if reference is None:
-        return field
-    found: dict[str, Any] = schema["$defs"][reference.rpartition("/")[2]]
-    return found
-
-
-def _table(schema: dict[str, Any], section: dict[str, Any]) -> str:
-    rows = ["| key | value | default | |", "| --- | --- | --- | --- |"]
-    required = section.get("required", ())
-    for name, field in section["properties"].items():
-        target = _resolved(schema, field)
-        text = str(field.get("description", target.get("description", "")))
-        text = " ".join(text.replace("``", "`").split()).replace("|", "\\|")
-        rows.append(
-            f"| `{name}` | {_kind(schema, field)} | {_default(name, field, required)} | {text} |"
-        )
-    return "\n".join(rows) + "\n"
-
-
-def _default(name: str, field: dict[str, Any], required: Any) -> str:
-    if name in required:
-        return "required"
-    value = field.get("default")
-    if isinstance(value, dict):
-        return ""
-    text = json.dumps(value) if not isinstance(value, float) else f"{value:g}"
-    return _SHOWN.get(text, f"`{text}`" if text not in ('""', "[]") else "empty")
-
-
-def _kind(schema: dict[str, Any], field: dict[str, Any]) -> str:
-    """Return in words what a field may be."""
-    field = _resolved(schema, field)
-    if "anyOf" in field:
-        return " or ".join(
-            _kind(schema, option) for option in field["anyOf"] if option.get("type") != "null"
-        )
-    if "const" in field:
-        return f"`{field['const']}`"
-    if "enum" in field:
-        return ", ".join(f"`{option}`" for option in field["enum"])
-    if "properties" in field:
-        return "section"
-    kind = str(field.get("type", "anything"))
-    if kind == "array":
-        return f"list: {_kind(schema, field['items'])}"
-    if kind == "object":
-        inner = field.get("additionalProperties")
-        return f"mapping: {_kind(schema, inner)}" if isinstance(inner, dict) else "mapping"
-    return {"string": "text", "boolean": "yes or no"}.get(kind, kind) + _bounds(field)
-
-
-def _bounds(field: dict[str, Any]) -> str:
-    low, high = field.get("minimum"), field.get("maximum")
-    if "exclusiveMinimum" in field:
-        return f" above {field['exclusiveMinimum']:g}" + (f", up to {high:g}" if high else "")
-    if low is not None and high is not None:
-        return f" {low:g} … {high:g}"
-    return f" from {low:g}" if low is not None else ""

@@ -44,6 +44,22 @@ class UrdfGeometry:
 
 
 @dataclass(frozen=True, slots=True)
+class UrdfInertia:
+    """How the mass of a link is distributed.
+
+    Attributes:
+        xyz: Centre of mass in the link's frame [m].
+        rpy: Orientation of the inertia's frame in the link's frame: roll, pitch, yaw [rad].
+        moments: Moments and products about the centre of mass, in that frame: xx, xy, xz, yy, yz,
+            zz [kg·m²].
+    """
+
+    xyz: Triple = _ZERO
+    rpy: Triple = _ZERO
+    moments: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class UrdfLink:
     """A rigid body.
 
@@ -54,6 +70,7 @@ class UrdfLink:
         visuals: Its visual shapes.
         has_inertial: Whether it has an ``<inertial>`` element.
         mass: Its mass [kg]; 0 when not given.
+        inertia: How the mass is distributed; ``None`` without ``<inertia>``.
     """
 
     name: str
@@ -62,6 +79,7 @@ class UrdfLink:
     visuals: tuple[UrdfGeometry, ...] = ()
     has_inertial: bool = False
     mass: float = 0.0
+    inertia: UrdfInertia | None = None
 
 
 @dataclass(frozen=True, slots=True)

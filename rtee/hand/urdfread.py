@@ -14,6 +14,7 @@ from rtee.hand.urdf import (
     Triple,
     Urdf,
     UrdfGeometry,
+    UrdfInertia,
     UrdfJoint,
     UrdfJointKind,
     UrdfLink,
@@ -85,10 +86,22 @@ def _links(root: Element) -> dict[str, UrdfLink]:
             visuals=tuple(_geometry(shape, name) for shape in element.all("visual")),
             has_inertial=inertial is not None,
             mass=mass.number("value") if mass else 0.0,
+            inertia=None if inertial is None else _inertia(inertial),
         )
     if not links:
         raise root.error("has no links")
     return links
+
+
+def _inertia(inertial: Element) -> UrdfInertia | None:
+    tensor = inertial.first("inertia")
+    if tensor is None:
+        return None
+    xyz, rpy = _origin(inertial)
+    xx, xy, xz, yy, yz, zz = (
+        tensor.number(name, 0.0, most=MOST) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    return UrdfInertia(xyz, rpy, (xx, xy, xz, yy, yz, zz))
 
 
 def _geometry(element: Element, link: str) -> UrdfGeometry:

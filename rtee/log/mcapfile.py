@@ -39,7 +39,6 @@ from rtee.log.chunks import PackedChunk, record_bytes
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "ros2"
-FOOTER_SIZE = 9 + 20
 
 
 @dataclass(frozen=True, slots=True)

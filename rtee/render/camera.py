@@ -132,9 +132,8 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
 
 def farthest(hand: Hand) -> FloatArray:
     """Return the posture with every actuator at its bound farthest from rest."""
-    lower = np.where(np.isfinite(hand.lower), hand.lower, hand.rest - 1.0)
-    upper = np.where(np.isfinite(hand.upper), hand.upper, hand.rest + 1.0)
-    return np.where(upper - hand.rest >= hand.rest - lower, upper, lower)
+    bounds = np.array([actuator.farthest for actuator in hand.actuators])
+    return np.where(np.isfinite(bounds), bounds, hand.rest + 1.0)
 
 
 def _palm(hand: Hand) -> str:

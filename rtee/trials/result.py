@@ -16,6 +16,9 @@ class Trial:
         intensity: How far the action goes.
         mass: Mass of the object [kg].
         places: How many places are tried at most.
+        friction: Friction between hand and object; ``None``: that of the simulation.
+        variations: How often it is tried with variations of object, place and friction.
+        seed: Seed of the variations.
     """
 
     action: str
@@ -24,6 +27,9 @@ class Trial:
     intensity: float = 1.0
     mass: float = 0.1
     places: int = 3
+    friction: float | None = None
+    variations: int = 0
+    seed: int = 0
 
     @property
     def key(self) -> str:
@@ -46,6 +52,8 @@ class TrialResult:
         duration: Simulated time of the trial [s].
         places: How many places were tried.
         position: Where the object was put in the hand's base frame [m].
+        survived: In how many of the trial's variations it was held, too; what is lost without
+            variation is not varied, and counts as lost in all of them.
     """
 
     trial: Trial
@@ -58,3 +66,4 @@ class TrialResult:
     duration: float = 0.0
     places: int = 0
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    survived: int = 0

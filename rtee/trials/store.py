@@ -13,6 +13,7 @@ from rtee.hand.own_copy import TRIALS
 from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
 from rtee.hand.yamlwrite import emit
 from rtee.trials.result import Trial, TrialResult
+from rtee.trials.variation import interval
 
 FILE_NAME = TRIALS
 """Where the results stand in a hand's folder."""
@@ -28,6 +29,7 @@ def to_document(result: TrialResult) -> dict[str, Any]:
         "object": trial.object,
         "intensity": trial.intensity,
         "mass": trial.mass,
+        **({} if trial.friction is None else {"friction": trial.friction}),
         "held": result.held,
         "reason": result.reason,
         "outcome": result.outcome,
@@ -37,6 +39,23 @@ def to_document(result: TrialResult) -> dict[str, Any]:
         "duration": result.duration,
         "places": result.places,
         "position": list(result.position),
+        **_varied(result),
+    }
+
+
+def _varied(result: TrialResult) -> dict[str, Any]:
+    """Return what a trial's variations showed; nothing where there were none."""
+    tries = result.trial.variations
+    if tries == 0:
+        return {}
+    low, high = interval(result.survived, tries)
+    return {
+        "variations": {
+            "tried": tries,
+            "held": result.survived,
+            "interval": [round(low, 3), round(high, 3)],
+            "seed": result.trial.seed,
+        }
     }
 
 
@@ -46,12 +65,16 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
     Raises:
         KeyError, TypeError, ValueError: if it is none.
     """
+    varied = entry.get("variations")
     trial = Trial(
         str(entry["action"]),
         tuple(str(name) for name in entry["elements"]),
         str(entry["object"]),
         float(entry["intensity"]),
         float(entry["mass"]),
+        friction=None if "friction" not in entry else float(entry["friction"]),
+        variations=int(varied["tried"]) if varied else 0,
+        seed=int(varied["seed"]) if varied else 0,
     )
     x, y, z = (float(value) for value in entry["position"])
     return TrialResult(
@@ -65,6 +88,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
         float(entry["duration"]),
         int(entry["places"]),
         (x, y, z),
+        int(varied["held"]) if varied else 0,
     )
 
 

@@ -87,7 +87,9 @@ def mass_of(shape: str) -> float:
     return _DRILL_MASS if shape == "drill" else _MASS
 
 
-def all_trials(library: ActionLibrary, objects: Sequence[str] = OBJECTS) -> list[Trial]:
+def all_trials(
+    library: ActionLibrary, objects: Sequence[str] = OBJECTS, variations: int = 0, seed: int = 0
+) -> list[Trial]:
     """Return the trials of all actions with all objects, in order."""
     return [
         Trial(
@@ -95,6 +97,8 @@ def all_trials(library: ActionLibrary, objects: Sequence[str] = OBJECTS) -> list
             action.elements,
             shape,
             mass=mass_of(shape),
+            variations=variations,
+            seed=seed,
         )
         for action in library
         for shape in objects

@@ -9,10 +9,10 @@ import pytest
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.connection import owner_of
-from rtee.drivers.homing import homing_allowed
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, DeviceFault
 from rtee.hand.load import hand_folder
+from rtee.prepare import homing_allowed
 from rtee.run import RunOptions, prepare
 from rtee.types import DeviceSpec
 

@@ -125,8 +125,9 @@ def test_the_simulation_locks_them(folder: Path) -> None:
 
     hand = load(folder, "ignore: [rh_WRJ2, rh_WRJ1]\nrest: {rh_WRJ1: 0.3}\n")
     options = SimOptions()
-    model = build_hand(hand, options).spec.compile()
-    simulation = Simulation(model, hand, options, hand.actuator_names, 0.01)
+    built = build_hand(hand, options)
+    model = built.spec.compile()
+    simulation = Simulation(model, hand, options, hand.actuator_names, 0.01, built.servos)
     for _ in range(50):
         simulation.advance()
     joints = dict(zip(hand.joint_names, simulation.joints, strict=True))

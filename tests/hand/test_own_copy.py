@@ -110,7 +110,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "generic": (f"generic half finger_joint=0.4 --hand {GRIPPER}", "actions/generic/half.yaml"),
     "extract": (f"extract {GRIPPER} --save --jobs 1", "actions/primitives/PinchTight.yaml"),
-    "try": (f"try {GRIPPER} --all --again --object sphere:0.02 --jobs 1", "trials.yaml"),
+    "try": (
+        f"try {GRIPPER} --all --again --object sphere:0.02 --variations 0 --jobs 1",
+        "trials.yaml",
+    ),
     "calibrate": (f"calibrate {GRIPPER} --emulated --yes", "calibration/gripper.json"),
 }
 

@@ -25,7 +25,7 @@ from rtee.drivers.schunk_svh import codec as svh
 from rtee.drivers.xbot2 import codec as xbot2
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.errors import FrameError
-from rtee.testing.fuzz import Decoder
+from tests.testing.fuzz import Decoder
 
 
 def registers(count: int, decode: Callable[[tuple[int, ...]], object]) -> Callable[[bytes], object]:

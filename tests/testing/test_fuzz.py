@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rtee.testing.fuzz import Decoder, fuzz
 from tests.testing.decoders import DECODERS
+from tests.testing.fuzz import Decoder, fuzz
 
 
 @pytest.mark.parametrize("decoder", DECODERS, ids=lambda decoder: decoder.name)

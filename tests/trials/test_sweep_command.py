@@ -34,7 +34,7 @@ def hand(tmp_path: Path, repository: Path) -> Path:
 def start(hand: Path) -> subprocess.Popen[str]:
     """Start a sweep of two processes in a process group of its own, as a terminal does."""
     return subprocess.Popen(
-        [sys.executable, "-m", "rtee", "try", "mine", "--all", "--jobs", "2"],
+        [sys.executable, "-m", "rtee", "try", "mine", "--all", "--variations", "0", "--jobs", "2"],
         cwd=hand.parents[1],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

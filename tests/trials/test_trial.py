@@ -193,7 +193,8 @@ def test_a_lost_object_is_exit_status_1() -> None:
 def test_all_resumes_what_is_known(tmp_path: Path) -> None:
     path = tmp_path / "trials.yaml"
     ready = bench(GRIPPER)
-    known = [TrialResult(trial, True) for trial in all_trials(ready.library, ["sphere:0.02"])]
+    trials = all_trials(ready.library, ["sphere:0.02"], variations=20)
+    known = [TrialResult(trial, True) for trial in trials]
     write_results(path, fingerprint(ready.folder), known)
     command = [GRIPPER, "--all", "--object", "sphere:0.02", "--out", str(path)]
     outcome = CliRunner().invoke(app_of(try_), command)

@@ -60,16 +60,15 @@ class Cia402Emulator(Emulator, Grasps):
             first = next(iter(self.drives.values()))
             first.cause = code
             first.fail(code)
-        self._hamper()
 
     def clear(self, fault: str | None = None) -> None:
         """Take a fault away; a drive stays in fault until it is reset."""
         super().clear(fault)
         for drive in self.drives.values():
             drive.cause = 0
-        self._hamper()
 
-    def _hamper(self) -> None:
+    def on_faults(self) -> None:
+        """Block the drives while they are stuck or silent, and give their type."""
         for drive in self.drives.values():
             drive.axis.stuck = "stuck" in self.faults
             drive.node.inhibited = "silent" in self.faults

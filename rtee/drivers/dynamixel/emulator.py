@@ -124,15 +124,14 @@ class DynamixelEmulator(Emulator, Grasps):
         if fault in _HARDWARE:
             self._all[0].cause |= _HARDWARE[fault]
             self._all[0].fail(_HARDWARE[fault])
-        self._hamper()
 
     def clear(self, fault: str | None = None) -> None:
         """Take a fault away; hardware errors stay latched until a reboot."""
         super().clear(fault)
         self._all[0].cause = Hardware(0)
-        self._hamper()
 
-    def _hamper(self) -> None:
+    def on_faults(self) -> None:
+        """Block the servos while they are stuck, and have them answer as the model they are."""
         for servo in self._all:
             servo.axis.stuck = "stuck" in self.faults
             model = 350 if "wrong_device" in self.faults else servo.properties.model

@@ -73,10 +73,11 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
             return int(result)
         if len(raw) != part * len(self.data_dict):
             return int(sdk.COMM_RX_CORRUPT)
-        for at in range(0, part * len(self.data_dict), part):
+        starts = range(0, part * len(self.data_dict), part)
+        if {raw[at + 1] for at in starts} != self.data_dict.keys():
+            return int(sdk.COMM_RX_CORRUPT)
+        for at in starts:
             error, number = raw[at], raw[at + 1]
-            if number not in self.data_dict:
-                return int(sdk.COMM_RX_CORRUPT)
             self.data_dict[number] = raw[at + 2 : at + 2 + self.data_length]
             self.errors[number] = error
         self.last_result = True

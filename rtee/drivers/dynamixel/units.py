@@ -44,10 +44,6 @@ class Scale:
         servo = self.direction * angle * self.gear
         return round(servo / RAD_PER_PULSE + self.zero) + self.turn * PULSES
 
-    def to_speed(self, counts: float) -> float:
-        """Return the joint's velocity [rad/s]."""
-        return self.direction * counts * VELOCITY_UNIT / self.gear
-
     def to_speed_counts(self, velocity: float) -> int:
         """Return a speed limit in counts, at least 1, for a joint's velocity [rad/s]."""
         return max(1, round(abs(velocity) * self.gear / VELOCITY_UNIT))

@@ -148,14 +148,9 @@ class HeriEmulator(Emulator, Grasps):
             self.boards[0].fail(Fault.HARDWARE if fault == "hardware" else Fault.ENCODER_1)
         elif fault == "hot":
             self.boards[0].fault |= Fault.CURRENT_LIMITED
-        self._hamper()
 
-    def clear(self, fault: str | None = None) -> None:
-        """Take a fault away; what is latched stays until it is acknowledged."""
-        super().clear(fault)
-        self._hamper()
-
-    def _hamper(self) -> None:
+    def on_faults(self) -> None:
+        """Block the motors while they are stuck."""
         for board in self.boards:
             for motor in board.motors:
                 motor.stuck = "stuck" in self.faults

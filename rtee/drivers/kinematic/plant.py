@@ -44,9 +44,7 @@ class Plant:
 
     def at(self, fraction: float) -> float:
         """Return the position at a part of the way from rest to the farthest bound."""
-        spec = self.spec
-        far = spec.upper if spec.upper - spec.rest >= spec.rest - spec.lower else spec.lower
-        return from_rest(spec.rest, far, fraction)
+        return from_rest(self.spec.rest, self.spec.farthest, fraction)
 
     def step(self, dt: float, follow: float, full_effort_at: float, *, powered: bool) -> None:
         """Move on.

@@ -1,20 +1,51 @@
-"""The transmission as MuJoCo knows it: each coupled joint a polynomial of its actuator."""
+"""The transmission as MuJoCo knows it: joints that follow their actuator rigidly, or by springs.
+
+A rigid joint is an equality. A joint on a spring is a tendon with stiffness and damping that pulls
+it to where it would follow. With a tendon of the transmission, one more equality keeps the actuator
+at the weighted mean of its joints, so that they share its effort: a joint that is stopped lets the
+others go on, ahead of the actuator, against the springs, which keep the shape of the fingers.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
+import mujoco
 import numpy as np
 
-from rtee.hand.model import Hand
-from rtee.hand.transmission import Coupling
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.servos import PRISMATIC, Servo
+from rtee.errors import ModelError
+from rtee.hand.config_schema import ActuatorDynamics, Following
+from rtee.hand.model import Hand, JointRole
+from rtee.hand.transmission import Coupling, sample
+from rtee.hand.urdf import UrdfJoint
+from rtee.types import ActuatorSpec, FloatArray, JointKind
 
 DEGREE = 4
 """Degree of a joint equality's polynomial in MuJoCo."""
 
+GIVE: Final = 0.4
+"""How far a joint on a spring yields to its part of the full effort [rad]: enough to wrap objects,
+and little enough to pinch without bending back."""
+
+_LINEAR_GIVE = 0.01
+"""The same in m, for one in rad."""
+
 _SAMPLES = 201
 _CONTINUOUS_SPAN = math.pi
+
+_SOLREF = [0.005, 1.0]
+"""Time constant [s] and damping ratio of a rigid coupling."""
+
+_SOLIMP = [0.95, 0.99, 0.001, 0.5, 2.0]
+"""Impedance of a rigid coupling: hardly any play."""
+
+_LEAST_SLOPE = 1e-3
+"""Where the joints follow an actuator by less than this, its effort cannot be shared by them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,16 +92,303 @@ def fit(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, ..
     return tuple(float(c) for c in coefficients), error
 
 
-def couplings(hand: Hand) -> tuple[Polynomial, ...]:
-    """Return the polynomial of every coupled joint of a hand, in the order of its joints."""
-    found: list[Polynomial] = []
-    own = {a.name for a in hand.actuators}
+def motor_joint(hand: Hand, actuator: str) -> str:
+    """Return the joint that an actuator's motor moves in the model.
+
+    It is the actuator's own, unless that follows by a spring itself: then one of the model's.
+    """
+    known = hand.dynamics.get(actuator)
+    apart = known is not None and actuator in (known.joints or ())
+    return f"motor/{actuator}" if apart else actuator
+
+
+def coupling_name(joint: str) -> str:
+    """Return the name of the equality, or the tendon, that couples a joint to its actuator."""
+    return f"coupling/{joint}"
+
+
+def tendon_name(actuator: str) -> str:
+    """Return the name of the tendon, and the equality, that shares an actuator's effort."""
+    return f"tendon/{actuator}"
+
+
+@dataclass(frozen=True, slots=True)
+class Follower:
+    """A joint that follows an actuator.
+
+    Attributes:
+        joint: Its name.
+        actuator: The actuator.
+        coupling: How it follows.
+        master: A joint on a spring that it follows instead, rigidly and linearly; or ``None``.
+        elastic: It follows by a spring.
+    """
+
+    joint: str
+    actuator: ActuatorSpec
+    coupling: Coupling
+    master: str | None
+    elastic: bool
+
+
+def followers(hand: Hand) -> list[Follower]:
+    """Return all joints that follow an actuator by more than being its own, in the hand's order."""
+    found = []
     for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True):
-        if joint.name in own or coupling.actuator is None:
+        if joint.role is JointRole.IGNORED or coupling.actuator is None:
             continue
         actuator = hand.actuators[coupling.actuator]
-        lower = actuator.lower if math.isfinite(actuator.lower) else -_CONTINUOUS_SPAN
-        upper = actuator.upper if math.isfinite(actuator.upper) else _CONTINUOUS_SPAN
-        c, error = fit(coupling, lower, upper)
-        found.append(Polynomial(joint.name, actuator.name, (c[0], c[1], c[2], c[3], c[4]), error))
-    return tuple(found)
+        elastic = hand.dynamics.get(actuator.name, ActuatorDynamics()).joints or ()
+        if joint.name == actuator.name and joint.name not in elastic:
+            continue
+        mimic = hand.urdf.joints[joint.name].mimic
+        linear = mimic is not None and mimic.expression is None
+        master = mimic.of if mimic is not None and linear and mimic.of in elastic else None
+        own = joint.name in elastic
+        found.append(Follower(joint.name, actuator, coupling, None if own else master, own))
+    return found
+
+
+def on_spring(hand: Hand, joint: str) -> bool:
+    """Return whether a joint follows its actuator by a spring."""
+    return any(joint in (known.joints or ()) for known in hand.dynamics.values())
+
+
+def reach(hand: Hand, joint: UrdfJoint) -> tuple[float, float]:
+    """Return the limits of a joint [rad | m], widened to all positions to which it is led."""
+    coupling = hand.transmission.couplings[hand.joint_index(joint.name)]
+    if coupling.actuator is None:
+        return joint.lower, joint.upper
+    ends = [coupling.value(u) for u in sample(*_range(hand.actuators[coupling.actuator]))]
+    return min(joint.lower, *ends), max(joint.upper, *ends)
+
+
+def add_couplings(
+    spec: mujoco.MjSpec, hand: Hand, servos: Mapping[str, Servo], options: SimOptions
+) -> list[str]:
+    """Couple the joints of a model as the transmission says; returns what was assumed."""
+    notes: list[str] = []
+    every = followers(hand)
+    for follower in every:
+        if follower.elastic:
+            continue
+        if follower.master is not None:
+            mimic = hand.urdf.joints[follower.joint].mimic
+            assert mimic is not None  # noqa: S101 - narrows the type
+            line = (mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0)
+            _add_equality(spec, follower.joint, follower.master, line)
+            continue
+        lower, upper = _range(follower.actuator)
+        data, error = fit(follower.coupling, lower, upper)
+        motor = motor_joint(hand, follower.actuator.name)
+        _add_equality(spec, follower.joint, motor, data)
+        if error > 1e-6:
+            notes.append(
+                f"joint '{follower.joint}' follows '{follower.actuator.name}' by a curve; its "
+                f"tangent is renewed at every exchange (a single polynomial would be up to "
+                f"{error:.2g} off)"
+            )
+    for actuator in hand.actuators:
+        on_springs = [f for f in every if f.elastic and f.actuator.name == actuator.name]
+        if on_springs:
+            notes.append(_add_springs(spec, hand, on_springs, servos[actuator.name], options))
+    return notes
+
+
+def _range(actuator: ActuatorSpec) -> tuple[float, float]:
+    lower = actuator.lower if math.isfinite(actuator.lower) else -_CONTINUOUS_SPAN
+    upper = actuator.upper if math.isfinite(actuator.upper) else _CONTINUOUS_SPAN
+    return lower, upper
+
+
+def _add_equality(
+    spec: mujoco.MjSpec, joint: str, master: str | None, data: tuple[float, ...]
+) -> None:
+    equality = spec.add_equality(
+        name=coupling_name(joint),
+        name1=joint,
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+    )
+    if master is not None:
+        equality.name2 = master
+    equality.data[:5] = data
+    equality.solref, equality.solimp = _SOLREF, _SOLIMP
+
+
+def add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
+    """Hold the ignored joints where they stand."""
+    for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True):
+        if joint.role is JointRole.IGNORED:
+            _add_equality(spec, joint.name, None, (coupling.value(0.0), 0.0, 0.0, 0.0, 0.0))
+
+
+def _shares(slopes: FloatArray, known: ActuatorDynamics) -> FloatArray | None:
+    """Return the torque at each joint for a unit of the actuator's; no work is lost.
+
+    Unless hand.yaml gives their relation, a joint gets the more torque the further it turns, as
+    with pulleys whose radii go with the turns.
+
+    Args:
+        slopes: How far each joint follows ``(k,)``.
+        known: The actuator's dynamics.
+
+    Returns:
+        The shares ``(k,)``; ``None`` where the joints do not move with the actuator.
+    """
+    weights = slopes if known.shares is None else np.array(list(known.shares.values()))
+    total = float(weights @ slopes)
+    if abs(total) < _LEAST_SLOPE * float(np.linalg.norm(weights)):
+        return None
+    return np.asarray(weights / total)
+
+
+def _mean_slope(follower: Follower) -> float:
+    lower, upper = _range(follower.actuator)
+    value = follower.coupling.value
+    return (value(upper) - value(lower)) / (upper - lower)
+
+
+def _add_springs(
+    spec: mujoco.MjSpec, hand: Hand, group: list[Follower], servo: Servo, options: SimOptions
+) -> str:
+    """Couple joints to their actuator by springs, and by its tendon where it has one."""
+    known = hand.dynamics[servo.actuator]
+    motor = motor_joint(hand, servo.actuator)
+    slopes = np.array([_mean_slope(follower) for follower in group])
+    shares = _shares(slopes, known)
+    if shares is None:
+        raise ModelError(
+            f"actuator '{servo.actuator}' moves no joint with its shares in hand.yaml; the sum of "
+            "each share times how far its joint follows must not be zero",
+            path=hand.urdf.path,
+        )
+    for follower, slope, share in zip(group, slopes, shares, strict=True):
+        slide = hand.joints[hand.joint_index(follower.joint)].kind is JointKind.PRISMATIC
+        give = known.give or GIVE * (_LINEAR_GIVE if slide else 1.0)
+        alone = share if known.coupling is Following.TENDON else 1.0 / (slope or math.inf)
+        stiffness = max(abs(alone) * servo.limit / give, _least_stiffness(options, slide))
+        inertia = options.armature * (PRISMATIC if slide else 1.0)
+        tendon = spec.add_tendon(name=coupling_name(follower.joint))
+        tendon.wrap_joint(follower.joint, 1.0)
+        tendon.wrap_joint(motor, -slope)
+        tendon.stiffness = [stiffness, 0.0, 0.0]
+        tendon.damping = [2.0 * math.sqrt(stiffness * inertia), 0.0, 0.0]
+        rest = follower.coupling.value(follower.actuator.rest) - slope * follower.actuator.rest
+        tendon.springlength = [rest, rest]
+    if known.coupling is Following.TENDON:
+        tendon = spec.add_tendon(name=tendon_name(servo.actuator))
+        for follower, share in zip(group, shares, strict=True):
+            tendon.wrap_joint(follower.joint, share)
+        tendon.wrap_joint(motor, -1.0)
+        equality = spec.add_equality(
+            name=tendon_name(servo.actuator),
+            name1=tendon_name(servo.actuator),
+            type=mujoco.mjtEq.mjEQ_TENDON,
+            objtype=mujoco.mjtObj.mjOBJ_TENDON,
+        )
+        equality.solref, equality.solimp = _SOLREF, _SOLIMP
+    return (
+        f"{len(group)} joints follow '{servo.actuator}' by springs"
+        + (
+            ", and a tendon shares its effort among them"
+            if known.coupling is Following.TENDON
+            else ""
+        )
+        + ("" if known.give else f"; they yield by {GIVE:g} rad to their part of the full effort")
+    )
+
+
+def _least_stiffness(options: SimOptions, slide: bool) -> float:
+    return options.passive_stiffness * (PRISMATIC if slide else 1.0)
+
+
+class _Curves:
+    """How joints follow their actuators, tabulated: cubic between the points of a fine grid."""
+
+    def __init__(self, group: Sequence[Follower]) -> None:
+        ranges = np.array([_range(f.actuator) for f in group]).reshape(-1, 2)
+        self._lower = ranges[:, 0]
+        self._step = (ranges[:, 1] - ranges[:, 0]) / (_SAMPLES - 1)
+        duals = [
+            [f.coupling.dual(float(u)) for u in np.linspace(lower, upper, _SAMPLES)]
+            for f, (lower, upper) in zip(group, ranges.tolist(), strict=True)
+        ]
+        table = np.array(duals).reshape(len(group), _SAMPLES, 2)
+        self._values, self._slopes = table[:, :, 0], table[:, :, 1]
+        self._rows = np.arange(len(group))
+
+    def tangents(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return offsets and slopes ``(k,)`` of the tangents at actuator positions ``(k,)``."""
+        at = (u - self._lower) / self._step
+        cell = np.clip(at.astype(np.intp), 0, _SAMPLES - 2)
+        t = np.clip(at - cell, 0.0, 1.0)
+        v0, v1 = self._values[self._rows, cell], self._values[self._rows, cell + 1]
+        s0, s1 = self._slopes[self._rows, cell], self._slopes[self._rows, cell + 1]
+        slope = s0 + t * (s1 - s0)
+        bend = self._step * (t * t * t - 2.0 * t * t + t) * s0
+        bend += self._step * (t * t * t - t * t) * s1
+        value = v0 + (3.0 - 2.0 * t) * t * t * (v1 - v0) + bend
+        nearest = self._lower + (cell + t) * self._step
+        return value - slope * nearest, slope
+
+
+class Couplings:
+    """Keeps the couplings of a running model along the transmission's curves."""
+
+    def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
+        """Look the couplings of a compiled model up.
+
+        Args:
+            model: The compiled model.
+            hand: The hand in it.
+        """
+        self._model = model
+        every = followers(hand)
+        springs = [f for f in every if f.elastic]
+        curved = [f for f in every if not (f.elastic or f.master or f.coupling.linear)]
+
+        def motors(group: Sequence[Follower]) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+            names = (motor_joint(hand, f.actuator.name) for f in group)
+            return np.array([model.joint(name).qposadr[0] for name in names], dtype=np.intp)
+
+        self._spring_motors, self._curved_motors = motors(springs), motors(curved)
+        self._spring_curves, self._curves = _Curves(springs), _Curves(curved)
+        self._equalities = [model.eq(coupling_name(f.joint)).id for f in curved]
+        self._springs = [model.tendon(coupling_name(f.joint)).id for f in springs]
+        self._follows = [model.tendon_adr[tendon] + 1 for tendon in self._springs]
+        self._tendons = []
+        for actuator in hand.actuators:
+            known = hand.dynamics.get(actuator.name, ActuatorDynamics())
+            own = [i for i, f in enumerate(springs) if f.actuator.name == actuator.name]
+            if own and known.coupling is Following.TENDON:
+                name = tendon_name(actuator.name)
+                self._tendons.append((model.tendon(name).id, model.eq(name).id, own, known))
+        self._steady = all(f.coupling.linear for f in springs)
+        self._renewed = False
+
+    def renew(self, position: FloatArray) -> None:
+        """Set every coupling to the tangent of its curve.
+
+        Args:
+            position: Generalised positions of the model ``(nq,)``.
+        """
+        model = self._model
+        if self._equalities:
+            offsets, slopes = self._curves.tangents(position[self._curved_motors])
+            model.eq_data[self._equalities, 0] = offsets
+            model.eq_data[self._equalities, 1] = slopes
+            model.eq_data[self._equalities, 2:5] = 0.0
+        if not self._springs or (self._steady and self._renewed):
+            return
+        self._renewed = True
+        offsets, slopes = self._spring_curves.tangents(position[self._spring_motors])
+        model.wrap_prm[self._follows] = -slopes
+        model.tendon_lengthspring[self._springs] = offsets[:, None]
+        for tendon, equality, own, known in self._tendons:
+            shares = _shares(slopes[own], known)
+            if shares is None:  # no joint follows here: the last shares hold on
+                continue
+            first = model.tendon_adr[tendon]
+            model.wrap_prm[first : first + len(own)] = shares
+            model.eq_data[equality, 0] = shares @ offsets[own] - model.tendon_length0[tendon]

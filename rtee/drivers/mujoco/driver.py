@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
 
     from rtee.buses.pool import BusPool
     from rtee.drivers.mujoco.simulation import Simulation
+
+log = logging.getLogger(__name__)
+
+GAINS = ("kp", "ki", "kd")
+"""The gains of every actuator that can be set while it runs; see `Simulation.set_gain`."""
 
 _AFFORDABLE = 0.2
 """A step that takes less than this share of a period is done in the loop's own thread: handing it
@@ -48,7 +54,7 @@ class MujocoDriver(Driver):
             measures=frozenset({"position", "velocity", "effort", "contact_force"}),
             accepts=frozenset({"position", "max_effort", "max_velocity"}),
             best_rate=spec.rate,
-            gains=tuple(f"{kind}.{name}" for name in names for kind in ("kp", "kd")),
+            gains=tuple(f"{kind}.{name}" for name in names for kind in GAINS),
             identity={"model": "MuJoCo simulation"},
         )
 
@@ -75,6 +81,8 @@ class MujocoDriver(Driver):
         self._simulation = await anyio.to_thread.run_sync(
             make_simulation, hand, self._options, names, period
         )
+        for note in self._simulation.notes:
+            log.info("%s: %s", self.spec.name, note)
 
     async def activate(self) -> None:
         """Power the actuators where they stand."""
@@ -123,7 +131,7 @@ class MujocoDriver(Driver):
             self._simulation.power(False)
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Set position (``kp.ACTUATOR``) and damping (``kd.ACTUATOR``) gains."""
+        """Set position (``kp.ACTUATOR``), integral (``ki.…``) and damping (``kd.…``) gains."""
         for name, value in gains.items():
             try:
                 self.simulation.set_gain(name, value)

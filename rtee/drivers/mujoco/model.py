@@ -3,26 +3,51 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.couplings import Polynomial, couplings
+from rtee.drivers.mujoco.contacts import configure, hand_friction, make_hard, time_step
+from rtee.drivers.mujoco.couplings import (
+    add_couplings,
+    add_locks,
+    motor_joint,
+    on_spring,
+    reach,
+)
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out
+from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, rest_position
+from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
 from rtee.errors import ModelError
 from rtee.hand.model import Hand, JointRole
-from rtee.hand.urdf import UrdfGeometry, UrdfJoint
+from rtee.hand.urdf import UrdfGeometry, UrdfJoint, UrdfLink
 from rtee.types import ActuatorSpec, FloatArray, JointKind
 
 CARRIER = "carrier"
 """The body that carries the hand."""
 
 _TINY_MASS = 1e-3
-_TINY_INERTIA = 1e-7
-_PRISMATIC = 1000.0
+"""Mass of a link that has neither mass nor shape, but moves [kg]."""
+
+_TINY_INERTIA = 1e-6
+"""Its moments of inertia [kg·m²]: those of a pea."""
+
+_LEAST_INERTIA = 1e-9
+"""The least moment of inertia that is simulated [kg·m²]; smaller ones are roundings to 0."""
+
+_POINT = 1e-4
+"""Moments of inertia of a link without shape, for its mass [m²]: those of a ball of 16 mm."""
+
+_TRIANGLE = 1e-3
+"""A body's largest moment is at most the sum of the others; URDFs are rounded."""
+
+_SAG = 0.02
+"""How far a passive joint's spring lets the weight of its links pull it, at most [rad | m]."""
+
+_PASSIVE_DAMPING = 0.5
+"""Damping ratio of a passive joint with its spring."""
 
 Triangles = Callable[[str], tuple[FloatArray, "np.ndarray[tuple[int, int], np.dtype[np.int64]]"]]
 """Vertices and faces of a link's collision meshes, in the link's frame."""
@@ -34,12 +59,12 @@ class Built:
 
     Attributes:
         spec: The model; objects may still be added before it is compiled.
-        polynomials: How coupled joints follow their actuators.
+        servos: The motors, by actuator.
         notes: What was made up, one sentence each.
     """
 
     spec: mujoco.MjSpec
-    polynomials: tuple[Polynomial, ...]
+    servos: Mapping[str, Servo]
     notes: tuple[str, ...]
 
 
@@ -48,17 +73,6 @@ def quaternion(rpy: tuple[float, float, float]) -> FloatArray:
     result = np.zeros(4)
     mujoco.mju_euler2Quat(result, np.array(rpy, dtype=np.float64), "XYZ")
     return result
-
-
-def effort_limit(actuator: ActuatorSpec, options: SimOptions) -> float:
-    """Return the effort limit to simulate [N·m | N]; the model's, or a made-up one."""
-    most = options.max_effort * (100.0 if actuator.kind is JointKind.PRISMATIC else 1.0)
-    return actuator.effort if 0.0 < actuator.effort <= most else most
-
-
-def coupling_name(joint: str) -> str:
-    """Return the name of the equality that couples a joint to its actuator."""
-    return f"coupling/{joint}"
 
 
 def _check(hand: Hand) -> None:
@@ -125,10 +139,14 @@ def _add_shape(
 
 
 def _add_joint(
-    body: mujoco.MjsBody, joint: UrdfJoint, role: JointRole, hand: Hand, options: SimOptions
+    body: mujoco.MjsBody,
+    joint: UrdfJoint,
+    hand: Hand,
+    servos: Mapping[str, Servo],
+    options: SimOptions,
 ) -> None:
     slide = joint.kind == "prismatic"
-    unit = _PRISMATIC if slide else 1.0
+    unit = PRISMATIC if slide else 1.0
     added = body.add_joint(
         name=joint.name,
         type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
@@ -136,19 +154,79 @@ def _add_joint(
         armature=options.armature * unit,
         damping=options.joint_damping * unit,
     )
+    role = hand.joints[hand.joint_index(joint.name)].role
     if role is JointRole.ACTUATOR:
-        actuator = hand.actuator(joint.name)
-        added.frictionloss = options.joint_friction * effort_limit(actuator, options)
-        if actuator.kind is not JointKind.CONTINUOUS:
-            added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-            added.range = [actuator.lower, actuator.upper]
-    elif role is JointRole.PASSIVE:
+        _limit(added, hand.actuator(joint.name))
+        if motor_joint(hand, joint.name) == joint.name:
+            _drive(added, servos[joint.name])
+        return
+    if role is JointRole.PASSIVE:
         resting = float(hand.transmission.joints(hand.rest)[hand.joint_index(joint.name)])
         added.stiffness = [options.passive_stiffness * unit, 0.0, 0.0]
         added.springref = resting
-        if math.isfinite(joint.lower) and joint.upper > joint.lower:
-            added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-            added.range = [joint.lower, joint.upper]
+    elif not on_spring(hand, joint.name):
+        return
+    lower, upper = reach(hand, joint)
+    if math.isfinite(lower) and upper > lower:
+        added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        added.range = [lower, upper]
+
+
+def _limit(joint: mujoco.MjsJoint, actuator: ActuatorSpec) -> None:
+    if actuator.kind is not JointKind.CONTINUOUS:
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.range = [actuator.lower, actuator.upper]
+
+
+def _drive(joint: mujoco.MjsJoint, servo: Servo) -> None:
+    joint.armature = servo.armature
+    joint.damping = [servo.damping, 0.0, 0.0]
+    joint.frictionloss = servo.friction
+
+
+def _add_motor_bodies(mount: mujoco.MjsBody, hand: Hand, servos: Mapping[str, Servo]) -> None:
+    """Add the motors that are apart from their actuators' joints, which follow them by springs."""
+    for actuator in hand.actuators:
+        name = motor_joint(hand, actuator.name)
+        if name == actuator.name:
+            continue
+        slide = actuator.kind is JointKind.PRISMATIC
+        body = mount.add_body(name=name, gravcomp=1.0)  # a rotor has no weight that turns it
+        body.mass, body.inertia = _TINY_MASS, [_TINY_INERTIA] * 3
+        body.explicitinertial = True
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
+        joint = body.add_joint(name=name, type=kind, axis=[0.0, 0.0, 1.0])
+        _limit(joint, actuator)
+        _drive(joint, servos[actuator.name])
+
+
+def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeom]) -> bool:
+    """Give a body the mass of its link and how that is distributed.
+
+    Returns:
+        Whether the distribution is that of the URDF; where that is missing, or no rigid body can
+        have it, it follows from the shapes.
+    """
+    given = link.inertia
+    if given is not None:
+        xx, xy, xz, yy, yz, zz = given.moments
+        least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if least >= _LEAST_INERTIA and most <= (least + middle) * (1.0 + _TRIANGLE):
+            flat = np.zeros(9)
+            mujoco.mju_quat2Mat(flat, quaternion(given.rpy))
+            turn = flat.reshape(3, 3)
+            tensor = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
+            body.mass, body.ipos = link.mass, given.xyz
+            body.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            body.explicitinertial = True
+            return True
+    for geom in geoms:
+        geom.mass = link.mass / len(geoms)
+    if not geoms:
+        body.mass = link.mass
+        body.inertia = [max(_TINY_INERTIA, _POINT * link.mass)] * 3
+        body.explicitinertial = True
+    return False
 
 
 def _add_links(
@@ -156,19 +234,19 @@ def _add_links(
     mount: mujoco.MjsBody,
     hand: Hand,
     triangles: Triangles,
+    servos: Mapping[str, Servo],
     options: SimOptions,
 ) -> list[str]:
-    """Add every link below ``mount``; returns the links whose mass was made up."""
+    """Add every link below ``mount``; returns what was assumed."""
     urdf = hand.urdf
-    roles = {joint.name: joint.role for joint in hand.joints}
     tips = {finger.tip for finger in hand.fingers}
-    arriving = {joint.child: joint for joint in urdf.joints.values()}
     bodies: dict[str, mujoco.MjsBody] = {}
-    made_up: list[str] = []
+    without_mass: list[str] = []
+    without_inertia: list[str] = []
     pending = [urdf.root]
     while pending:
         name = pending.pop(0)
-        link, joint = urdf.links[name], arriving.get(name)
+        link, joint = urdf.links[name], urdf.joint_to.get(name)
         if joint is None:
             body = mount.add_body(name=LINK + name)
         else:
@@ -176,9 +254,9 @@ def _add_links(
                 name=LINK + name, pos=joint.xyz, quat=quaternion(joint.rpy)
             )
             if joint.moving:
-                _add_joint(body, joint, roles[joint.name], hand, options)
-        body.gravcomp = 1.0  # the arm carries the hand; its own weight is not under test
+                _add_joint(body, joint, hand, servos, options)
         bodies[name] = body
+        geoms: list[mujoco.MjsGeom] = []
         meshes_done = False
         for index, shape in enumerate(link.collisions):
             if shape.kind == "mesh":
@@ -187,81 +265,54 @@ def _add_links(
                 meshes_done = True
             geom = _add_shape(spec, body, shape, f"{name}/{index}", lambda n=name: triangles(n))  # type: ignore[misc]
             geom.density = options.density
-            geom.friction = [options.friction if name in tips else 0.6, 0.01, 1e-3]
-            geom.condim = 4
+            make_hard(geom, hand_friction(options.friction, tip=name in tips))
             geom.group = 3
-        if link.has_inertial and link.mass > 0.0 and not link.collisions:
-            body.mass = link.mass
-            body.inertia = [max(_TINY_INERTIA, 1e-4 * link.mass)] * 3
-            body.explicitinertial = True
-        elif link.has_inertial and link.mass > 0.0:
-            share = link.mass / len(body.geoms)
-            for geom in body.geoms:
-                geom.mass = share
+            geoms.append(geom)
+        if link.has_inertial and link.mass > 0.0:
+            if not _set_inertia(body, link, geoms):
+                without_inertia.append(name)
         elif not link.collisions and joint is not None and joint.moving:
-            body.mass = _TINY_MASS
-            body.inertia = [_TINY_INERTIA * 10] * 3
-            body.ipos = [0.0, 0.0, 0.0]
+            body.mass, body.inertia = _TINY_MASS, [_TINY_INERTIA] * 3
             body.explicitinertial = True
-            made_up.append(name)
+            without_mass.append(name)
         elif link.collisions:
-            made_up.append(name)
-        pending += [j.child for j in urdf.joints.values() if j.parent == name]
-    return made_up
-
-
-def _add_actuators(spec: mujoco.MjSpec, hand: Hand, options: SimOptions) -> list[str]:
-    notes: list[str] = []
-    for actuator in hand.actuators:
-        limit = effort_limit(actuator, options)
-        if limit != actuator.effort:
-            notes.append(f"actuator '{actuator.name}': effort limit taken as {limit:g}")
-        span = options.stiffness * (0.01 if actuator.kind is JointKind.PRISMATIC else 1.0)
-        motor = spec.add_actuator(
-            name=actuator.name, target=actuator.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
-        motor.set_to_position(kp=limit / span, dampratio=1.0)
-        motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        motor.forcerange = [-limit, limit]
+            without_mass.append(name)
+        pending += [j.child for j in urdf.joints_below.get(name, ())]
+    notes = []
+    if without_mass:
+        notes.append(f"mass made up for {len(without_mass)} links: {', '.join(without_mass)}")
+    if without_inertia:
+        links = ", ".join(without_inertia)
+        notes.append(f"inertia made up for {len(without_inertia)} links: {links}")
     return notes
 
 
-def _add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Hold the ignored joints where they stand."""
-    for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True):
-        if joint.role is JointRole.IGNORED:
-            equality = spec.add_equality(
-                name=coupling_name(joint.name),
-                name1=joint.name,
-                type=mujoco.mjtEq.mjEQ_JOINT,
-                objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            )
-            equality.data[:5] = (coupling.value(0.0), 0.0, 0.0, 0.0, 0.0)
-            equality.solref = [0.005, 1.0]
-            equality.solimp = [0.95, 0.99, 0.001, 0.5, 2.0]
+def _hold_passive_joints_up(spec: mujoco.MjSpec, hand: Hand, data: mujoco.MjData) -> None:
+    """Make the springs of passive joints strong enough for the weight of their links.
 
-
-def _add_couplings(spec: mujoco.MjSpec, hand: Hand) -> tuple[tuple[Polynomial, ...], list[str]]:
-    polynomials = couplings(hand)
-    notes = []
-    for polynomial in polynomials:
-        equality = spec.add_equality(
-            name=coupling_name(polynomial.joint),
-            name1=polynomial.joint,
-            name2=polynomial.actuator,
-            type=mujoco.mjtEq.mjEQ_JOINT,
-            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+    Args:
+        spec: The model.
+        hand: The hand.
+        data: It at rest.
+    """
+    model = data.model
+    gravity = float(np.linalg.norm(model.opt.gravity))
+    for joint in hand.joints:
+        if joint.role is not JointRole.PASSIVE:
+            continue
+        found = model.joint(joint.name)
+        body = int(found.bodyid[0])
+        lever = float(np.linalg.norm(data.subtree_com[body] - data.xanchor[found.id]))
+        weight = float(model.body_subtreemass[body]) * gravity
+        load = weight if joint.kind is JointKind.PRISMATIC else weight * lever
+        added = spec.joint(joint.name)
+        stiffness = max(float(model.jnt_stiffness[found.id]), load / _SAG)
+        inertia = float(model.dof_M0[found.dofadr[0]])
+        damping = max(
+            float(model.dof_damping[found.dofadr[0]]),
+            2.0 * _PASSIVE_DAMPING * math.sqrt(stiffness * inertia),
         )
-        equality.data[:5] = polynomial.coefficients
-        equality.solref = [0.005, 1.0]
-        equality.solimp = [0.95, 0.99, 0.001, 0.5, 2.0]
-        if polynomial.error > 1e-6:
-            notes.append(
-                f"joint '{polynomial.joint}' follows '{polynomial.actuator}' by a curve; its "
-                f"tangent is renewed at every exchange (a single polynomial would be up to "
-                f"{polynomial.error:.2g} off)"
-            )
-    return polynomials, notes
+        added.stiffness, added.damping = [stiffness, 0.0, 0.0], [damping, 0.0, 0.0]
 
 
 def build(
@@ -271,10 +322,6 @@ def build(
     touch: Callable[[str, str], bool] = lambda first, second: True,
 ) -> Built:
     """Make a MuJoCo model from a hand.
-
-    The transmission becomes joint equalities (polynomials of degree 4 at most), actuators get
-    position gains and effort limits, passive joints a spring and a damper, ignored ones a lock,
-    fingertips pads with friction. What the URDF lacks is made up and noted.
 
     Args:
         hand: The hand.
@@ -290,21 +337,24 @@ def build(
     spec.modelname = hand.name
     spec.compiler.degree = False
     spec.compiler.autolimits = False
-    spec.option.timestep = options.timestep
+    spec.option.timestep = options.timestep or time_step(hand)
     spec.option.gravity = [0.0, 0.0, options.gravity]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 10.0
+    configure(spec.option)
     # The pairs left out are named below; MuJoCo's own rule depends on whether the base can move.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
     mount = spec.worldbody.add_body(name=CARRIER)
-    notes = list(hand.notes)
-    made_up = _add_links(spec, mount, hand, triangles, options)
-    if made_up:
-        notes.append(f"mass made up for {len(made_up)} links: {', '.join(made_up)}")
-    notes += _add_actuators(spec, hand, options)
-    _add_locks(spec, hand)
-    polynomials, coupling_notes = _add_couplings(spec, hand)
-    notes += coupling_notes
-    notes += leave_pairs_out(spec, hand, touch)
-    return Built(spec, polynomials, tuple(notes))
+    servos = {a.name: servo_of(hand, a, options) for a in hand.actuators}
+    notes = [*hand.notes, *_add_links(spec, mount, hand, triangles, servos, options)]
+    _add_motor_bodies(mount, hand, servos)
+    for servo in servos.values():
+        add_motor(spec, servo, motor_joint(hand, servo.actuator))
+        notes += [servo.note] if servo.note else []
+    add_locks(spec, hand)
+    notes += add_couplings(spec, hand, servos, options)
+    resting = mujoco.MjData(spec.compile())
+    resting.qpos[:] = rest_position(resting.model, hand)
+    mujoco.mj_forward(resting.model, resting)
+    _hold_passive_joints_up(spec, hand, resting)
+    notes += leave_pairs_out(spec, hand, resting, touch)
+    return Built(spec, servos, tuple(notes))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from rtee.drivers.mujoco.contacts import make_object
 from rtee.errors import ConfigError
 from rtee.types import FloatArray
 
@@ -42,11 +43,19 @@ class ObjectShape:
         kind: ``box``, ``cylinder``, ``sphere``, ``drill`` or ``mesh``.
         size: Edge lengths, radius and height, or radius [m]; empty for a drill and a mesh.
         path: The mesh file.
+        scale: Factor of all lengths of a drill or a mesh.
     """
 
     kind: str
     size: tuple[float, ...] = ()
     path: Path | None = None
+    scale: float = 1.0
+
+    def scaled(self, factor: float) -> ObjectShape:
+        """Return the same shape with all lengths times a factor."""
+        if self.size:
+            return replace(self, size=tuple(factor * value for value in self.size))
+        return replace(self, scale=factor * self.scale)
 
     @property
     def name(self) -> str:
@@ -72,7 +81,7 @@ class ObjectShape:
             case "sphere":
                 reach = self.size[0]
             case "drill":
-                reach = 0.5 * _HANDLE[2]
+                reach = 0.5 * _HANDLE[2] * self.scale
             case _:
                 reach = 0.0
         return float(pose[2, 3]) - reach
@@ -111,16 +120,14 @@ def add_object(
     *,
     mass: float,
     pose: FloatArray,
-    friction: float = 0.8,
 ) -> mujoco.MjsBody:
-    """Add a free object to a model.
+    """Add a free object to a model; the friction of a pair is that of what touches the object.
 
     Args:
         spec: The model.
         shape: What it looks like.
         mass: Its mass [kg].
         pose: Where it is ``(4, 4)``, in the world's frame.
-        friction: Its sliding friction.
 
     Returns:
         Its body.
@@ -129,10 +136,11 @@ def add_object(
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
     body = spec.worldbody.add_body(name=OBJECT, pos=pose[:3, 3], quat=quat)
     body.add_freejoint(name=OBJECT)
+    body.gravcomp = 1.0  # MuJoCo can change this while it runs only if it is not 0 at first
     if shape.kind == "drill":
-        _add_drill(body, mass, friction)
+        _add_drill(body, mass, shape.scale)
         return body
-    geom = _geom(body, OBJECT, mass, friction)
+    geom = _geom(body, OBJECT, mass)
     match shape.kind:
         case "box":
             geom.type = mujoco.mjtGeom.mjGEOM_BOX
@@ -145,39 +153,37 @@ def add_object(
             geom.size = [shape.size[0], 0.0, 0.0]
         case _:
             mesh = spec.add_mesh(name=OBJECT, file=str(shape.path))
+            mesh.scale = [shape.scale] * 3
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             geom.type = mujoco.mjtGeom.mjGEOM_MESH
             geom.meshname = OBJECT
     return body
 
 
-def _geom(body: mujoco.MjsBody, name: str, mass: float, friction: float) -> mujoco.MjsGeom:
-    return body.add_geom(
-        name=name,
-        mass=mass,
-        friction=[friction, 0.01, 1e-3],
-        condim=4,
-        rgba=[0.74, 0.60, 0.44, 1.0],
-    )
+def _geom(body: mujoco.MjsBody, name: str, mass: float) -> mujoco.MjsGeom:
+    geom = body.add_geom(name=name, mass=mass, rgba=[0.74, 0.60, 0.44, 1.0])
+    make_object(geom)
+    return geom
 
 
-def _add_drill(body: mujoco.MjsBody, mass: float, friction: float) -> None:
+def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     """Add a pistol-like body: a handle along z, a motor above it, a sprung trigger before it.
 
     The trigger slides along y towards the handle, against a preloaded spring; its joint counts from
     0, not pressed, to `TRIGGER_TRAVEL`.
     """
-    handle = _geom(body, OBJECT, 0.5 * mass, friction)
-    handle.type = mujoco.mjtGeom.mjGEOM_BOX
-    handle.size = [0.5 * value for value in _HANDLE]
-    motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass, friction)
-    motor.type = mujoco.mjtGeom.mjGEOM_BOX
-    motor.size = [0.5 * value for value in _BODY]
-    motor.pos = [0.0, 0.03, 0.5 * (_HANDLE[2] + _BODY[2])]
-    front = 0.5 * _HANDLE[1] + TRIGGER_TRAVEL + 0.5 * _PLATE[1]
-    trigger = body.add_body(
-        name=TRIGGER, pos=[0.0, front, 0.5 * _HANDLE[2] - 0.5 * _PLATE[2] - 0.002]
+    grip, top, button = (
+        tuple(scale * value for value in part) for part in (_HANDLE, _BODY, _PLATE)
     )
+    handle = _geom(body, OBJECT, 0.5 * mass)
+    handle.type = mujoco.mjtGeom.mjGEOM_BOX
+    handle.size = [0.5 * value for value in grip]
+    motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass)
+    motor.type = mujoco.mjtGeom.mjGEOM_BOX
+    motor.size = [0.5 * value for value in top]
+    motor.pos = [0.0, 0.03 * scale, 0.5 * (grip[2] + top[2])]
+    front = 0.5 * grip[1] + TRIGGER_TRAVEL + 0.5 * button[1]
+    trigger = body.add_body(name=TRIGGER, pos=[0.0, front, 0.5 * grip[2] - 0.5 * button[2] - 0.002])
     joint = trigger.add_joint(
         name=TRIGGER, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, -1.0, 0.0], armature=0.01
     )
@@ -188,7 +194,7 @@ def _add_drill(body: mujoco.MjsBody, mass: float, friction: float) -> None:
     joint.stiffness = [_SPRING, 0.0, 0.0]
     joint.springref = -_PRELOAD
     joint.damping = [2.0, 0.0, 0.0]
-    plate = _geom(trigger, TRIGGER, 0.05 * mass, friction)
+    plate = _geom(trigger, TRIGGER, 0.05 * mass)
     plate.type = mujoco.mjtGeom.mjGEOM_BOX
-    plate.size = [0.5 * value for value in _PLATE]
+    plate.size = [0.5 * value for value in button]
     plate.rgba = [0.75, 0.15, 0.12, 1.0]

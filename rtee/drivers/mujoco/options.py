@@ -11,21 +11,26 @@ class SimOptions(BaseModel):
     """Options of the `mujoco` driver in hand.yaml.
 
     Attributes:
-        timestep: Step of the simulation [s]; several steps make one exchange.
+        timestep: Step of the simulation [s]; several steps make one exchange. Unless given 2 ms,
+            and 1 ms for hands whose fingertips are fast.
         gravity: Gravity along the world's z axis [m/s²].
-        friction: Sliding friction of the fingertips' pads.
+        friction: Friction of every contact of the hand, with objects above all; unless given 1.0 at
+            fingertips and 0.8 elsewhere.
         density: Density for links without mass [kg/m³].
-        stiffness: Position error at which an actuator exerts its full effort [rad], or, for a
-            prismatic one, a hundredth of it [m].
-        armature: Inertia of a motor seen at its joint [kg·m²]; a thousand times as many kg for a
-            prismatic one.
+        stiffness: Position error at which an actuator of unknown gain exerts its full effort [rad],
+            or, for a prismatic one, a hundredth of it [m].
+        bandwidth: How fast a servo follows [Hz], where its inertia is not known.
+        armature: Least inertia of motor and gear seen at a joint [kg·m²]; a thousand times as many
+            kg at a prismatic one.
         joint_damping: Damping of every joint [N·m·s/rad].
         joint_friction: Dry friction of every actuator's joint, as a fraction of its effort limit.
-        passive_stiffness: Stiffness of passive joints [N·m/rad].
-        max_effort: Effort limits above this count as missing and become this [N·m | 0.01 N].
+        passive_stiffness: Least stiffness of passive joints [N·m/rad]; more where the weight of
+            their links needs it.
+        missing_effort: Effort limit of actuators that have none [N·m | 0.01 N].
         object: An object to grasp: ``box:0.05x0.05x0.1``, ``cylinder:0.03x0.1``, ``sphere:0.03``,
             ``drill``, or the path of a mesh; empty for none.
         object_mass: Mass of the object [kg].
+        object_scale: Factor of all lengths of the object.
         support: What carries the object before the grasp: ``held``: a yielding hand, which lets go
             when two links have touched it for a while; ``table``; ``floating``: it never weighs
             anything while it is supported.
@@ -36,17 +41,19 @@ class SimOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    timestep: float = Field(default=0.002, gt=0, le=0.01)
+    timestep: float | None = Field(default=None, gt=0, le=0.01)
     gravity: float = Field(default=-9.81, ge=-100, le=100)
-    friction: float = Field(default=1.0, ge=0, le=10)
+    friction: float | None = Field(default=None, ge=0, le=10)
     density: float = Field(default=1000.0, gt=0, le=20000)
     stiffness: float = Field(default=0.05, gt=0, le=1)
+    bandwidth: float = Field(default=15.0, gt=0, le=100)
     armature: float = Field(default=5e-4, gt=0, le=1)
     joint_damping: float = Field(default=5e-3, ge=0, le=10)
     joint_friction: float = Field(default=0.01, ge=0, le=1)
     passive_stiffness: float = Field(default=0.05, ge=0, le=100)
-    max_effort: float = Field(default=10.0, gt=0)
+    missing_effort: float = Field(default=10.0, gt=0)
     object: str = ""
     object_mass: float = Field(default=0.1, gt=0, le=100)
+    object_scale: float = Field(default=1.0, ge=0.1, le=10)
     support: Literal["held", "table", "floating"] = "held"
     carrier: Literal["fixed", "lift", "arm"] = "fixed"

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
+from rtee.drivers.mujoco.contacts import make_pair_hard
+from rtee.drivers.mujoco.couplings import motor_joint
 from rtee.errors import ModelError
 from rtee.hand.model import Hand
 from rtee.types import FloatArray
@@ -19,13 +21,14 @@ _OUTER = 0.6
 
 
 def leave_pairs_out(
-    spec: mujoco.MjSpec, hand: Hand, touch: Callable[[str, str], bool]
+    spec: mujoco.MjSpec, hand: Hand, resting: mujoco.MjData, touch: Callable[[str, str], bool]
 ) -> list[str]:
     """Exclude the contact of links that the SRDF disables, that are joined, or touch at rest.
 
     Args:
         spec: The hand's model.
         hand: The hand.
+        resting: It at rest, with the contacts of all pairs of links.
         touch: Says whether two links touch at rest on their exact geometry.
 
     Returns:
@@ -35,9 +38,10 @@ def leave_pairs_out(
         ModelError: if links of two fingers are deep inside each other at rest.
     """
     never = [(first, second) for first, second, _ in hand.disabled_collisions]
+    left_out = {frozenset(pair) for pair in [*never, *_adjacent(hand)]}
     for first, second in dict.fromkeys([*never, *_adjacent(hand)]):
         spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
-    return _exclude_touching_at_rest(spec, hand, touch)
+    return _exclude_touching_at_rest(spec, hand, resting, touch, left_out)
 
 
 def _finger_of(hand: Hand) -> dict[str, str]:
@@ -100,11 +104,22 @@ def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str)
     for one in outer[0]:
         for other in outer[1]:
             if frozenset((one, other)) not in inside:
-                spec.add_pair(geomname1=one, geomname2=other, condim=4)
+                make_pair_hard(
+                    spec.add_pair(geomname1=one, geomname2=other), _friction(spec, one, other)
+                )
+
+
+def _friction(spec: mujoco.MjSpec, first: str, second: str) -> float:
+    """Return the friction of a pair of shapes: the larger one of the two, as MuJoCo's own rule."""
+    return max(float(spec.geom(name).friction[0]) for name in (first, second))
 
 
 def _exclude_touching_at_rest(
-    spec: mujoco.MjSpec, hand: Hand, touch: Callable[[str, str], bool]
+    spec: mujoco.MjSpec,
+    hand: Hand,
+    data: mujoco.MjData,
+    touch: Callable[[str, str], bool],
+    left_out: set[frozenset[str]],
 ) -> list[str]:
     """Exclude pairs that touch at rest, as the extraction does.
 
@@ -114,16 +129,15 @@ def _exclude_touching_at_rest(
     Raises:
         ModelError: if links of two fingers are deep inside each other at rest.
     """
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = rest_position(model, hand)
-    mujoco.mj_forward(model, data)
+    model = data.model
     finger = _finger_of(hand)
     touching: dict[tuple[str, str], float] = {}
     for contact in data.contact:
         bodies = (model.geom_bodyid[contact.geom1], model.geom_bodyid[contact.geom2])
         names = sorted(model.body(int(b)).name.removeprefix(LINK) for b in bodies)
         pair = (names[0], names[1])
+        if names[0] == names[1] or frozenset(pair) in left_out:
+            continue
         touching[pair] = min(float(contact.dist), touching.get(pair, 0.0))
     notes = []
     hinged = {frozenset(pair) for pair in _joined(hand)}
@@ -159,4 +173,6 @@ def rest_position(model: mujoco.MjModel, hand: Hand) -> FloatArray:
     position = model.qpos0.copy()
     for name, value in zip(hand.joint_names, hand.transmission.joints(hand.rest), strict=True):
         position[model.joint(name).qposadr[0]] = value
+    for name, value in zip(hand.actuator_names, hand.rest, strict=True):
+        position[model.joint(motor_joint(hand, name)).qposadr[0]] = value
     return np.asarray(position, dtype=np.float64)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
 from rtee.drivers.mujoco.model import CARRIER, Built, build
 from rtee.drivers.mujoco.objects import add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
@@ -117,9 +118,7 @@ def add_table(spec: mujoco.MjSpec, height: float) -> None:
     geom = spec.worldbody.add_geom(
         name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_TABLE, pos=[0.0, 0.0, height - _TABLE[2]]
     )
-    geom.friction = [0.8, 0.01, 1e-3]
-    geom.solref = [0.006, 1.0]
-    geom.priority = 1  # its hard contact counts, whatever stands on it
+    make_hard(geom, TABLE_FRICTION)
 
 
 def make_simulation(
@@ -152,7 +151,7 @@ def make_simulation(
         pose[:3, :3] = downward(hand) if mount is None else mount
     add_carrier(built.spec, pose[:3, :3], options)
     if options.object:
-        shape = parse_object(options.object)
+        shape = parse_object(options.object).scaled(options.object_scale)
         if place is None:
             inside = np.eye(4)
             inside[:3, 3] = grasp_centre(hand)
@@ -163,4 +162,4 @@ def make_simulation(
         if options.support == "table":
             add_table(built.spec, shape.lowest(pose))
     model: mujoco.MjModel = built.spec.compile()
-    return Simulation(model, hand, options, actuators, period)
+    return Simulation(model, hand, options, actuators, period, built.servos, built.notes)

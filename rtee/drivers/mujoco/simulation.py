@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.model import coupling_name, effort_limit
+from rtee.drivers.mujoco.couplings import Couplings, motor_joint
+from rtee.drivers.mujoco.finger_forces import FingerForces
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.pairs import LINK, rest_position
+from rtee.drivers.mujoco.pairs import rest_position
+from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.hand.model import Hand
-from rtee.hand.transmission import Coupling
 from rtee.types import BoolArray, FloatArray
 
 
@@ -25,6 +26,8 @@ class Simulation:
         data: Its state.
         surroundings: The carrier, the object and what it lies on.
         actuators: Names of the actuators in the order of all arrays here.
+        effort_limit: Their effort limits ``(n,)`` [N·m | N].
+        notes: What was assumed about the hand, one sentence each.
     """
 
     def __init__(
@@ -34,6 +37,8 @@ class Simulation:
         options: SimOptions,
         actuators: Sequence[str],
         period: float,
+        servos: Mapping[str, Servo],
+        notes: Sequence[str] = (),
     ) -> None:
         """Start at rest.
 
@@ -43,48 +48,37 @@ class Simulation:
             options: How it is simulated.
             actuators: The actuators that are read and commanded, in order.
             period: Time one `advance` takes [s].
+            servos: The motors of its actuators.
+            notes: What was assumed about the hand.
         """
         self.model = model
+        self.notes = tuple(notes)
         self.data = mujoco.MjData(model)
         self.actuators = tuple(actuators)
         self._hand = hand
-        self._substeps = max(1, math.ceil(period / options.timestep - 1e-9))
+        self._substeps = max(1, math.ceil(period / model.opt.timestep - 1e-9))
         model.opt.timestep = period / self._substeps
         self._motor = np.array([model.actuator(name).id for name in actuators])
-        self._qpos = np.array([model.joint(name).qposadr[0] for name in actuators])
-        self._qvel = np.array([model.joint(name).dofadr[0] for name in actuators])
+        moved = {name: model.joint(motor_joint(hand, name)) for name in hand.actuator_names}
+        self._qpos = np.array([moved[name].qposadr[0] for name in actuators])
+        self._qvel = np.array([moved[name].dofadr[0] for name in actuators])
         self._joints = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
-        self._all = np.array([model.joint(name).qposadr[0] for name in hand.actuator_names])
+        self._all = np.array([joint.qposadr[0] for joint in moved.values()])
         specs = [hand.actuator(name) for name in actuators]
         self._period = period
         self._fastest: FloatArray = np.array([s.velocity for s in specs])
         self._fastest[~(self._fastest > 0.0)] = np.inf
         self._target: FloatArray = np.zeros(len(specs))
         self._speed = self._fastest.copy()
-        self.effort_limit: FloatArray = np.array([effort_limit(s, options) for s in specs])
+        self.effort_limit: FloatArray = np.array([servos[name].limit for name in actuators])
         self._gain = model.actuator_gainprm[self._motor, 0].copy()
         self._bias = model.actuator_biasprm[self._motor].copy()
-        names = [finger.tip for finger in hand.fingers if finger.tip is not None]
-        tips = list(dict.fromkeys(names))
-        self._tips = len(tips)
-        self._finger_rows = np.array(
-            [-1 if f.tip is None else tips.index(f.tip) for f in hand.fingers], dtype=np.intp
-        )
-        self._row_of_geom = np.full(model.ngeom, -1, dtype=np.intp)
-        for row, tip in enumerate(tips):
-            self._row_of_geom[model.geom_bodyid == model.body(LINK + tip).id] = row
-        self._curved = [
-            (model.eq(coupling_name(joint.name)).id, self._address(hand, coupling), coupling)
-            for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True)
-            if coupling.actuator is not None and not coupling.linear
-        ]
+        self._integral: FloatArray = np.array([servos[name].ki for name in actuators])
+        self._forces = FingerForces(model, hand)
+        self._couplings = Couplings(model, hand)
         self._powered = True
         self.surroundings = Surroundings(model, self.data, options)
         self.reset()
-
-    def _address(self, hand: Hand, coupling: Coupling) -> int:
-        assert coupling.actuator is not None  # noqa: S101 - narrows the type
-        return int(self.model.joint(hand.actuator_names[coupling.actuator]).qposadr[0])
 
     def reset(self) -> None:
         """Go back to the beginning: the hand at rest, everything else as modelled."""
@@ -95,24 +89,28 @@ class Simulation:
         self._target = np.array(self.data.ctrl[self._motor])
         self._speed = self._fastest.copy()
         self.surroundings.reset()
-        self._follow_curves()
+        self._couplings.renew(self.data.qpos)
         mujoco.mj_forward(self.model, self.data)
 
     def advance(self) -> None:
         """Step by one period."""
-        self._follow_curves()
+        self._couplings.renew(self.data.qpos)
         step = self._speed * self._period
         reference = self.data.ctrl[self._motor]
         self.data.ctrl[self._motor] = reference + np.clip(self._target - reference, -step, step)
+        if self._integral.any():
+            self._integrate()
         mujoco.mj_step(self.model, self.data, nstep=self._substeps)
         self.surroundings.watch(self.time)
 
-    def _follow_curves(self) -> None:
-        """Couple joints that follow an actuator by a curve along its tangent here."""
-        for equality, address, coupling in self._curved:
-            u = float(self.data.qpos[address])
-            value, slope = coupling.dual(u)
-            self.model.eq_data[equality, :5] = (value - slope * u, slope, 0.0, 0.0, 0.0)
+    def _integrate(self) -> None:
+        """Add what the integral gains make of the errors; never more than the effort limits."""
+        motors = self._motor
+        error = self.data.ctrl[motors] - self.data.qpos[self._qpos]
+        limit = self.model.actuator_forcerange[motors, 1]
+        step = np.where(self._powered, self._integral * error * self._period, 0.0)
+        self._bias[:, 0] = np.clip(self._bias[:, 0] + step, -limit, limit)
+        self.model.actuator_biasprm[motors, 0] = np.where(self._powered, self._bias[:, 0], 0.0)
 
     @property
     def time(self) -> float:
@@ -146,24 +144,8 @@ class Simulation:
 
     @property
     def contact_forces(self) -> FloatArray:
-        """Norm of the contact force on each fingertip ``(fingers,)`` [N]."""
-        data = self.data
-        forces = np.zeros((len(self._finger_rows), 3))
-        if data.ncon:
-            contact = data.contact
-            rows = self._row_of_geom[contact.geom]
-            first = contact.efc_address
-            seen = np.flatnonzero((first >= 0) & (rows >= 0).any(axis=1))
-            if len(seen):
-                # The first three rows of an elliptic contact are its force in its own frame.
-                own = data.efc_force[first[seen, None] + np.arange(3)]
-                world = np.einsum("kij,ki->kj", contact.frame[seen].reshape(-1, 3, 3), own)
-                tips = np.zeros((self._tips + 1, 3))  # the last one takes what is no fingertip
-                np.subtract.at(tips, rows[seen, 0], world)
-                np.add.at(tips, rows[seen, 1], world)
-                tips[-1] = 0.0
-                forces = tips[self._finger_rows]
-        return np.asarray(np.sqrt((forces * forces).sum(axis=1)), dtype=np.float64)
+        """Contact force on each finger ``(fingers,)`` [N]; see `FingerForces`."""
+        return self._forces.read(self.data)
 
     @property
     def object_pose(self) -> FloatArray | None:
@@ -204,11 +186,16 @@ class Simulation:
     def power(self, on: bool) -> None:
         """Switch the position gains on or off; off leaves the joints limp."""
         self._powered = on
-        self.model.actuator_gainprm[self._motor, 0] = self._gain if on else 0.0
-        self.model.actuator_biasprm[self._motor] = self._bias if on else 0.0
+        self._bias[:, 0] = 0.0  # the integrals begin again
+        self._write_gains()
+
+    def _write_gains(self) -> None:
+        on = 1.0 if self._powered else 0.0
+        self.model.actuator_gainprm[self._motor, 0] = on * self._gain
+        self.model.actuator_biasprm[self._motor] = on * self._bias
 
     def set_gain(self, name: str, value: float) -> None:
-        """Set one gain: ``kp.ACTUATOR`` [N·m/rad] or ``kd.ACTUATOR`` [N·m·s/rad].
+        """Set one gain: ``kp.ACTUATOR`` [N·m/rad], ``ki.…`` [N·m/(rad·s)] or ``kd.…`` [N·m·s/rad].
 
         Raises:
             KeyError: if there is no such gain.
@@ -217,12 +204,15 @@ class Simulation:
         if not (math.isfinite(value) and value >= 0.0):
             raise ValueError(f"gain '{name}' must be zero or more, not {value:g}")
         kind, _, actuator = name.partition(".")
-        if kind not in ("kp", "kd") or actuator not in self.actuators:
+        if kind not in ("kp", "ki", "kd") or actuator not in self.actuators:
             raise KeyError(name)
         index = self.actuators.index(actuator)
         if kind == "kp":
             self._gain[index] = value
             self._bias[index, 1] = -value
-        else:
+        elif kind == "kd":
             self._bias[index, 2] = -value
-        self.power(self._powered)
+        else:
+            self._integral[index] = value
+            self._bias[index, 0] = 0.0
+        self._write_gains()

@@ -159,14 +159,8 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
             self._advance_by(0.1)
         self.moves = 0
 
-    def inject(self, fault: str) -> None:
-        """Put a fault into the gripper."""
-        super().inject(fault)
-        self.axis.stuck = "stuck" in self.faults
-
-    def clear(self, fault: str | None = None) -> None:
-        """Take a fault away."""
-        super().clear(fault)
+    def on_faults(self) -> None:
+        """Block the motor while it is stuck."""
         self.axis.stuck = "stuck" in self.faults
 
     # --- registers -------------------------------------------------------------------------------

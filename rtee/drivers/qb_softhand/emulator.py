@@ -133,19 +133,10 @@ class QbSoftHandEmulator(Emulator, Grasps):
         """Forget the bytes of an incomplete frame."""
         self._parser.reset()
 
-    def inject(self, fault: str) -> None:
-        """Put a fault into the hand; a low supply takes the motors' power."""
-        super().inject(fault)
-        if fault == "low_supply":
+    def on_faults(self) -> None:
+        """Block the motors while they are stuck; a low supply takes their power."""
+        if "low_supply" in self.faults:
             self._activate(0)
-        self._hamper()
-
-    def clear(self, fault: str | None = None) -> None:
-        """Take a fault away."""
-        super().clear(fault)
-        self._hamper()
-
-    def _hamper(self) -> None:
         for axis in self.axes:
             axis.stuck = "stuck" in self.faults
 

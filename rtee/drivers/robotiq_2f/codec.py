@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
-from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand
+from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand, RobotiqStatus
 from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
 
@@ -113,40 +113,22 @@ class Command(RobotiqCommand):
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class Status(RobotiqStatus):
     """What the gripper says: the input block.
 
     Attributes:
-        activated: gACT.
-        going: gGTO; clear while stopped, activating or releasing.
-        activation: gSTA.
         grasp: gOBJ.
-        fault: gFLT; see `FAULTS`.
         controller_fault: kFLT, of the optional controller.
         requested: gPR, echo of the accepted position.
         position: gPO, measured.
         raw_current: gCU.
     """
 
-    activated: bool = False
-    going: bool = False
-    activation: Progress = Progress.RESET
     grasp: Grasp = Grasp.MOVING
-    fault: int = 0
     controller_fault: int = 0
     requested: int = 0
     position: int = 0
     raw_current: int = 0
-
-    @property
-    def ready(self) -> bool:
-        """Whether it is activated and takes commands."""
-        return self.activated and self.activation is Progress.DONE
-
-    @property
-    def reset(self) -> bool:
-        """Whether it is not activated, nor about to be."""
-        return self.activation is Progress.RESET
 
     @property
     def current(self) -> float:
@@ -155,7 +137,7 @@ class Status:
 
     def to_registers(self) -> tuple[int, int, int]:
         """Return the three registers."""
-        state = self.activated | self.going << 3 | self.activation << 4 | self.grasp << 6
+        state = self.activated | self.going << 3 | self.progress << 4 | self.grasp << 6
         faults = self.fault | self.controller_fault << 4
         return state << 8, faults << 8 | self.requested, self.position << 8 | self.raw_current
 
@@ -173,7 +155,7 @@ class Status:
         return cls(
             activated=bool(state & 0x01),
             going=bool(state & 0x08),
-            activation=Progress(state >> 4 & 3),
+            progress=Progress(state >> 4 & 3),
             grasp=Grasp(state >> 6 & 3),
             fault=registers[1] >> 8 & 0x0F,
             controller_fault=registers[1] >> 12,

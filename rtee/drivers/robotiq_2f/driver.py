@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.options import read_options
@@ -28,14 +28,34 @@ from rtee.drivers.robotiq_2f.codec import (
     Scale,
     Status,
 )
-from rtee.drivers.robotiq_2f.options import Robotiq2FOptions
-from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
+from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
 
 _MORE = 6
 """Registers that published programs read from a two-finger gripper, too."""
+
+
+class Robotiq2FOptions(RobotiqOptions):
+    """Options of a Robotiq two-finger gripper."""
+
+    unit: int = Field(9, ge=1, le=247, description="Modbus number of the gripper")
+    model: Literal["2f_85", "2f_140", "hand_e"] = "2f_85"
+    open_count: int = Field(3, ge=0, le=254, description="measured position when fully open")
+    closed_count: int = Field(230, ge=1, le=255, description="measured position when fully closed")
+    calibration: Path | None = Field(
+        None, description="file of a calibration (`rtee calibrate`); its counts replace these"
+    )
+    closed_position: float | None = Field(
+        None, description="actuator's position when fully closed; by default its upper limit"
+    )
+    register_base: int | None = Field(
+        None, description="first register of both blocks, 0 for the old universal controller"
+    )
+    function: Literal[3, 4] | None = Field(
+        None, description="Modbus function to read with; by default 3, or 4 with `register_base`"
+    )
 
 
 class Robotiq2FDriver(RobotiqDriver[Status, Command]):

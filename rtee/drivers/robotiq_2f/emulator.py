@@ -153,7 +153,7 @@ class Robotiq2FEmulator(RobotiqEmulator):
         return Status(
             activated=command.activate,
             going=going,
-            activation=Progress.RESET if self._releasing else self._progress,
+            progress=Progress.RESET if self._releasing else self._progress,
             grasp=self._grasp() if going else Grasp.MOVING,
             fault=fault,
             requested=command.position,

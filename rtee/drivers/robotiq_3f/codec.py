@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
-from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand
+from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand, RobotiqStatus
 from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
 
@@ -138,36 +138,18 @@ class AxisStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class Status(RobotiqStatus):
     """What the gripper says: the input block.
 
     Attributes:
-        activated: gACT.
         mode: gMOD.
-        going: gGTO.
-        progress: gIMC.
         motion: gSTA.
-        fault: gFLT; see `FAULTS`.
         axes: The four motors, in the order of `AXES`.
     """
 
-    activated: bool = False
     mode: Mode = Mode.BASIC
-    going: bool = False
-    progress: Progress = Progress.RESET
     motion: Motion = Motion.MOVING
-    fault: int = 0
     axes: tuple[AxisStatus, ...] = (AxisStatus(),) * 4
-
-    @property
-    def ready(self) -> bool:
-        """Whether it is activated and takes commands."""
-        return self.activated and self.progress is Progress.DONE
-
-    @property
-    def reset(self) -> bool:
-        """Whether it is not activated, nor about to be."""
-        return self.progress is Progress.RESET
 
     def to_registers(self) -> tuple[int, ...]:
         """Return the eight registers."""

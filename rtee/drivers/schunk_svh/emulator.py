@@ -131,14 +131,9 @@ class SchunkSvhEmulator(Emulator, Grasps):
             self._apply()
         elif fault == "over_temperature":
             self._hot = 0x01
-        self._hamper()
 
-    def clear(self, fault: str | None = None) -> None:
-        """Take a fault away; what it has latched stays latched."""
-        super().clear(fault)
-        self._hamper()
-
-    def _hamper(self) -> None:
+    def on_faults(self) -> None:
+        """Block the motors while they are stuck."""
         for channel in self.channels:
             channel.axis.stuck = "stuck" in self.faults
 

@@ -92,17 +92,8 @@ class XBot2Emulator(Emulator, Grasps):
             axis.target = axis.position
             axis.max_effort = self.properties.effort
 
-    def inject(self, fault: str) -> None:
-        """Put a fault into the server."""
-        super().inject(fault)
-        self._hamper()
-
-    def clear(self, fault: str | None = None) -> None:
-        """Take a fault away."""
-        super().clear(fault)
-        self._hamper()
-
-    def _hamper(self) -> None:
+    def on_faults(self) -> None:
+        """Block the motors while they are stuck."""
         for axis in self.axes.values():
             axis.stuck = "stuck" in self.faults
 

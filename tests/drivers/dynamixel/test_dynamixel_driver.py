@@ -423,6 +423,7 @@ def test_units_have_inverses(direction: int, gear: float) -> None:
             other = Scale(1000.0, direction, gear)
             assert other.unwrap(pulses + lost * table.PULSES, -0.6, 0.6) < 0.01
             assert other.to_rad(pulses + lost * table.PULSES) == pytest.approx(scale.to_rad(pulses))
-    assert scale.to_speed(scale.to_speed_counts(1.0)) * direction == pytest.approx(1.0, rel=0.02)
+    counts = scale.to_speed_counts(1.0)
+    assert counts * table.VELOCITY_UNIT / gear == pytest.approx(1.0, rel=0.02)
     assert scale.to_effort(scale.to_current_counts(0.2)) * direction == pytest.approx(0.2, rel=0.01)
     assert math.isnan(Scale(0.0).to_effort(1.0))

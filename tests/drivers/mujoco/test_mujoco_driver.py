@@ -100,7 +100,7 @@ async def test_stop_holds_and_release_lets_go() -> None:
 async def test_gains_are_tuned_while_it_runs() -> None:
     driver = await active()
     stiff = await run(driver, Reference.at([0.2]), 10)
-    assert driver.capabilities.gains == ("kp.finger_joint", "kd.finger_joint")
+    assert driver.capabilities.gains == ("kp.finger_joint", "ki.finger_joint", "kd.finger_joint")
     weak = await active()
     await weak.set_gains({"kp.finger_joint": 0.5, "kd.finger_joint": 1.0})
     assert (await run(weak, Reference.at([0.2]), 10))[0] < stiff[0]
@@ -113,7 +113,7 @@ async def test_a_gain_does_not_power_a_limp_hand() -> None:
     await driver.move(Reference.at([0.5]))
     assert (await driver.sense()).effort[0] == 0.0
     await driver.activate()
-    assert (await run(driver, Reference.at([0.5]), 100))[0] == pytest.approx(0.5, abs=0.01)
+    assert (await run(driver, Reference.at([0.5]), 300))[0] == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize(("name", "value"), [("kp.nothing", 1.0), ("kp.finger_joint", -1.0)])

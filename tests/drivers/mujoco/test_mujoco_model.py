@@ -72,11 +72,12 @@ def test_what_was_made_up_is_noted(tmp_path: Path) -> None:
     )
     notes = " ".join(build_hand(hand, SimOptions()).notes)
     assert "mass made up for 1 links: tip" in notes
-    assert "effort limit taken as 10" in notes
+    assert "actuator 'bend': effort limit 10, kp 200, critical damping" in notes
 
 
 def test_the_error_of_a_single_polynomial_is_stated() -> None:
-    notes = build_hand(load_hand("heri_ii"), SimOptions()).notes
+    rigid = replace(load_hand("heri_ii"), dynamics={})
+    notes = build_hand(rigid, SimOptions()).notes
     assert any("LFB1__LFP1_1" in note and "off" in note for note in notes)
 
 

@@ -64,31 +64,31 @@ def test_a_whole_cycle_is_one_frame() -> None:
 READS = [
     (
         "09 03 06 39 00 00 FF 0E 0A F7 8B",
-        Status(True, True, Progress.DONE, Grasp.MOVING, 0, 0, 255, 14, 10),
+        Status(True, True, Progress.DONE, 0, Grasp.MOVING, 0, 255, 14, 10),
     ),
     (
         "09 04 06 B9 00 00 FF BD 00 5C 9A",
-        Status(True, True, Progress.DONE, Grasp.CONTACT_CLOSING, 0, 0, 255, 189, 0),
+        Status(True, True, Progress.DONE, 0, Grasp.CONTACT_CLOSING, 0, 255, 189, 0),
     ),
     (
         "09 04 06 39 00 00 00 BB 10 71 06",
-        Status(True, True, Progress.DONE, Grasp.MOVING, 0, 0, 0, 187, 16),
+        Status(True, True, Progress.DONE, 0, Grasp.MOVING, 0, 0, 187, 16),
     ),
     (
         "09 03 06 F9 00 00 00 0D 00 56 4C",
-        Status(True, True, Progress.DONE, Grasp.AT_REQUEST, 0, 0, 0, 13, 0),
+        Status(True, True, Progress.DONE, 0, Grasp.AT_REQUEST, 0, 0, 13, 0),
     ),
     (
         "09 17 06 39 00 00 80 10 0A CF 0C",
-        Status(True, True, Progress.DONE, Grasp.MOVING, 0, 0, 0x80, 16, 10),
+        Status(True, True, Progress.DONE, 0, Grasp.MOVING, 0, 0x80, 16, 10),
     ),
     (
         "09 04 06 F1 00 0F 00 03 00 11 96",
-        Status(True, False, Progress.DONE, Grasp.AT_REQUEST, 15, 0, 0, 3, 0),
+        Status(True, False, Progress.DONE, 15, Grasp.AT_REQUEST, 0, 0, 3, 0),
     ),
     (
         "09 04 06 00 00 07 00 03 00 06 D7",
-        Status(False, False, Progress.RESET, Grasp.MOVING, 7, 0, 0, 3, 0),
+        Status(False, False, Progress.RESET, 7, Grasp.MOVING, 0, 0, 3, 0),
     ),
 ]
 
@@ -105,7 +105,7 @@ def test_a_status_is_the_manuals_frame(frame: str, status: Status) -> None:
     ("word", "state"), [(0x1100, Progress.ACTIVATING), (0x3100, Progress.DONE)]
 )
 def test_the_activation_is_read_from_the_first_register(word: int, state: Progress) -> None:
-    assert Status.from_registers([word, 0, 0]).activation is state
+    assert Status.from_registers([word, 0, 0]).progress is state
 
 
 def test_the_current_is_ten_milliamperes_a_count() -> None:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from benchmarks.gui_onlooker import controls, use
+from benchmarks.gui_onlooker import window as window_of
 from rtee.remote.blocking import BlockingHand
-from rtee.testing.onlooker import controls, use
-from rtee.testing.onlooker import window as window_of
 
 from .conftest import Hands
 from .marks import in_a_browser

@@ -2,7 +2,7 @@
 
 It stands for a browser on another computer, whose drawing costs this one nothing::
 
-    python -m rtee.testing.onlooker http://127.0.0.1:8080
+    python benchmarks/gui_onlooker.py http://127.0.0.1:8080
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def main() -> None:
             frames, size = frames + 1, size + len(frame)
             if given.tell and time.monotonic() >= due:
                 due += 1.0
-                print(f"{frames} frames, {size} bytes", flush=True)  # noqa: T201
+                print(f"{frames} frames, {size} bytes", flush=True)
                 frames = size = 0
 
 

@@ -1,17 +1,18 @@
-"""The reference of the messages as Markdown, made from their definitions.
+"""The reference of the messages, ``docs/reference/messages.md``, made from their definitions.
 
-``python -m rtee.messages.reference > docs/reference/messages.md``
+``python docs/messages_page.py`` writes it; a test keeps it current.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 from rtee.messages.requests import REQUESTS, STATES
 from rtee.messages.schema import DEFINITIONS, MessageType, message_type
 from rtee.messages.topics import PUBLISHED, TYPES, log_topic, network_key
 
+PAGE = Path(__file__).parent / "reference" / "messages.md"
 _HEAD = """\
 # Messages
 
@@ -28,7 +29,7 @@ In Python, `rtee.messages.message_type("rtee_msgs/Goal")` encodes and decodes an
 `rtee.messages.typestore.typestore()` is a type store of `rosbags` with all of them, given the
 extra `rosbags`.
 
-<!-- Made by `python -m rtee.messages.reference`; a test keeps it current. -->
+<!-- Made by `python docs/messages_page.py`; a test keeps it current. -->
 """
 _CONSTANT = (
     "std_msgs/msg/",
@@ -99,4 +100,4 @@ def page() -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(page())
+    PAGE.write_text(page())

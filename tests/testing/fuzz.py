@@ -82,7 +82,7 @@ def mutated(sample: bytes, chance: random.Random, prefix: bytes = b"") -> bytes:
 
 def fuzz(decoder: Decoder, frames: int, seed: int = 0) -> Fuzzed:
     """Try a decoder with so many frames, and return what came of it."""
-    chance = random.Random(seed)  # noqa: S311 - chance, not secrets
+    chance = random.Random(seed)
     found = Fuzzed()
     trial = _try_parser if decoder.parser is not None else _try_function
     trial(decoder, frames, chance, found)

@@ -1,0 +1,114 @@
+"""Contact and friction: one set of numbers for everything that touches.
+
+`docs/concepts/simulation.md` shows the study they come from; `benchmarks/contacts.py` repeats it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import mujoco
+
+from rtee.hand.model import Hand
+from rtee.types import JointKind
+
+TIME_STEP: Final = 0.002
+"""Step of the simulation [s]; half of that for hands whose fingertips are fast."""
+
+TIME_CONSTANT: Final = 0.004
+"""Time constant of a contact [s]: twice the time step, the least that MuJoCo integrates stably."""
+
+IMPEDANCE: Final = (0.95, 0.99, 0.001, 0.5, 2.0)
+"""Impedance of a contact: at the surface, inside, the depth [m] over which it grows, and the shape
+of that growth. With MuJoCo's 0.9 to 0.95, 240 N press the pads of a 2F-85 2.6 mm into a sphere,
+with these 0.8 mm; stiffer ones chatter."""
+
+SKIN: Final = 0.0008
+"""Distance at which an object begins to feel what comes near [m]. A fast fingertip moves 1 mm in a
+time step; without the skin it would be inside before there is any force."""
+
+IMPRATIO: Final = 100.0
+"""Stiffness of friction against that of the normal force: the creep of what is held is inversely
+proportional to it, and it costs nothing."""
+
+DIMENSIONS: Final = 4
+"""A contact transmits normal force, friction in two directions, and torsion about the normal."""
+
+PAD_FRICTION: Final = 1.0
+"""Friction of a fingertip with an object unless one is asked: rubber on plastic or metal."""
+
+LINK_FRICTION: Final = 0.8
+"""Friction of all other links with an object unless one is asked."""
+
+TABLE_FRICTION: Final = 0.8
+"""Friction of a table with what stands on it."""
+
+_LEVER = 0.15
+"""From the first joint of a finger to its tip [m], in large hands."""
+
+_TORSION = 0.01
+"""Torsional friction at a sliding friction of 1 [m]: the diameter of the contact patch."""
+
+_ROLLING = 1e-3
+"""Rolling friction at a sliding friction of 1 [m]; contacts of four dimensions have none."""
+
+
+def time_step(hand: Hand) -> float:
+    """Return a time step [s] in which no fingertip passes the skin of an object."""
+    fastest = max(
+        a.velocity * (1.0 if a.kind is JointKind.PRISMATIC else _LEVER) for a in hand.actuators
+    )
+    return TIME_STEP if fastest * TIME_STEP <= SKIN else 0.5 * TIME_STEP
+
+
+def configure(option: mujoco.MjOption) -> None:
+    """Set how the solver treats contacts: exact cones of friction that hardly creep."""
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = IMPRATIO
+
+
+def make_hard(geom: mujoco.MjsGeom, friction: float) -> None:
+    """Give a shape the contact of all shapes.
+
+    Args:
+        geom: The shape.
+        friction: Its coefficient of sliding friction.
+    """
+    geom.solref = [TIME_CONSTANT, 1.0]
+    geom.solimp = IMPEDANCE
+    geom.condim = DIMENSIONS
+    geom.friction = [friction, _TORSION * friction, _ROLLING * friction]
+
+
+def make_object(geom: mujoco.MjsGeom) -> None:
+    """Give a shape of an object its contact: hard, with a skin, without friction of its own.
+
+    MuJoCo takes the larger friction of two shapes, so the coefficient of a pair is that of what
+    touches the object.
+
+    Args:
+        geom: The shape.
+    """
+    make_hard(geom, friction=0.0)
+    geom.margin = SKIN
+
+
+def make_pair_hard(pair: mujoco.MjsPair, friction: float) -> None:
+    """Give the contact of two shapes that is named the contact of all shapes."""
+    pair.solref = [TIME_CONSTANT, 1.0]
+    pair.solimp = IMPEDANCE
+    pair.condim = DIMENSIONS
+    torsion, rolling = _TORSION * friction, _ROLLING * friction
+    pair.friction = [friction, friction, torsion, rolling, rolling]
+
+
+def hand_friction(asked: float | None, *, tip: bool) -> float:
+    """Return the friction of a link of the hand.
+
+    Args:
+        asked: What was asked for the hand; ``None``: nothing.
+        tip: It is a fingertip.
+    """
+    if asked is not None:
+        return asked
+    return PAD_FRICTION if tip else LINK_FRICTION

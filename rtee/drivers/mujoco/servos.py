@@ -1,0 +1,110 @@
+"""The motors: position servos with effort limits, friction and the inertia of motor and gear.
+
+What hand.yaml gives under ``dynamics`` counts. The rest is derived from the effort limit, which
+every data sheet has: a servo that exerts it at a small error, and follows with a usual bandwidth.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.hand.config_schema import ActuatorDynamics
+from rtee.hand.model import Hand
+from rtee.types import ActuatorSpec, JointKind
+
+PRISMATIC = 1000.0
+"""Inertia, damping and stiffness of a prismatic joint for those assumed of a revolute one [1/m²]:
+the inverse square of a lever of about 30 mm."""
+
+_LINEAR_EFFORT = 100.0
+"""A missing effort limit in N, for one in N·m."""
+
+_LINEAR_SPAN = 0.01
+"""The position error at full effort in m, for one in rad."""
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """A motor with its servo.
+
+    Attributes:
+        actuator: Name of the actuator.
+        limit: Effort limit [N·m | N].
+        kp: Position gain [N·m/rad | N/m].
+        kd: Damping gain [N·m·s/rad | N·s/m]; ``None``: what damps its motion critically.
+        ki: Integral gain [N·m/(rad·s) | N/(m·s)].
+        armature: Inertia of motor and gear at the joint [kg·m² | kg].
+        damping: Viscous friction [N·m·s/rad | N·s/m].
+        friction: Dry friction [N·m | N].
+        derived: Which of these are derived or assumed, by name.
+    """
+
+    actuator: str
+    limit: float
+    kp: float
+    kd: float | None
+    ki: float
+    armature: float
+    damping: float
+    friction: float
+    derived: tuple[str, ...]
+
+    @property
+    def note(self) -> str:
+        """What was derived, in words; empty if everything is known."""
+        if not self.derived:
+            return ""
+        numbers = {"effort limit": self.limit, "kp": self.kp, "armature": self.armature}
+        numbers |= {"damping": self.damping, "dry friction": self.friction}
+        words = [f"{n} {numbers[n]:.3g}" if n in numbers else n for n in self.derived]
+        return f"actuator '{self.actuator}': {', '.join(words)} derived"
+
+
+def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
+    """Return the servo of an actuator: what is known of it, and what follows from that."""
+    known = hand.dynamics.get(actuator.name, ActuatorDynamics())
+    slide = actuator.kind is JointKind.PRISMATIC
+    unit = PRISMATIC if slide else 1.0
+    derived = []
+    limit = actuator.effort
+    if not 0.0 < limit < math.inf:
+        limit = options.missing_effort * (_LINEAR_EFFORT if slide else 1.0)
+        derived.append("effort limit")
+    kp = known.kp
+    if kp is None:
+        kp = limit / (options.stiffness * (_LINEAR_SPAN if slide else 1.0))
+        derived.append("kp")
+    if known.kd is None:
+        derived.append("critical damping")
+    armature = known.armature
+    if armature is None:
+        following = kp / (2.0 * math.pi * options.bandwidth) ** 2
+        armature = max(options.armature * unit, following)
+        derived.append("armature")
+    damping = known.damping
+    if damping is None:
+        damping = options.joint_damping * unit
+        derived.append("damping")
+    friction = known.dry_friction
+    if friction is None:
+        friction = options.joint_friction * limit
+        derived.append("dry friction")
+    return Servo(
+        actuator.name, limit, kp, known.kd, known.ki or 0.0, armature, damping, friction,
+        tuple(derived),
+    )  # fmt: skip
+
+
+def add_motor(spec: mujoco.MjSpec, servo: Servo, joint: str) -> None:
+    """Let a servo move a joint of a model."""
+    motor = spec.add_actuator(name=servo.actuator, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    if servo.kd is None:
+        motor.set_to_position(kp=servo.kp, dampratio=1.0)
+    else:
+        motor.set_to_position(kp=servo.kp, kv=servo.kd)
+    motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    motor.forcerange = [-servo.limit, servo.limit]

@@ -1,0 +1,106 @@
+"""What is different each time: variations of a trial, and what their share of successes says.
+
+The draws depend on the seed and the number of the variation alone, so all trials see the same ones,
+in any order and on any computer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtee.types import FloatArray
+
+SIZE: Final = 0.1
+"""Objects are up to this share larger or smaller."""
+
+MASS: Final = 0.5
+"""… and up to this share heavier."""
+
+POSITION: Final = 0.01
+"""They are up to this far beside their place along each axis [m]."""
+
+TURN: Final = math.radians(10.0)
+"""… and turned by up to this about any axis [rad]."""
+
+FRICTION: Final = (0.5, 1.0)
+"""The range of friction."""
+
+_CONFIDENCE = 1.96
+"""Standard deviations of a normal distribution to either side that hold 95 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """How a trial differs from the one without variation.
+
+    Attributes:
+        size: Factor of all lengths of the object.
+        mass: Factor of its mass.
+        position: How far it is beside its place, in the hand's base frame [m].
+        turn: How it is turned about its own origin: axis times angle, in the base frame [rad].
+        friction: Friction between hand and object.
+    """
+
+    size: float
+    mass: float
+    position: tuple[float, float, float]
+    turn: tuple[float, float, float]
+    friction: float
+
+    def moved(self, pose: FloatArray) -> FloatArray:
+        """Return where an object is that would be at a pose ``(4, 4)`` in the base frame."""
+        found = np.array(pose)
+        found[:3, 3] += self.position
+        found[:3, :3] = _rotation(np.array(self.turn)) @ found[:3, :3]
+        return found
+
+
+def draw(seed: int, number: int) -> Variation:
+    """Return the variation of a number, counted from 0, of a seed."""
+    random = np.random.default_rng([seed, number])
+    x, y, z = random.uniform(-POSITION, POSITION, 3)
+    axis = random.normal(size=3)
+    rx, ry, rz = random.uniform(0.0, TURN) * axis / np.linalg.norm(axis)
+    return Variation(
+        size=float(random.uniform(1.0 - SIZE, 1.0 + SIZE)),
+        mass=float(random.uniform(1.0, 1.0 + MASS)),
+        position=(float(x), float(y), float(z)),
+        turn=(float(rx), float(ry), float(rz)),
+        friction=float(random.uniform(*FRICTION)),
+    )
+
+
+def interval(successes: int, tries: int) -> tuple[float, float]:
+    """Return the Wilson interval that holds the rate of success with 95 % confidence.
+
+    Args:
+        successes: How often it succeeded.
+        tries: How often it was tried; with 0, nothing is known: 0 to 1.
+
+    Source: Wilson, Probable inference, the law of succession, and statistical inference, 1927.
+    """
+    if tries == 0:
+        return 0.0, 1.0
+    square = _CONFIDENCE * _CONFIDENCE
+    rate = successes / tries
+    middle = rate + square / (2 * tries)
+    half = _CONFIDENCE * math.sqrt(rate * (1.0 - rate) / tries + square / (4 * tries * tries))
+    scale = 1.0 + square / tries
+    return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
+
+
+def _rotation(turn: FloatArray) -> FloatArray:
+    """Return the rotation ``(3, 3)`` of an axis times an angle [rad], by Rodrigues' formula."""
+    angle = float(np.linalg.norm(turn))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = turn / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned: FloatArray = (
+        np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+    )
+    return turned

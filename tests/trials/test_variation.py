@@ -1,0 +1,145 @@
+"""Variations are drawn alike everywhere, and what they show is reported with its confidence."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+pytest.importorskip("mujoco")
+
+from rtee.cli._common import app_of
+from rtee.cli.try_ import try_
+from rtee.drivers.mujoco.objects import parse_object
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.errors import ConfigError
+from rtee.hand.load import load_hand
+from rtee.trials.store import from_document, read_results, to_document, write_results
+from rtee.trials.sweep import attempt
+from rtee.trials.trial import Trial, TrialResult
+from rtee.trials.variation import FRICTION, MASS, POSITION, SIZE, TURN, draw, interval
+
+GRIPPER = "robotiq_2f_85"
+
+
+@pytest.mark.parametrize(
+    ("successes", "tries", "low", "high"),
+    [
+        # Computed with statsmodels' proportion_confint(method="wilson").
+        (18, 20, 0.6990, 0.9721),
+        (0, 20, 0.0, 0.1611),
+        (20, 20, 0.8389, 1.0),
+        (50, 100, 0.4038, 0.5962),
+    ],
+)
+def test_the_interval_is_wilsons(successes: int, tries: int, low: float, high: float) -> None:
+    assert interval(successes, tries) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_without_tries_nothing_is_known() -> None:
+    assert interval(0, 0) == (0.0, 1.0)
+
+
+def test_draws_depend_on_seed_and_number_alone() -> None:
+    assert draw(3, 7) == draw(3, 7)
+    assert len({draw(seed, number) for seed in range(3) for number in range(20)}) == 60
+
+
+def test_draws_fill_their_ranges_and_stay_in_them() -> None:
+    drawn = [draw(0, number) for number in range(400)]
+    for values, low, high in (
+        ([v.size for v in drawn], 1.0 - SIZE, 1.0 + SIZE),
+        ([v.mass for v in drawn], 1.0, 1.0 + MASS),
+        ([v.friction for v in drawn], *FRICTION),
+        ([x for v in drawn for x in v.position], -POSITION, POSITION),
+        ([float(np.linalg.norm(v.turn)) for v in drawn], 0.0, TURN),
+    ):
+        span = high - low
+        assert low <= min(values) < low + 0.05 * span
+        assert high - 0.05 * span < max(values) <= high
+
+
+def test_an_object_is_moved_and_turned_about_itself() -> None:
+    variation = replace(draw(0, 0), position=(0.001, 0.0, -0.002), turn=(0.0, 0.0, np.pi / 2))
+    pose = np.eye(4)
+    pose[:3, 3] = (0.1, 0.2, 0.3)
+    moved = variation.moved(pose)
+    assert moved[:3, 3] == pytest.approx([0.101, 0.2, 0.298])
+    assert moved[:3, 0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "shape", ["box:0.04x0.02x0.1", "cylinder:0.02x0.1", "sphere:0.03", "drill"]
+)
+def test_an_object_is_scaled_in_all_its_lengths(shape: str) -> None:
+    hand = load_hand(GRIPPER)
+    volumes = []
+    for scale in (1.0, 1.1):
+        options = SimOptions(object=shape, object_scale=scale)
+        model = make_simulation(hand, options, hand.actuator_names, 0.004).model
+        own = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body("object").id)
+        volumes.append(np.prod(np.where(model.geom_size[own] > 0, model.geom_size[own], 1.0)))
+        lowest = parse_object(shape).scaled(scale).lowest(np.eye(4))
+        assert lowest == pytest.approx(scale * parse_object(shape).lowest(np.eye(4)))
+    assert volumes[1] > 1.09 * volumes[0]
+
+
+@pytest.fixture(scope="module")
+def varied() -> TrialResult:
+    return attempt(GRIPPER, Trial("Grasp", object="box:0.04x0.04x0.1", variations=4, seed=1))
+
+
+@pytest.mark.timeout(180)
+def test_a_good_grasp_survives_its_variations(varied: TrialResult) -> None:
+    assert varied.held
+    assert varied.survived == 4
+
+
+@pytest.mark.timeout(180)
+def test_the_same_seed_gives_the_same_result(varied: TrialResult) -> None:
+    assert attempt(GRIPPER, varied.trial) == varied
+
+
+def test_what_is_lost_anyway_is_not_varied() -> None:
+    result = attempt(GRIPPER, Trial("Grasp", object="sphere:0.06", variations=1000))
+    assert not result.held
+    assert result.survived == 0
+
+
+def test_without_friction_nothing_is_held() -> None:
+    result = attempt(GRIPPER, Trial("Grasp", object="box:0.04x0.04x0.1", friction=0.0, places=1))
+    assert not result.held
+
+
+def test_results_of_variations_are_kept(tmp_path: Path, varied: TrialResult) -> None:
+    document = json.loads(json.dumps(to_document(varied)))
+    assert document["variations"]["held"] == 4
+    assert document["variations"]["interval"] == pytest.approx([0.51, 1.0], abs=1e-3)
+    assert from_document(document) == varied
+    write_results(tmp_path / "trials.yaml", "abc", [varied])
+    assert read_results(tmp_path / "trials.yaml") == {varied.trial.key: varied}
+
+
+def test_results_from_before_there_were_variations_are_read(varied: TrialResult) -> None:
+    document = to_document(varied)
+    del document["variations"]
+    assert from_document(document).trial.variations == 0
+
+
+@pytest.mark.timeout(180)
+def test_the_rate_is_reported_with_its_confidence() -> None:
+    words = [GRIPPER, "Grasp", "--object", "box:0.04x0.04x0.1", "--variations", "2"]
+    outcome = CliRunner().invoke(app_of(try_), [*words, "--friction", "0.9"])
+    assert outcome.exit_code == 0, outcome.output
+    assert "with variations 2 of 2 (95 % confidence: 34 to 100 %)" in outcome.stdout
+
+
+def test_a_sweep_takes_no_friction_of_its_own() -> None:
+    words = [GRIPPER, "--all", "--friction", "0.5"]
+    with pytest.raises(ConfigError, match="--all takes the friction"):
+        CliRunner().invoke(app_of(try_), words, catch_exceptions=False)
