@@ -25,11 +25,7 @@ _MODEL = "the hand"
 
 
 def _devices_of(name: str, only: str | None, emulated: bool) -> list[DeviceSpec]:
-    """Return the devices of a hand, or one of them.
-
-    Raises:
-        UserError: if there is no such hand or device.
-    """
+    """Return the devices of a hand, or one of them; raises `UserError` if there is none."""
     from rtee.errors import ConfigError, suggestion
     from rtee.run import RunOptions, prepare
 

@@ -124,12 +124,7 @@ def open_(
 
 
 async def _follow(running: RunningGoal, title: str) -> Result:
-    """Show a goal's progress until its result; Ctrl-C cancels it, a second Ctrl-C leaves it.
-
-    Args:
-        running: The goal.
-        title: Title of its progress bar.
-    """
+    """Show a goal's progress until its result; Ctrl-C cancels it, a second Ctrl-C leaves it."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:

@@ -53,11 +53,7 @@ def _lower_priority() -> None:
 
 
 async def _check_running(hand: str | None, endpoint: str | None) -> None:
-    """Check that the hand runs, before a page is served that would wait for it.
-
-    Raises:
-        ConfigError: if it does not run.
-    """
+    """Check that the hand runs, before a page waits for it; raises `ConfigError` if it does not."""
     import anyio.to_thread
 
     from rtee.errors import ConfigError, NoHand

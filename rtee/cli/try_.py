@@ -250,12 +250,7 @@ class _Kept:
 
     @contextmanager
     def until_done(self, total: int, again: bool) -> Iterator[None]:
-        """Write the results when the context ends; after an interrupt, say how many there are.
-
-        Args:
-            total: Number of results expected.
-            again: Whether trials with known results are repeated.
-        """
+        """Write the results when the context ends; after an interrupt, say how many there are."""
 
         def once(*_: object) -> None:
             # Some programs send it to the process and to its group; the second must be ignored.

@@ -289,11 +289,7 @@ def _moved(hand: Hand, posture: Posture) -> tuple[str, ...]:
 
 
 def _load_template() -> Template:
-    """Return the template of the page, which `_page` fills in.
-
-    Raises:
-        MissingExtra: The extra ``plot`` is not installed.
-    """
+    """Return the template that `_page` fills in; raises `MissingExtra` without Jinja."""
     try:
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     except ImportError:
@@ -326,17 +322,7 @@ def _page(
     seconds: float,
     trials: Iterable[Tried] = (),
 ) -> str:
-    """Return the page.
-
-    Args:
-        template: What `_load_template` gave.
-        hand: The hand.
-        picture: A WebP file of the hand at rest.
-        sections: The actions by kind.
-        notes: What was noticed, one sentence each.
-        seconds: How long the extraction took [s].
-        trials: What became of the actions when they were tried.
-    """
+    """Return the page; trials say what became of the actions when they were tried."""
     tried = list(trials)
     rows: dict[str, dict[str, Tried]] = {}
     for one in tried:

@@ -107,20 +107,6 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
     return path
 
 
-def check_meshes(urdf: Urdf, package_dirs: Sequence[Path | str] = ()) -> None:
-    """Check every mesh that is collision geometry.
-
-    Raises:
-        ModelError: As `check_mesh`.
-    """
-    seen: set[str] = set()
-    for link in urdf.links.values():
-        for shape in link.collisions:
-            if shape.kind == "mesh" and shape.mesh not in seen:
-                seen.add(shape.mesh)
-                check_mesh(shape, urdf, package_dirs)
-
-
 def why_no_mesh(data: bytes, suffix: str) -> str | None:
     """Return why the content of a file is no mesh of a format, or ``None`` if it may be one.
 

@@ -66,11 +66,7 @@ def runtime_folder() -> Path:
 
 
 def _own_folder() -> Path:
-    """Return the folder; makes it if necessary.
-
-    Raises:
-        ConfigError: if it cannot be made, or other users can write to it.
-    """
+    """Return the folder, made if necessary; raises `ConfigError` if it is not ours alone."""
     folder = runtime_folder()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)

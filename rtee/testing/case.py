@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from rtee.buses.emulator import Emulator
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind
 
 CYCLES = "RTEE_CONTRACT_CYCLES"
@@ -119,6 +118,3 @@ class DeviceCase:
         near = tuple(a.lower + 0.25 * (a.upper - a.lower) for a in self.actuators)
         far = tuple(a.lower + 0.75 * (a.upper - a.lower) for a in self.actuators)
         return near, far
-
-
-Prepare = Callable[[Emulator], None]

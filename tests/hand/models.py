@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
+from rtee.hand.meshes import check_mesh
+from rtee.hand.urdf import Urdf
+
 GRIPPER = """<?xml version="1.0"?>
 <robot name="gripper">
   <link name="palm">
@@ -160,3 +166,10 @@ def _bend(
         f'<origin xyz="{xyz[0]} {xyz[1]} {xyz[2]}"/><axis xyz="{axis}"/>'
         f'<limit lower="{limits[0]}" upper="{limits[1]}" velocity="2" effort="2"/>{mimic}</joint>\n'
     )
+
+
+def check_meshes(urdf: Urdf, package_dirs: Sequence[Path | str] = ()) -> None:
+    """Check every mesh that is collision geometry."""
+    shapes = (shape for link in urdf.links.values() for shape in link.collisions)
+    for shape in {shape.mesh: shape for shape in shapes if shape.kind == "mesh"}.values():
+        check_mesh(shape, urdf, package_dirs)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from hand.models import GRIPPER, line_of
+from hand.models import GRIPPER, check_meshes, line_of
 from rtee.errors import ModelError
-from rtee.hand.meshes import check_meshes, resolve_mesh
+from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Hand
 
 STL = b"\0" * 80 + struct.pack("<I", 1) + struct.pack("<12fH", *[0.0] * 12, 0)

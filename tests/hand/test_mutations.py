@@ -12,10 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hand.models import YAML
+from hand.models import YAML, check_meshes
 from rtee.errors import RteeError
 from rtee.hand.load import load_hand, load_model
-from rtee.hand.meshes import check_meshes
 
 T = TypeVar("T")
 

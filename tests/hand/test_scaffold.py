@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from hand.models import FRANKA, GRIPPER, SRDF, anthropomorphic
+from hand.models import FRANKA, GRIPPER, SRDF, anthropomorphic, check_meshes
 from hand.test_candidates import kinova
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.config import HandConfig
 from rtee.hand.load import load_hand, load_model
-from rtee.hand.meshes import check_meshes
 from rtee.hand.model import Hand
 from rtee.hand.scaffold import make_hand
 from rtee.hand.schema import SCHEMA_FILE, schema_text

@@ -12,8 +12,7 @@ from rtee.buses.modbus_frames import AnswerParser, RtuRequests, TcpRequests, rtu
 from rtee.drivers.allegro import codec as allegro
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402 import codec as cia402
-from rtee.drivers.dynamixel import codec as dynamixel
-from rtee.drivers.dynamixel.codec import InstructionParser, StatusParser
+from rtee.drivers.dynamixel.codec import InstructionParser
 from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.onrobot_3fg import codec as onrobot
 from rtee.drivers.qb_softhand import codec as qb
@@ -92,10 +91,6 @@ QB = [qb.Frame(1, 0).to_bytes(), qb.Frame(1, 132, bytes(range(6))).to_bytes()]
 DYNAMIXEL_REQUESTS = [
     bytes.fromhex("FF FF FD 00 01 03 00 01 19 4E"),
     bytes.fromhex("FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"),
-]
-DYNAMIXEL_ANSWERS = [
-    bytes.fromhex("FF FF FD 00 01 07 00 55 00 06 04 26 65 5D"),
-    bytes.fromhex("FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0"),
 ]
 
 MESSAGES: list[tuple[str, bytes, Callable[[bytes], object], tuple[type[Exception], ...]]] = [
@@ -237,20 +232,6 @@ DECODERS = [
         parser=InstructionParser,
         prefix=b"\xff\xff\xfd\x00",
         limit=InstructionParser.LIMIT,
-    ),
-    Decoder(
-        "Dynamixel answers",
-        DYNAMIXEL_ANSWERS,
-        parser=StatusParser,
-        prefix=b"\xff\xff\xfd\x00",
-        limit=StatusParser.LIMIT,
-    ),
-    Decoder(
-        "Dynamixel fast answer",
-        [dynamixel.fast_status([dynamixel.StatusPacket(i, 0, bytes(10)) for i in range(2)])],
-        decode=lambda data: dynamixel.read_fast_status(data, [10, 10]),
-        errors=(dynamixel.DynamixelFrameError,),
-        prefix=b"\xff\xff\xfd\x00",
     ),
     Decoder(
         "qb parameter list",

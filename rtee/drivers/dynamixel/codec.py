@@ -1,7 +1,6 @@
-"""DYNAMIXEL protocol 2.0: packets, byte stuffing, CRC, resynchronising parsers. No I/O.
+"""DYNAMIXEL protocol 2.0: packets, byte stuffing, CRC, a resynchronising parser. No I/O.
 
-The driver leaves the wire to dynamixel-sdk; this codec is for the emulated servos and for whoever
-wants to read a trace.
+The driver leaves the wire to dynamixel-sdk; this codec is for the emulated servos.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Self, TypeVar
+from typing import Self
 
 from rtee.buses.parser import FramedParser
 
@@ -169,15 +168,6 @@ class StatusPacket:
         """Return the packet as sent."""
         return _sealed(self.device, stuff(bytes([STATUS, self.error]) + self.params))
 
-    @classmethod
-    def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` is; raises `DynamixelFrameError`."""
-        device, body = _opened(raw)
-        if body[0] != STATUS or len(body) < 2:
-            raise DynamixelFrameError("this is no status packet")
-        body = unstuff(body)
-        return cls(device, body[1], body[2:])
-
 
 def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = None) -> bytes:
     """Return the one packet in which several servos answer a fast sync or bulk read.
@@ -195,32 +185,22 @@ def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = N
     return packet
 
 
-def read_fast_status(raw: bytes, sizes: Sequence[int]) -> list[StatusPacket]:
-    """Return the answers in a packet of several servos with so many bytes of data each.
+class InstructionParser(FramedParser[InstructionPacket]):
+    """Finds instructions in a stream, as a servo does.
 
-    Raises:
-        DynamixelFrameError: if it is not such a packet, or one of its CRCs does not match.
+    Attributes:
+        damaged: Id and instruction, as received, of packets whose CRC did not match; the reader
+            takes them away.
     """
-    if len(raw) != 8 + sum(sizes) + 4 * len(sizes) or raw[:5] != HEADER + bytes([BROADCAST]):
-        raise DynamixelFrameError("this is no answer of several servos")
-    answers, at = [], 8
-    for size in sizes:
-        end = at + 2 + size
-        if crc16(raw[:end]) != raw[end] | raw[end + 1] << 8:
-            raise DynamixelFrameError("the CRC does not match")
-        answers.append(StatusPacket(raw[at + 1], raw[at], raw[at + 2 : end]))
-        at = end + 2
-    return answers
 
-
-P = TypeVar("P", InstructionPacket, StatusPacket)
-
-
-class _Parser(FramedParser[P]):
     HEADER = HEADER
     HEAD = 7
     PIECE = LONGEST
     LIMIT = 2 * (LONGEST + 7)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.damaged: list[tuple[int, int]] = []
 
     def _length(self, at: int) -> int:
         length = (self._buffer[at + 5] | self._buffer[at + 6] << 8) + 7
@@ -229,19 +209,6 @@ class _Parser(FramedParser[P]):
     def _inside(self) -> int:
         # Stuffing keeps headers out of packets: another one means that this one is cut off.
         return max(0, self._buffer.find(HEADER, 1))
-
-
-class InstructionParser(_Parser[InstructionPacket]):
-    """Finds instructions in a stream, as a servo does.
-
-    Attributes:
-        damaged: Id and instruction, as received, of packets whose CRC did not match; the reader
-            takes them away.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.damaged: list[tuple[int, int]] = []
 
     def _decode(self, raw: bytes) -> InstructionPacket:
         return InstructionPacket.from_bytes(raw)
@@ -253,10 +220,3 @@ class InstructionParser(_Parser[InstructionPacket]):
             if crc16(raw[:-2]) != raw[-2] | raw[-1] << 8:
                 self.damaged = [*self.damaged[-7:], (raw[4], raw[7])]
         return found
-
-
-class StatusParser(_Parser[StatusPacket]):
-    """Finds answers in a stream; a bad one costs itself, not the one that follows."""
-
-    def _decode(self, raw: bytes) -> StatusPacket:
-        return StatusPacket.from_bytes(raw)

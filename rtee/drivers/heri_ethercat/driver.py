@@ -363,11 +363,7 @@ class HeriEthercatDriver(Driver):
 
 
 def _identify(bus: EthercatBus, boards: int, options: HeriEthercatOptions, device: str) -> None:
-    """See that the first slaves are as many boards as needed, of the vendor and product given.
-
-    Raises:
-        HandshakeError: if they are not.
-    """
+    """Check vendor and product of the first slaves; raises `HandshakeError` if they differ."""
     if len(bus.slaves) < boards:
         raise HandshakeError(
             device,

@@ -30,6 +30,8 @@ class Profile(ABC):
         self.velocity = [0.0] * n
         self.target = [0.0] * n
         self.moving = False
+        self._top = list(limits.velocity)
+        self._braking = [False] * n
 
     @property
     def size(self) -> int:
@@ -68,6 +70,14 @@ class Profile(ABC):
             velocity: Velocity limits to be used from now on, by index; others keep theirs, which
                 begin as those of the hand and are never exceeded.
         """
+
+    def _aim(self, targets: Mapping[int, float], velocity: Mapping[int, float] | None) -> None:
+        """Note where to go and how fast at most; what has a target no longer brakes."""
+        for index, top in (velocity or {}).items():
+            self._top[index] = min(top, self.limits.velocity[index])
+        for index, target in targets.items():
+            self.target[index] = self.limits.clamp(index, target)
+            self._braking[index] = False
 
     @abstractmethod
     def advance(self) -> None:

@@ -43,8 +43,6 @@ class JerkLimited(Profile):
         self._acceleration = [0.0] * n
         self._duration = 0.0
         self._time = 0.0
-        self._top = list(limits.velocity)
-        self._braking = [False] * n
         self._plain: Step | None = None
 
     def _seeded(self, positions: Collection[int]) -> None:
@@ -62,11 +60,7 @@ class JerkLimited(Profile):
         velocity: Mapping[int, float] | None = None,
     ) -> None:
         """See `Profile.go`."""
-        for index, top in (velocity or {}).items():
-            self._top[index] = min(top, self.limits.velocity[index])
-        for index, target in targets.items():
-            self.target[index] = self.limits.clamp(index, target)
-            self._braking[index] = False
+        self._aim(targets, velocity)
         for index in brake:
             standing = self.velocity[index] == 0.0 and self._acceleration[index] == 0.0
             self._braking[index] = not standing

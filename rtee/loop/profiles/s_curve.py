@@ -27,8 +27,6 @@ class SCurve(Profile):
         super().__init__(limits, period)
         n = self.size
         self._acceleration = [0.0] * n
-        self._top = list(limits.velocity)
-        self._braking = [False] * n
         self._time = [0.0] * n
         self._motion: list[Motion | None] = [None] * n
 
@@ -53,15 +51,9 @@ class SCurve(Profile):
         velocity: Mapping[int, float] | None = None,
     ) -> None:
         """See `Profile.go`."""
-        others = set()
-        for index, given in (velocity or {}).items():
-            top = min(given, self.limits.velocity[index])
-            if top != self._top[index]:
-                self._top[index] = top
-                others.add(index)
-        for index, target in targets.items():
-            self.target[index] = self.limits.clamp(index, target)
-            self._braking[index] = False
+        before = list(self._top)
+        self._aim(targets, velocity)
+        others = {index for index in velocity or () if self._top[index] != before[index]}
         for index in brake:
             self._braking[index] = True
             self._stop(index)

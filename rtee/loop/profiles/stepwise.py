@@ -13,11 +13,6 @@ from rtee.loop.profiles.base import Profile
 class Stepwise(Profile):
     """A profile that asks for a velocity every period and gets what the limits allow."""
 
-    def __init__(self, limits: Limits, period: float) -> None:
-        super().__init__(limits, period)
-        self._top = list(limits.velocity)
-        self._braking = [False] * self.size
-
     def _seeded(self, positions: Collection[int]) -> None:
         for index in positions:
             self._braking[index] = False
@@ -30,11 +25,7 @@ class Stepwise(Profile):
         velocity: Mapping[int, float] | None = None,
     ) -> None:
         """See `Profile.go`."""
-        for index, top in (velocity or {}).items():
-            self._top[index] = min(top, self.limits.velocity[index])
-        for index, target in targets.items():
-            self.target[index] = self.limits.clamp(index, target)
-            self._braking[index] = False
+        self._aim(targets, velocity)
         for index in brake:
             self._braking[index] = True
         self.moving = True
