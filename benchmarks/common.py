@@ -22,6 +22,7 @@ HELP = {
     "no_throughput": "leave the throughput out",
     "only": "what has this in its name, and nothing else",
     "pairs": "runs with each driver, by turns",
+    "places": "places of the object that rtee try tries",
     "rate": "ticks per second [Hz]",
     "realtime": "with real-time scheduling, as on a robot PC",
     "record": "also record every tick",

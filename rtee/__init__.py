@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rtee.hand.load import load_hand
+    from rtee.planning.plan import grasp_plan
     from rtee.remote.blocking import connect_blocking
     from rtee.remote.client import connect
 
-__all__ = ["connect", "connect_blocking", "load_hand"]
+__all__ = ["connect", "connect_blocking", "grasp_plan", "load_hand"]
 
 _HOME = {
     "connect": "rtee.remote.client",
     "connect_blocking": "rtee.remote.blocking",
+    "grasp_plan": "rtee.planning.plan",
     "load_hand": "rtee.hand.load",
 }
 

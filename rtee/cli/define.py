@@ -81,7 +81,7 @@ def compose(
     library = actions_of(hand)
     uses = [read_use(part) for part in parts]
     action = library.compose(name, uses, independent=independent, description=description)
-    _store(library, action, replace)
+    store(library, action, replace)
 
 
 def time(
@@ -106,7 +106,7 @@ def time(
 
     library = actions_of(hand)
     plans = [read_step(step) for step in steps]
-    _store(library, library.sequence(name, plans, description=description), replace)
+    store(library, library.sequence(name, plans, description=description), replace)
 
 
 def generic(
@@ -132,10 +132,10 @@ def generic(
 
     library = actions_of(hand)
     values = read_set_points(set_points)
-    _store(library, make(library.hand, name, values, description=description), replace)
+    store(library, make(library.hand, name, values, description=description), replace)
 
 
-def _store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
+def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
     """Store a new action, and print what was done and any warnings about it.
 
     An action without a description takes over that of the action it replaces.

@@ -99,7 +99,7 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
             line=shape.line,
         )
     data = read_bytes(path, "mesh", ModelError)
-    wrong = _why_no_mesh(data, suffix)
+    wrong = why_no_mesh(data, suffix)
     if wrong:
         raise ModelError(
             f"mesh '{shape.mesh}' cannot be read: {wrong}", path=urdf.path, line=shape.line
@@ -107,7 +107,13 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
     return path
 
 
-def _why_no_mesh(data: bytes, suffix: str) -> str | None:
+def why_no_mesh(data: bytes, suffix: str) -> str | None:
+    """Return why the content of a file is no mesh of a format, or ``None`` if it may be one.
+
+    Args:
+        data: The file's content.
+        suffix: Its suffix in small letters, one of `FORMATS`.
+    """
     if not data.strip():
         return "the file is empty"
     if data.startswith(b"version https://git-lfs"):

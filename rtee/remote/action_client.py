@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from typing import TypedDict, Unpack
+
+import numpy as np
 
 from rtee.actions.build import StepPlan
 from rtee.actions.types import (
@@ -16,11 +20,34 @@ from rtee.actions.types import (
     Step,
     Timed,
 )
+from rtee.planning.apart import Question, question_about
+from rtee.planning.result import Ranking, from_document
 from rtee.remote.actions import action_fields, action_of, group_of
 from rtee.remote.link import Link
 
 _NOWHERE = Posture({}, ())
 """Posture of an action that is sent: the hand works it out from the parts."""
+
+_PLANNED_WITHIN = 90.0
+"""Time to wait for a plan [s]; others may wait before it."""
+
+
+class GraspOptions(TypedDict, total=False):
+    """What may be said about an object to be grasped.
+
+    Attributes:
+        mass: Its mass [kg]; 0.1 unless given.
+        friction: Coefficient of friction; 0.5 unless given.
+        scale: Brings a mesh to metres; 1 unless given.
+        weight_axis: Where its weight pulls, in the hand's base frame; along its reach unless given.
+        top: How many grasps are wanted; 5 unless given.
+    """
+
+    mass: float
+    friction: float
+    scale: float
+    weight_axis: tuple[float, ...]
+    top: int
 
 
 class ActionClient:
@@ -59,6 +86,27 @@ class ActionClient:
         hand's files as they are now; trials ``made_with`` other files are out of date.
         """
         return str((await self._link.ask("trials"))["data"])
+
+    async def grasp_plan(self, thing: str, **options: Unpack[GraspOptions]) -> Ranking:
+        """Return which actions suit an object, the best first, and why.
+
+        The hand plans with its stored actions, in a process of its own beside the loop; nothing
+        moves. It needs the extra ``extract`` where it runs.
+
+        Args:
+            thing: ``box:WxDxH``, ``cylinder:RADIUSxHEIGHT``, ``sphere:RADIUS``,
+                ``capsule:RADIUSxLENGTH`` [m], or the path of a mesh here, which is sent.
+            options: See `GraspOptions`.
+
+        Raises:
+            ConfigError: if the object or an option makes no sense.
+            RequestRejected: if the hand refuses it, with the reason.
+        """
+        question = question_about(thing, **options)
+        fields = {name: getattr(question, name) for name in Question.__dataclass_fields__}
+        fields["mesh"] = np.frombuffer(question.mesh, np.uint8)
+        reply = await self._link.ask("grasp_plan", fields, within=_PLANNED_WITHIN)
+        return from_document(json.loads(reply["data"]))
 
     async def add_generic(
         self,

@@ -172,6 +172,7 @@ class BlockingHand:
     primitives = _waiting(RemoteHand.primitives)
     partners = _waiting(RemoteHand.partners)
     trials = _waiting(RemoteHand.trials)
+    grasp_plan = _waiting(RemoteHand.grasp_plan)
     add_generic = _waiting(RemoteHand.add_generic)
     add_composed = _waiting(RemoteHand.add_composed)
     add_timed = _waiting(RemoteHand.add_timed)

@@ -141,6 +141,7 @@ class RemoteHand:
     primitives = _part("_actions", ActionClient.primitives)
     partners = _part("_actions", ActionClient.partners)
     trials = _part("_actions", ActionClient.trials)
+    grasp_plan = _part("_actions", ActionClient.grasp_plan)
     add_generic = _part("_actions", ActionClient.add_generic)
     add_composed = _part("_actions", ActionClient.add_composed)
     add_timed = _part("_actions", ActionClient.add_timed)

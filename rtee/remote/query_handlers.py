@@ -19,6 +19,7 @@ from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.loop.handloop import HandLoop
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
 from rtee.remote.actions import action_fields, group_fields, made_of
+from rtee.remote.grasp_planning import GraspPlanning
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
@@ -102,6 +103,7 @@ class QueryHandlers:
         self._streams, self._recording, self._profile = streams, recording, profile
         self._hand, self._library = loop.hand, loop.library
         self._folder = self._library.folder
+        self._plans = GraspPlanning(self._hand.name)
         self._cache: dict[tuple[str, bytes], bytes] = {}
         self._version = -1
         self._handlers: dict[str, Callable[[Fields], Fields]] = {
@@ -120,8 +122,8 @@ class QueryHandlers:
             "rename": self._rename,
         }
 
-    def handle(self, asked: IncomingRequest) -> bytes:
-        """Return the encoded answer to a request.
+    def handle(self, asked: IncomingRequest) -> bytes | None:
+        """Return the encoded answer to a request; ``None`` if it is sent later.
 
         Raises:
             RteeError: if the request is refused.
@@ -129,11 +131,18 @@ class QueryHandlers:
         name, fields = asked.request.name, asked.fields
         if name == "state":
             return self._streams.messages.state(self._loop.snapshot())
+        if name == "grasp_plan":
+            self._plans.handle(asked, self._library.folder)
+            return None
         if name in _ABOUT_ACTIONS:
             self._reload()
         if name in _CONSTANT:
             return self._cached(asked)
         return asked.request.answer.encode(self._handlers[name](fields))
+
+    def close(self) -> None:
+        """End what is being planned; blocks for a moment."""
+        self._plans.close()
 
     def _cached(self, asked: IncomingRequest) -> bytes:
         """Return an answer that is worked out once for each question until the actions change.

@@ -146,6 +146,7 @@ class Server:
 
     def close(self) -> None:
         """Send the waiting answers; blocks for a moment."""
+        self._queries.close()
         for queue in (self.questions, self.stops, self.outbox):
             queue.close()
 

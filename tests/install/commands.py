@@ -76,6 +76,7 @@ OFFLINE = (
     Case("new copy --from claw", "a copy of"),
     needs("extract claw --save", "extract"),
     needs("extract --urdf claw.urdf", "extract"),
+    needs("grasp-plan claw --object box:0.02x0.02x0.03", "extract"),
     Case("actions claw", "PinchTight"),
     Case("compose half PinchTight:left,right*0.5 --hand claw", "half"),
     Case("time twice half:after=0.1 PinchTight:left,right --hand claw", "twice"),
@@ -105,6 +106,8 @@ EXTRACTED = (
     Case("new nipper --urdf claw.urdf", "nipper.srdf"),
     Case("extract nipper --save", "PinchTight"),
     Case("doctor nipper", "no two fingertips pinch there"),
+    Case("grasp-plan nipper --object box:0.02x0.02x0.03", "to do it: rtee do"),
+    needs("grasp-plan nipper --object box:0.02x0.02x0.03 --check", "sim"),
     needs("extract nipper --report nipper.html", "plot"),
     needs("try nipper PinchTight left right", "sim"),
 )

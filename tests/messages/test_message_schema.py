@@ -20,6 +20,7 @@ NAMES = sorted(DEFINITIONS)
 
 _TEXT = st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=9)
 _RANGES = {
+    "uint8": (0, 2**8 - 1),
     "int8": (-(2**7), 2**7 - 1),
     "int32": (-(2**31), 2**31 - 1),
     "uint32": (0, 2**32 - 1),

@@ -1,0 +1,107 @@
+"""How often a planned grasp holds in dynamics, beside the best stored action and a random one.
+
+Things that no action was made for (``experiments/objects``) are grasped, lifted, held and shaken:
+
+- *planned*: the first choice of `rtee grasp-plan`, from geometry alone, where it puts the object;
+- *stored*: the action that held most of the standard objects in the hand's ``trials.yaml``, at the
+  first place that `rtee try` finds for it;
+- *random*: an action drawn from all of the hand's, the same way.
+
+Run: ``python benchmarks/grasp_plan.py [--hands H …] [--only THING] [--places N]``; prints Markdown.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+from common import Table, command_line
+
+from rtee.actions.types import Action
+from rtee.errors import RteeError
+from rtee.planning.objects import GraspObject, read_object
+from rtee.planning.plan import plan_grasps
+from rtee.trials.planned import check_plan
+from rtee.trials.store import FILE_NAME, read_results
+from rtee.trials.sweep import Bench, bench
+from rtee.trials.trial import Trial, run_trial
+
+FOLDER = Path(__file__).parents[1] / "experiments" / "objects"
+sys.path.insert(0, str(FOLDER.parents[1]))
+
+from experiments.objects.make import MASSES  # noqa: E402
+
+HANDS = ("robotiq_2f_85", "robotiq_3f", "schunk_svh")
+SEED = 13
+
+
+def best_stored(ready: Bench) -> Action:
+    """Return the action that held most of the standard objects; the first one of several."""
+    results = read_results(ready.folder / FILE_NAME).values()
+    held = Counter((r.trial.action, r.trial.elements) for r in results if r.held)
+    there = {(action.name, action.elements): action for action in ready.library}
+    known = [name for name, _ in held.most_common() if name in there]
+    return there[known[0]] if known else next(iter(ready.library))
+
+
+def tried(ready: Bench, action: Action, thing: GraspObject, places: int) -> bool:
+    """Return whether an action holds an object at a place that `rtee try` finds."""
+    trial = Trial(action.name, action.elements, thing.name, mass=thing.mass, places=places)
+    try:
+        return run_trial(ready.hand, ready.library, ready.settings, trial).held
+    except RteeError:
+        return False
+
+
+def planned(ready: Bench, thing: GraspObject) -> tuple[str, bool, float, float]:
+    """Return the first choice, whether it holds, and how long planning took: wall, processor."""
+    began, used = time.perf_counter(), time.process_time()
+    try:
+        ranking = plan_grasps(ready.hand, ready.library, thing)
+    except RteeError:
+        return "", False, time.perf_counter() - began, time.process_time() - used
+    took = time.perf_counter() - began, time.process_time() - used
+    if not ranking.plans:
+        return "", False, *took
+    first = ranking.plans[0]
+    held = check_plan(ready.hand, ready.library, ready.settings, thing, ranking, first).held
+    return first.label, held, *took
+
+
+def main() -> None:
+    """Print the figures as Markdown."""
+    parser = command_line(__doc__, only="", places=3)
+    parser.add_argument("--hands", nargs="+", default=list(HANDS), help="names of hands")
+    arguments = parser.parse_args()
+    table = Table(
+        "hand", "thing", "first choice", "planned", "stored", "random", "seconds", "processor"
+    )
+    totals = []
+    for name in arguments.hands:
+        ready = bench(name)
+        stored, draw = best_stored(ready), random.Random(SEED)
+        held, times = Counter[str](), []
+        things = [thing for thing in sorted(MASSES) if arguments.only in thing]
+        for thing in things:
+            target = replace(read_object(str(FOLDER / f"{thing}.stl")), mass=MASSES[thing])
+            label, one, wall, used = planned(ready, target)
+            two = tried(ready, stored, target, arguments.places)
+            three = tried(ready, draw.choice(list(ready.library)), target, arguments.places)
+            held.update(planned=one, stored=two, random=three)
+            times.append(wall)
+            words = ["held" if found else "lost" for found in (one, two, three)]
+            table.row(name, thing, label or "none", *words, f"{wall:.1f}", f"{used:.1f}")
+        totals.append((name, len(things), held, sorted(times)[len(times) // 2]))
+    print()
+    table = Table("hand", "planned", "stored", "random", "median of planning [s]")
+    for name, count, held, median in totals:
+        shares = (f"{held[key]} of {count}" for key in ("planned", "stored", "random"))
+        table.row(name, *shares, f"{median:.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""`rtee grasp-plan`: which action for an object, how far, and where the object has to be."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import Hand, JsonOption
+from rtee.cli.define import Replace
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+    from rtee.planning.objects import GraspObject
+    from rtee.planning.result import GraspPlan, Ranking
+
+_CHECKED = 3
+"""How many of the best grasps are tried in dynamics: each takes seconds."""
+
+
+def grasp_plan(
+    hand: Hand,
+    object_: Annotated[
+        str,
+        typer.Option(
+            "--object",
+            metavar="SHAPE|MESH",
+            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], or a mesh file.",
+        ),
+    ],
+    mass: Annotated[float, typer.Option(help="Mass of the object [kg].")] = 0.1,
+    friction: Annotated[float, typer.Option(help="Coefficient of friction.")] = 0.5,
+    weight_axis: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z",
+            help="Where the weight pulls, in the hand's base frame; along its reach unless given.",
+        ),
+    ] = None,
+    scale: Annotated[float, typer.Option(help="Brings a mesh to metres, such as 0.001.")] = 1.0,
+    top: Annotated[int, typer.Option(min=1, help="How many grasps are shown.")] = 5,
+    check: Annotated[
+        bool, typer.Option("--check", help="Try the best ones in simulation (extra sim).")
+    ] = False,
+    save: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Store the first choice as an action of the hand."),
+    ] = None,
+    replace: Replace = False,
+    json_: JsonOption = False,
+) -> None:
+    """Rank a hand's actions for an object, and say why.
+
+    Exit status 1 when no action can hold it.
+
+    Example: rtee grasp-plan schunk_svh --object cylinder:0.03x0.12 --check
+    """
+    from rtee.errors import needing_extra
+
+    with needing_extra("planning a grasp", "extract"):
+        from rtee.planning.objects import read_object
+        from rtee.planning.plan import plan_grasps
+    from rtee.actions.build import check_custom_name
+    from rtee.cli._common import actions_of
+    from rtee.planning.result import to_document
+
+    axis = None if weight_axis is None else _axis(weight_axis)
+    if save is not None:
+        check_custom_name(save)
+    library = actions_of(hand)
+    thing = read_object(object_, mass, scale)
+    ranking = plan_grasps(library.hand, library, thing, friction=friction, weight_axis=axis)
+    if check:
+        ranking = _checked(hand, library, thing, ranking)
+    if json_:
+        document = to_document(ranking)
+        print(json.dumps({**document, "plans": document["plans"][:top]}, indent=2))
+    else:
+        _show(ranking, top)
+    if not ranking.plans or (ranking.plans[0].check and not ranking.plans[0].check.held):
+        raise typer.Exit(1)
+    if save is not None:
+        _save(library, save, ranking, replace, json_)
+
+
+def _axis(text: str) -> tuple[float, ...]:
+    from rtee.errors import ConfigError
+
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 3 or not all(map(math.isfinite, values)) or not any(values):
+        raise ConfigError(f"a weight axis is three numbers X,Y,Z, not all of them 0, not '{text}'")
+    return values
+
+
+def _checked(name: str, library: ActionLibrary, thing: GraspObject, ranking: Ranking) -> Ranking:
+    """Return the ranking with what dynamics says of the best grasps."""
+    from rtee.errors import needing_extra
+    from rtee.hand.load import hand_folder, load_configured
+
+    with needing_extra("trying grasps in simulation", "sim"):
+        from rtee.trials.planned import checked
+        from rtee.trials.sweep import settings_of
+    settings = settings_of(load_configured(hand_folder(name)[0])[1])
+    return checked(library.hand, library, settings, thing, ranking, _CHECKED)
+
+
+def _show(ranking: Ranking, top: int) -> None:
+    from rtee.cli._table import Column, Row, Table
+
+    columns = ("action", "score", "intensity", "pre-shape", "effort", "load", "quality", "dynamics")
+    rows = [
+        Row(
+            (
+                plan.label,
+                f"{plan.score:.2f}",
+                f"{plan.intensity:.0%}",
+                f"{plan.preshape:.0%}",
+                f"{plan.effort:.0%}",
+                f"{plan.load:.1f}",
+                f"{plan.quality:.3f}",
+                "" if plan.check is None else "held" if plan.check.held else "lost",
+            )
+        )
+        for plan in ranking.plans[:top]
+    ]
+    for note in ranking.notes:
+        print(f"note: {note}")
+    if not rows:
+        print(f"no action of {ranking.hand} can hold {ranking.object}:")
+        for name, why in ranking.rejected:
+            print(f"  {name}: {why}")
+        return
+    Table(
+        tuple(Column(name, name not in ("action", "dynamics")) for name in columns), tuple(rows)
+    ).show()
+    first = ranking.plans[0]
+    print(f"\n{first.label}: " + "; ".join(first.reasons))
+    x, y, z, roll, pitch, yaw = _pose(first)
+    print(
+        f"the object in the hand's base frame: x {x * 1e3:.0f} mm, y {y * 1e3:.0f} mm, "
+        f"z {z * 1e3:.0f} mm; roll {roll:.0f}°, pitch {pitch:.0f}°, yaw {yaw:.0f}°"
+    )
+    if first.action:
+        words = " ".join((first.action, *first.elements))
+        effort = f" --effort {first.effort:.0%}" if first.effort < 1.0 else ""
+        print(f"to do it: rtee do {words} --intensity {first.intensity:g}{effort}")
+    else:
+        print("composed for this object; --save NAME stores it as an action of the hand")
+
+
+def _pose(plan: GraspPlan) -> tuple[float, float, float, float, float, float]:
+    """Return position [m] and roll, pitch, yaw [degrees] of the object."""
+    (a, _, _, x), (b, _, _, y), (c, d, e, z), _ = plan.pose
+    roll, pitch, yaw = math.atan2(d, e), math.asin(max(-1.0, min(1.0, -c))), math.atan2(b, a)
+    return x, y, z, math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
+
+
+def _save(library: ActionLibrary, name: str, ranking: Ranking, replace: bool, quiet: bool) -> None:
+    import contextlib
+    import sys
+
+    from rtee.cli.define import store
+    from rtee.planning.composition import action_of
+
+    plan = ranking.plans[0]
+    action = action_of(library, name, plan, f"Planned for {ranking.object}: {plan.label}.")
+    with contextlib.redirect_stdout(sys.stderr) if quiet else contextlib.nullcontext():
+        store(library, action, replace)

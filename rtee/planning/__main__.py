@@ -1,0 +1,64 @@
+"""Plans one grasp for a hand that runs: reads a question from stdin, writes the answer to stdout.
+
+A process of its own, so that planning neither takes Python's lock from the loop nor needs
+Pinocchio and Coal in its process. See `rtee.planning.apart`.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from rtee.errors import ConfigError, RteeError, needing_extra
+
+
+def answer(question: dict[str, Any]) -> dict[str, Any]:
+    """Return the ranking that a question asks for, as plain data.
+
+    Args:
+        question: As `rtee.planning.apart.ask` writes it.
+
+    Raises:
+        UserError: if it cannot be answered.
+    """
+    with needing_extra("planning a grasp", "extract"):
+        from rtee.planning.objects import FORMS, is_shape, read_object
+        from rtee.planning.plan import plan_grasps
+    from rtee.actions.library import ActionLibrary
+    from rtee.hand.load import load_hand
+    from rtee.planning.result import to_document
+
+    text, mass, scale = question["object"], question["mass"], question["scale"]
+    mesh = base64.b64decode(question["mesh"])
+    if not mesh and not is_shape(text):
+        raise ConfigError(f"'{text[:200]}' is no object; write {FORMS.rpartition(', or')[0]}")
+    folder = Path(question["hand"])
+    hand = load_hand(folder)
+    library = ActionLibrary.load(hand, folder / "actions")
+    with TemporaryDirectory() as place:
+        file = Path(place) / f"object{question['format']}"
+        if mesh:
+            file.write_bytes(mesh)
+        thing = read_object(str(file) if mesh else text, mass, scale)
+    axis = question["weight_axis"] or None
+    thing = dataclasses.replace(thing, name=text)
+    ranking = plan_grasps(hand, library, thing, friction=question["friction"], weight_axis=axis)
+    return to_document(dataclasses.replace(ranking, plans=ranking.plans[: question["top"]]))
+
+
+def main() -> None:
+    """Answer the question on stdin."""
+    try:
+        found: dict[str, Any] = {"ranking": answer(json.load(sys.stdin))}
+    except RteeError as error:
+        found = {"error": str(error)}
+    json.dump(found, sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

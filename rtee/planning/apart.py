@@ -1,0 +1,138 @@
+"""Asks a process of its own for a plan; needs neither Pinocchio nor Coal."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rtee.errors import ConfigError, RequestRejected
+from rtee.hand.meshes import FORMATS
+
+LONGEST: Final = 60_000
+"""Longest mesh that is sent over the network [bytes]; a request has 64 KiB at most."""
+
+_PATIENCE: Final = 60.0
+"""A plan takes a second or two; a computer that is busy has this long [s]."""
+
+_PACKAGES: Final = str(Path(__file__).resolve().parents[2])
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a plan is asked for.
+
+    Attributes:
+        object: The object as on the command line; the mesh's name where there is one.
+        mesh: Content of its mesh file, or nothing.
+        format: Suffix of that file.
+        mass: Its mass [kg].
+        friction: Coefficient of friction.
+        scale: Brings the mesh to metres.
+        weight_axis: Where its weight pulls, in the hand's base frame; empty: along its reach.
+        top: How many grasps are wanted.
+    """
+
+    object: str
+    mesh: bytes = b""
+    format: str = ""
+    mass: float = 0.1
+    friction: float = 0.5
+    scale: float = 1.0
+    weight_axis: tuple[float, ...] = ()
+    top: int = 5
+
+    def check(self) -> None:
+        """Raise `ConfigError` unless it can be asked; what only the object tells is left out."""
+        numbers = (self.mass, self.friction, self.scale, *self.weight_axis)
+        if not all(map(math.isfinite, numbers)) or min(numbers[:3]) <= 0.0:
+            raise ConfigError("mass, friction and scale of an object are finite and above 0")
+        if len(self.weight_axis) not in (0, 3):
+            raise ConfigError("a weight axis is three numbers")
+        if self.mesh and self.format not in FORMATS:
+            raise ConfigError(
+                f"a mesh has an unknown format '{self.format[:20]}'; there are {', '.join(FORMATS)}"
+            )
+        if len(self.mesh) > LONGEST:
+            raise ConfigError(
+                f"the mesh has {len(self.mesh) / 1e3:.0f} kB; at most {LONGEST / 1e3:.0f} kB can "
+                "be sent to a hand; simplify it, or plan with its files by rtee grasp-plan"
+            )
+        if not 0 < len(self.object) <= 500:
+            raise ConfigError("which object? write its shape, such as sphere:0.03")
+
+
+def question_about(thing: str, **options: Any) -> Question:
+    """Return the question about an object, with the content of a mesh.
+
+    Args:
+        thing: A shape, or the path of a mesh.
+        options: Other fields of `Question`.
+
+    Raises:
+        ConfigError: if it cannot be asked.
+    """
+    path = Path(thing)
+    if path.suffix.lower() in FORMATS:
+        try:
+            mesh = path.read_bytes()
+        except OSError:
+            raise ConfigError("no such mesh", path=path) from None
+        question = Question(path.name, mesh, path.suffix.lower(), **options)
+    else:
+        question = Question(thing, **options)
+    question.check()
+    return question
+
+
+def ask(
+    folder: Path, question: Question, started: Callable[[subprocess.Popen[str]], object]
+) -> str:
+    """Return a ranking as JSON; `rtee.planning.result.from_document` reads it.
+
+    Args:
+        folder: The hand's folder.
+        question: What is asked.
+        started: Called with the process, which may be killed.
+
+    Raises:
+        ConfigError: if the question makes no sense.
+        RequestRejected: if there is no answer, with the reason.
+    """
+    question.check()
+    words = {
+        **{name: getattr(question, name) for name in Question.__dataclass_fields__},
+        "mesh": base64.b64encode(question.mesh).decode("ascii"),
+        "hand": str(folder),
+    }
+    paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "rtee.planning"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        text=True,
+    )
+    started(process)
+    try:
+        said, _ = process.communicate(json.dumps(words), timeout=_PATIENCE)
+        found = json.loads(said)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        raise RequestRejected(f"no grasp was planned within {_PATIENCE:g} s") from None
+    except ValueError:
+        raise RequestRejected(
+            f"planning ended with exit status {process.returncode}; see rtee grasp-plan"
+        ) from None
+    if "error" in found:
+        raise RequestRejected(found["error"])
+    return json.dumps(found["ranking"])

@@ -1,0 +1,136 @@
+"""An action composed for an object where no single one is good: scaled primitives, together.
+
+As in the paper, an action is composed of others, each scaled from rest. Fingers that close alone
+(Trig) are combined, and pinches with the fingers that they leave out. How far each part goes is
+read off from where its links stop at the object.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from itertools import combinations, islice
+from typing import Final
+
+import numpy as np
+
+from rtee.actions.library import ActionLibrary
+from rtee.actions.types import ActionReference, Composed, Primitive, PrimitiveKind
+from rtee.planning.plan import Planner, rank, squeeze
+from rtee.planning.result import GraspPlan
+
+DRAFT: Final = "Planned"
+"""Name of a composed action while it has none of its own."""
+
+_TRIES: Final = 12
+"""Combinations that are tried: all of three to five fingers, and some pinches with others."""
+
+_POSES: Final = 3
+"""Poses of the object that are tried for each."""
+
+_LEAST: Final = 0.05
+"""A part with a smaller scale does nothing for the grasp and is left out."""
+
+
+def composed_for(planner: Planner, library: ActionLibrary) -> GraspPlan | None:
+    """Return the best grasp by an action composed for the object, or ``None`` if there is none.
+
+    Args:
+        planner: Plans the grasps of the object.
+        library: The hand's actions.
+    """
+    drafts = (_draft(library, parts) for parts in islice(_combinations(library), _TRIES))
+    best: GraspPlan | None = None
+    chosen: Composed | None = None
+    for draft in drafts:
+        plan = planner.best(draft, _POSES)
+        if isinstance(plan, GraspPlan) and (best is None or rank(plan) < rank(best)):
+            best, chosen = plan, draft
+    if best is None or chosen is None:
+        return None
+    scaled = _draft(library, _scaled(planner, library, chosen, best))
+    again = planner.best(scaled)
+    if isinstance(again, GraspPlan) and again.score >= 0.9 * best.score:
+        best, chosen = again, scaled
+    return dataclasses.replace(best, action="", parts=chosen.parts)
+
+
+def action_of(library: ActionLibrary, name: str, plan: GraspPlan, description: str) -> Composed:
+    """Return the action of a plan under a name of its own, scaled as planned.
+
+    Args:
+        library: The hand's actions.
+        name: The new action's name.
+        plan: The plan.
+        description: One sentence for people.
+
+    Raises:
+        ActionError: if the name is not good, or the plan's action is timed.
+    """
+    parts = plan.parts or (ActionReference(plan.action, plan.elements),)
+    scaled = [dataclasses.replace(p, scale=round(p.scale * plan.intensity, 3)) for p in parts]
+    return library.compose(name, scaled, description=description)
+
+
+def _draft(library: ActionLibrary, parts: tuple[ActionReference, ...]) -> Composed:
+    return library.compose(DRAFT, parts)
+
+
+def _combinations(library: ActionLibrary) -> Iterator[tuple[ActionReference, ...]]:
+    """Yield what may be combined: all fingers first, then fewer; pinches with other fingers."""
+    primitives = [a for a in library.all("primitive") if isinstance(a, Primitive)]
+    trigs = [a for a in primitives if a.kind is PrimitiveKind.TRIG]
+    if len(trigs) < 2:
+        return
+    pinches = [a for a in primitives if a.kind.pinch and a.kind is not PrimitiveKind.PINCH_LOOSE]
+    mixed = [
+        (_use(pinch), *(_use(t) for t in trigs if not set(t.fingers) & set(pinch.fingers)))
+        for pinch in pinches
+    ]
+    mixed = [parts for parts in mixed if len(parts) > 1]
+    alone = [
+        tuple(_use(trig) for trig in chosen)
+        for size in range(len(trigs), 1, -1)
+        for chosen in combinations(trigs, size)
+    ]
+    # By turns, so that both kinds are among those that are tried.
+    for first, second in zip(alone, mixed, strict=False):
+        yield first
+        yield second
+    yield from alone[len(mixed) :]
+    yield from mixed[len(alone) :]
+
+
+def _use(action: Primitive) -> ActionReference:
+    return ActionReference(action.name, action.elements)
+
+
+def _scaled(
+    planner: Planner, library: ActionLibrary, draft: Composed, plan: GraspPlan
+) -> tuple[ActionReference, ...]:
+    """Return the parts of a grasp, each scaled to where its links press on the object."""
+    hand = planner.hand
+    rest = np.array(hand.rest)
+    closure = planner.closed(draft, plan)
+    if closure is None:
+        return draft.parts
+    target = closure.u
+    scales = []
+    for part in draft.parts:
+        posture = library.find(part.action, part.elements).waypoints[-1]
+        wanted = 0.0
+        for name in posture.involved:
+            index = hand.actuator_index(name)
+            way = posture.position[name] - rest[index]
+            if abs(way) < 1e-6:
+                continue
+            beyond = squeeze(hand.actuators[index]) if closure.blocked[index] else 0.0
+            wanted = max(wanted, (target[index] - rest[index]) / way + beyond / abs(way))
+        scales.append(min(1.0, math.ceil(20.0 * wanted) / 20.0))
+    parts = (
+        dataclasses.replace(part, scale=scale)
+        for part, scale in zip(draft.parts, scales, strict=True)
+        if scale >= _LEAST
+    )
+    return tuple(parts) or draft.parts

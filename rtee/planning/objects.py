@@ -1,0 +1,308 @@
+"""The object to be grasped: a box, cylinder, sphere or capsule, or the convex pieces of a mesh."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import coal
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.errors import ConfigError, ModelError
+from rtee.hand.files import read_bytes
+from rtee.hand.geometry import hull_of
+from rtee.hand.mesh_repair import repaired
+from rtee.hand.meshes import FORMATS, why_no_mesh
+from rtee.types import FloatArray
+
+FORMS: Final = (
+    "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS, capsule:RADIUSxLENGTH (in metres), or the "
+    "path of a mesh"
+)
+
+_NUMBERS: Final = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}
+
+_LARGEST: Final = 2.0
+"""Largest extent of an object [m]; what is larger is in other units, or nothing for a hand."""
+
+_SMALLEST: Final = 1e-4
+"""Smallest extent of an object [m]: thinner things have no sides to grasp."""
+
+_MOST_TRIANGLES: Final = 300_000
+"""Triangles of a mesh; more take longer to read than to plan for."""
+
+_MOST_PIECES: Final = 64
+"""Pieces of a mesh; more are likely loose triangles."""
+
+_AROUND: Final = 64
+"""Corners of a circle; the polygon is 0.03 mm inside a circle of 25 mm."""
+
+_SMALLER: Final = 0.95
+"""A turned bounding box counts if its volume is less than this part of the upright one's."""
+
+_HOLLOW: Final = 0.8
+"""A piece that fills less than this part of its convex hull is noted."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A convex piece of an object.
+
+    Attributes:
+        kind: ``box``, ``cylinder``, ``sphere``, ``capsule`` or ``mesh``.
+        size: Edge lengths; radius and length, a capsule's with its caps; or radius [m]; nothing for
+            a mesh.
+        shape: The piece for distances, in the object's frame.
+        points: Points ``(k, 3)`` in the object's frame whose hull, thickened by ``radius``, it is.
+        radius: That thickness [m].
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    shape: coal.ShapeBase
+    points: FloatArray
+    radius: float = 0.0
+
+    @cached_property
+    def ball(self) -> tuple[FloatArray, float]:
+        """Middle ``(3,)`` and radius of a ball around it [m]."""
+        middle = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
+        return middle, float(np.linalg.norm(self.points - middle, axis=1).max()) + self.radius
+
+
+@dataclass(frozen=True)
+class GraspObject:
+    """An object to be grasped.
+
+    Attributes:
+        name: How it is written on the command line.
+        pieces: What it is made of.
+        mass: Its mass [kg].
+        notes: What was assumed about it, one sentence each.
+    """
+
+    name: str
+    pieces: tuple[Piece, ...]
+    mass: float
+    notes: tuple[str, ...] = ()
+
+    def support(self, directions: FloatArray) -> FloatArray:
+        """Return how far it reaches along unit vectors ``(d, 3)`` of its frame ``(d,)`` [m]."""
+        reach = [(p.points @ directions.T).max(axis=0) + p.radius for p in self.pieces]
+        farthest: FloatArray = np.max(reach, axis=0)
+        return farthest
+
+    @cached_property
+    def centre(self) -> FloatArray:
+        """Centre of mass ``(3,)`` [m], of even density, where pieces overlap counted twice."""
+        volumes = np.array([piece.shape.computeVolume() for piece in self.pieces])
+        centres = np.array([_centre(piece) for piece in self.pieces])
+        found: FloatArray = volumes @ centres / volumes.sum()
+        return found
+
+    @cached_property
+    def frame(self) -> FloatArray:
+        """Axes ``(3, 3)`` of its bounding box, as columns: its own, or those of its shape.
+
+        Those of the shape (principal axes) where their box is clearly smaller, as for a mesh that
+        is not modelled upright.
+        """
+        points = np.concatenate([piece.points for piece in self.pieces])
+        _, axes = np.linalg.eigh(np.cov(points.T) if len(points) > 3 else np.eye(3))
+        axes = axes * np.where(np.abs(axes).max(axis=0) == axes.max(axis=0), 1.0, -1.0)
+        axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+        turned, upright = self._volume(axes), self._volume(np.eye(3))
+        return axes if turned < _SMALLER * upright else np.eye(3)
+
+    def _volume(self, axes: FloatArray) -> float:
+        return float(np.prod(self.support(axes.T) + self.support(-axes.T)))
+
+    @cached_property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Middle ``(3,)``, in the object's frame, and half extents ``(3,)`` of its box [m]."""
+        axes = self.frame.T
+        high, low = self.support(axes), -self.support(-axes)
+        return self.frame @ (0.5 * (high + low)), 0.5 * (high - low)
+
+    @property
+    def extents(self) -> tuple[float, float, float]:
+        """Extents of its bounding box, the smallest first [m]."""
+        x, y, z = sorted(2.0 * float(half) for half in self.box[1])
+        return x, y, z
+
+    @cached_property
+    def length(self) -> float:
+        """Greatest distance of its surface from the centre of mass [m]; a scale of torques."""
+        return max(
+            float(np.linalg.norm(piece.points - self.centre, axis=1).max()) + piece.radius
+            for piece in self.pieces
+        )
+
+
+def is_shape(text: str) -> bool:
+    """Return whether a text means a shape with its sizes, and not a file."""
+    kind, colon, _ = text.partition(":")
+    return bool(colon) and kind in _NUMBERS
+
+
+def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject:
+    """Read an object as it is written on the command line.
+
+    Args:
+        text: ``box:WxDxH``, ``cylinder:RADIUSxHEIGHT``, ``sphere:RADIUS``,
+            ``capsule:RADIUSxLENGTH`` (in metres; the length with its caps), or the path of a mesh.
+        mass: Its mass [kg].
+        scale: Brings a mesh to metres: 0.001 for one in millimetres.
+
+    Raises:
+        ConfigError: if it is none of these, or mass or scale make no sense.
+        ModelError: if the mesh cannot be used.
+    """
+    if not (math.isfinite(mass) and 0.0 < mass <= 100.0):
+        raise ConfigError(f"the mass of an object is above 0 and at most 100 kg, not {mass:g}")
+    if not (math.isfinite(scale) and scale > 0.0):
+        raise ConfigError(f"the scale of a mesh is above 0, not {scale:g}")
+    kind, _, numbers = text.partition(":")
+    if is_shape(text):
+        piece = _primitive(kind, _sizes(text, kind, numbers))
+        return GraspObject(text, (piece,), mass)
+    path = Path(text)
+    if path.suffix.lower() not in FORMATS:
+        raise ConfigError(f"'{text[:200]}' is no object; write {FORMS} ({', '.join(FORMATS)})")
+    if not path.is_file():
+        raise ConfigError("no such mesh", path=path)
+    pieces, notes = _mesh(path, scale)
+    return GraspObject(text, pieces, mass, notes)
+
+
+def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
+    try:
+        size = tuple(float(part) for part in numbers.split("x"))
+    except ValueError:
+        size = ()
+    if len(size) != _NUMBERS[kind] or not all(
+        math.isfinite(value) and _SMALLEST <= value <= _LARGEST for value in size
+    ):
+        raise ConfigError(
+            f"'{text[:200]}' is no object; write {FORMS}, each number from {_SMALLEST:g} to "
+            f"{_LARGEST:g}"
+        )
+    if kind == "capsule" and size[1] < 2.0 * size[0]:
+        raise ConfigError(
+            f"'{text}' is no object: a capsule is at least as long as thick, here {2 * size[0]:g} m"
+        )
+    return size
+
+
+def _primitive(kind: str, size: tuple[float, ...]) -> Piece:
+    match kind:
+        case "box":
+            corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * np.array(size)
+            return Piece(kind, size, coal.Box(*size), corners)
+        case "sphere":
+            return Piece(kind, size, coal.Sphere(size[0]), np.zeros((1, 3)), size[0])
+        case "capsule":
+            radius, half = size[0], 0.5 * size[1] - size[0]
+            ends = np.array([[0.0, 0.0, -half], [0.0, 0.0, half]])
+            return Piece(kind, size, coal.Capsule(radius, 2.0 * half), ends, radius)
+    radius, height = size
+    turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
+    ring = radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(_AROUND)], axis=1)
+    up = np.array([0.0, 0.0, 0.5 * height])
+    return Piece(kind, size, coal.Cylinder(radius, height), np.concatenate([ring - up, ring + up]))
+
+
+def _centre(piece: Piece) -> FloatArray:
+    return np.array(piece.shape.computeCOM()) if piece.kind == "mesh" else np.zeros(3)
+
+
+def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]:
+    """Return the convex pieces of a mesh: the hull of every part that hangs together.
+
+    Raises:
+        ModelError: if it cannot be used.
+    """
+    corners, faces = _triangles(path, scale)
+    extent = float(np.ptp(corners, axis=0).max())
+    if not _SMALLEST <= extent <= _LARGEST:
+        raise ModelError(
+            f"the mesh is {extent:g} m in size, no object for a hand; is it in millimetres? then "
+            "give --scale 0.001",
+            path=path,
+        )
+    parts = _parts(faces, len(corners))
+    if len(parts) > _MOST_PIECES:
+        raise ModelError(
+            f"the mesh is of {len(parts)} loose parts; at most {_MOST_PIECES} can be planned for",
+            path=path,
+        )
+    pieces, hollow = [], 0
+    for part in parts:
+        shape = hull_of(corners[np.unique(part)])
+        filled = abs(_signed_volume(corners[part]))
+        hollow += filled < _HOLLOW * shape.computeVolume()
+        pieces.append(Piece("mesh", (), shape, np.array(shape.points())))
+    notes = (
+        (
+            f"{hollow} of {len(pieces)} parts of the mesh "
+            f"{'is' if hollow == 1 else 'are'} hollow or open; the convex hull counts",
+        )
+        if hollow
+        else ()
+    )
+    return tuple(pieces), notes
+
+
+def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return the corners ``(v, 3)`` [m] and faces ``(f, 3)`` of a mesh file."""
+    wrong = why_no_mesh(read_bytes(path, "mesh", ModelError), path.suffix.lower())
+    if wrong:
+        raise ModelError(f"the mesh cannot be read: {wrong}", path=path)
+    loader = coal.MeshLoader(coal.NODE_TYPE.BV_AABB)
+    try:
+        mesh = loader.load(str(path), np.full(3, scale))
+    except (ValueError, RuntimeError) as error:
+        said = [line for line in str(error).splitlines() if ":" not in line]
+        why = said[0] if said else "it is no such file"
+        raise ModelError(f"the mesh cannot be read: {why}", path=path) from None
+    if not 0 < mesh.num_tris <= _MOST_TRIANGLES:
+        raise ModelError(
+            f"the mesh has {mesh.num_tris} triangles; there must be 1 to {_MOST_TRIANGLES}",
+            path=path,
+        )
+    if path.suffix.lower() != ".stl":  # a single part
+        mesh = repaired(mesh, loader)
+    corners = np.array(mesh.vertices())
+    if not np.isfinite(corners).all():
+        raise ModelError("the mesh has a corner that is not finite", path=path)
+    found = (mesh.tri_indices(i) for i in range(mesh.num_tris))
+    return corners, np.array([(t[0], t[1], t[2]) for t in found], dtype=np.int64)
+
+
+def _parts(faces: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
+    """Return the faces of each part of a mesh that hangs together by shared corners.
+
+    Labels of corners spread along the faces, to the least of each face, until none changes.
+    """
+    label = np.arange(count)
+    while True:
+        least = label[faces].min(axis=1)
+        spread = label.copy()
+        np.minimum.at(spread, faces.ravel(), np.repeat(least, 3))
+        spread = spread[spread]  # a label's own label is nearer to the least one
+        if (spread == label).all():
+            break
+        label = spread
+    of_face = label[faces[:, 0]]
+    return [faces[of_face == one] for one in np.unique(of_face)]
+
+
+def _signed_volume(triangles: FloatArray) -> float:
+    """Return the volume that closed triangles ``(t, 3, 3)`` enclose [m³]."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return float((a * np.cross(b, c)).sum() / 6.0)

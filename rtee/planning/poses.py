@@ -1,0 +1,403 @@
+"""Where an object may be for an action: between the links that close, as deep as it comes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import coal
+import numpy as np
+
+from rtee.actions.types import Action
+from rtee.planning.closing import Closing
+from rtee.planning.objects import GraspObject
+from rtee.planning.scene import GraspScene, HandPose
+from rtee.types import FloatArray
+
+GAP: Final = 1e-3
+"""What an object leaves free at the hand when it is brought in [m]: models are that exact."""
+
+_WAY: Final = 0.15
+"""From where an object is brought in [m]: beyond the reach of fingers that stand open."""
+
+_DEEPEST: Final = 0.08
+"""How far beyond the fingertips' middle an object is brought at most [m]: palms are nearer."""
+
+_TIPS: Final = 0.008
+"""How far fingertips reach over an object that they hold at its end [m]."""
+
+_APART: Final = 0.006
+"""Depths that differ by less are one [m]."""
+
+_PROBE: Final = 0.004
+"""Radius of the probe by which openings are measured [m]: half a fingertip's breadth."""
+
+_SHIFTS: Final = (0.0, 0.015, 0.03)
+"""Jaws that turn about a hinge have room for an object farther out than their middles [m]."""
+
+_ROOMY: Final = 0.7
+"""The least such shift counts that gives this part of the room."""
+
+_PROBED: Final = 3e-4
+"""A probe this near a fingertip has met it [m]."""
+
+_BACK: Final = 0.03
+"""How far behind the fingertips' middle an object is held that comes from the palm's front [m]."""
+
+_SEVERAL: Final = 3
+"""So many fingertips may close along one axis, or from all around."""
+
+_DECIDED: Final = 4.0
+"""They close along an axis if their motion along it has this many times the square of the next."""
+
+_TAKES_PART: Final = 0.1
+"""A fingertip moves along that axis if it goes this part of the way of the fastest one."""
+
+_STILL: Final = 1e-3
+"""Motion below this is none [m]."""
+
+_SAME: Final = 0.03
+"""Two ways to turn an object are one if its outlines differ by less than this part of its size."""
+
+_TURNS: Final = tuple(
+    np.array([[sign[i] * (axis[i] == j) for j in range(3)] for i in range(3)], dtype=np.float64)
+    for axis in itertools.permutations(range(3))
+    for sign in itertools.product((1, -1), repeat=3)
+)
+"""Signed permutations of three axes; those with determinant 1 are the 24 turns of a cube."""
+
+_OUTLOOK: Final = np.array([d for d in itertools.product((-1, 0, 1), repeat=3) if any(d)], float)
+"""Directions in which outlines are compared: a cube's faces, edges and corners."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A pose of the object that an action may grasp.
+
+    Attributes:
+        pose: Pose of the object ``(4, 4)`` in the base frame.
+        way: From where it comes, relative to the hand ``(3,)`` [m]; free of contact.
+        width: Its width between the fingers [m].
+        opening: How far apart they are at rest [m].
+    """
+
+    pose: FloatArray
+    way: FloatArray
+    width: float
+    opening: float
+
+
+def outward(scene: GraspScene) -> FloatArray:
+    """Return the axis ``(3,)`` of the base frame along which the hand reaches out."""
+    tips = {finger.tip for finger in scene.hand.fingers}
+    shapes = [i for i, shape in enumerate(scene.geometry.shapes) if shape.link in tips]
+    middles = scene.posed(np.array(scene.hand.rest)).middles[shapes]
+    centre = middles.mean(axis=0) if shapes else np.array([0.0, 0.0, 1.0])
+    axis = np.zeros(3)
+    widest = int(np.argmax(np.abs(centre)))
+    axis[widest] = np.sign(centre[widest]) or 1.0
+    return axis
+
+
+def orientations(thing: GraspObject) -> list[FloatArray]:
+    """Return the turns ``(3, 3)`` of an object's box that look different, to three axes."""
+    directions = _OUTLOOK / np.linalg.norm(_OUTLOOK, axis=1, keepdims=True)
+    middle, _ = thing.box
+    limit = _SAME * max(thing.extents)
+    found: list[FloatArray] = []
+    seen: list[FloatArray] = []
+    for turn in _TURNS:
+        if np.linalg.det(turn) < 0.0:
+            continue
+        whole = turn @ thing.frame.T
+        local = directions @ whole  # the directions in the object's frame
+        outline = thing.support(local) - local @ middle
+        if all(np.abs(outline - other).max() > limit for other in seen):
+            found.append(whole)
+            seen.append(outline)
+    return found
+
+
+class Poses:
+    """Finds poses of the object for one action."""
+
+    def __init__(
+        self, scene: GraspScene, closing: Closing, action: Action, out: FloatArray
+    ) -> None:
+        """Look at how the action's fingertips move.
+
+        Args:
+            scene: The hand and the object.
+            closing: The action's way.
+            action: The action.
+            out: The axis along which the hand reaches out ``(3,)``.
+        """
+        self._scene, self._closing, self._out = scene, closing, out
+        self._fingers = self._involved(action)
+        names = {name: scene.hand.finger(name).tip for name in self._fingers}
+        shapes = scene.geometry.shapes
+        self._tips = [
+            [i for i, shape in enumerate(shapes) if shape.link == names[name]]
+            for name in self._fingers
+        ]
+        self._paths = np.array([[self._middle(k, t) for t in self._tips] for k in closing.table])
+        """Middles of the fingertips ``(steps + 1, k, 3)``."""
+        self._axis, self._sides = self._opposition()
+        self._probe = coal.Sphere(_PROBE)
+        self._shift = 0.0
+        """How far out from the fingertips' middle there is most room between them [m]."""
+        if len(self._fingers) < _SEVERAL:
+            rooms = {shift: self._room(shift) for shift in _SHIFTS}
+            self._shift = next(s for s in _SHIFTS if rooms[s] >= _ROOMY * max(rooms.values()))
+
+    @property
+    def several(self) -> bool:
+        """Whether there are two fingertips at least."""
+        return len(self._fingers) > 1
+
+    def _involved(self, action: Action) -> tuple[str, ...]:
+        """Return the fingers that close; with the nearest other one if it is one finger alone."""
+        hand, moving = self._scene.hand, self._closing.way.moving
+        moved = {n for n, moves in zip(hand.actuator_names, moving, strict=True) if moves}
+        there = [f for f in hand.fingers if f.tip is not None]
+        chosen = [f for f in there if f.name in action.fingers] or [
+            f for f in there if moved & set(f.actuators)
+        ]
+        if len(chosen) == 1:
+            pose = self._scene.geometry.kinematics.link_pose
+            u = self._closing.way.at(1.0)
+            at = {f.name: pose(u, f.tip or "")[:3, 3] for f in there}
+            others = [f for f in there if f is not chosen[0]]
+            others.sort(key=lambda f: float(np.linalg.norm(at[f.name] - at[chosen[0].name])))
+            chosen += others[:1]
+        return tuple(f.name for f in chosen)
+
+    def _middle(self, at: HandPose, tips: list[int]) -> FloatArray:
+        middles = at.middles[tips]
+        weight = self._scene.radii[tips] ** 3
+        return np.asarray(weight @ middles / weight.sum())
+
+    def _opposition(self) -> tuple[FloatArray | None, FloatArray]:
+        """Return the axis of closing of three or more fingertips, and which side each is on.
+
+        ``None`` when they close from all around, or are two. Sides are -1, 1, or 0 for a fingertip
+        that takes no part.
+        """
+        count = len(self._fingers)
+        if count < _SEVERAL:
+            return None, np.array([-1.0, 1.0][:count])
+        ways = self._paths[-1] - self._paths[0]
+        ways = ways - np.outer(ways @ self._out, self._out)
+        sizes, axes = np.linalg.eigh(ways.T @ ways)
+        along = ways @ axes[:, -1]
+        least = _TAKES_PART * float(np.abs(along).max())
+        sides = np.where(along > least, -1.0, np.where(along < -least, 1.0, 0.0))
+        decided = sizes[-1] >= max(_DECIDED * sizes[-2], _STILL**2)
+        if not decided or not ((sides > 0).any() and (sides < 0).any()):
+            return None, np.zeros(count)
+        return axes[:, -1], sides
+
+    def _at(self, step: int) -> tuple[FloatArray, FloatArray]:
+        """Return the middle between the fingertips and the unit axis of closing at a step."""
+        tips = self._paths[step]
+        if self._sides.any():
+            low, high = (tips[self._sides == side].mean(axis=0) for side in (-1.0, 1.0))
+            middle = 0.5 * (low + high)
+            closing = self._between(step) if self._axis is None else self._axis
+        else:
+            middle, closing = tips.mean(axis=0), tips[-1] - tips[0]
+        closing = closing - (closing @ self._out) * self._out
+        size = float(np.linalg.norm(closing))
+        if size < _STILL:
+            closing = np.eye(3)[int(np.argmin(np.abs(self._out)))]
+            size = 1.0
+        return middle + self._shift * self._out, closing / size
+
+    def _room(self, shift: float) -> float:
+        """Return how wide the fingers open, some way out from the tips' middle [m]."""
+        self._shift = shift
+        return max(self._gap(0), self._gap(STEP_MIDDLE))
+
+    def _between(self, step: int) -> FloatArray:
+        """Return the way from the fingertips of one side to those of the other ``(3,)`` [m]."""
+        tips = self._paths[step]
+        low, high = (tips[self._sides == side].mean(axis=0) for side in (-1.0, 1.0))
+        between: FloatArray = high - low
+        return between
+
+    def _gap(self, step: int) -> float:
+        """Return how far apart the fingertips' inner sides are at a step [m]."""
+        middle, closing = self._at(step)
+        around = not self._sides.any()
+        if not around:  # as the tips are, however the object is turned
+            closing = self._between(step)
+            closing = closing / max(float(np.linalg.norm(closing)), _STILL)
+        inner: dict[float, float] = {}
+        for number, tips in enumerate(self._tips):
+            side = 1.0 if around else float(self._sides[number])
+            towards = side * closing
+            if around:
+                radial = self._paths[step, number] - middle
+                radial = radial - (radial @ self._out) * self._out
+                towards = radial / max(float(np.linalg.norm(radial)), _STILL)
+            if side:
+                free = self._free(self._closing.table[step], tips, middle, towards)
+                inner[side] = min(inner.get(side, np.inf), free)
+        return 2.0 * inner[1.0] if around else sum(inner.values())
+
+    def _free(
+        self, at: HandPose, tips: list[int], middle: FloatArray, towards: FloatArray
+    ) -> float:
+        """Return how far a probe comes from the middle before it meets a fingertip [m].
+
+        One that passes by the fingertip comes as far as the fingertip's middle.
+        """
+        far = float(np.max((at.middles[tips] - middle) @ towards))
+        gone = 0.0
+        while gone < far:
+            here = coal.Transform3s(np.eye(3), middle + gone * towards)
+            least = min(self._scene.apart(tip, at, self._probe, here) for tip in tips)
+            if least < _PROBED:
+                return max(0.0, gone + _PROBE) if gone else 0.0
+            gone += least
+        return max(0.0, far)
+
+    @cached_property
+    def gaps(self) -> FloatArray:
+        """How far apart the fingertips are along the way ``(steps + 1,)`` [m]."""
+        steps = np.arange(0, len(self._closing.table), 2 if len(self._fingers) < _SEVERAL else 4)
+        found = [self._gap(int(step)) for step in steps]
+        return np.interp(np.arange(len(self._closing.table)), steps, found)
+
+    def candidates(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
+        """Yield poses of the object, at most so many.
+
+        First those between the fingertips, narrow sides of the object first; then those in the
+        palm's front, long sides across it, which several fingers may wrap.
+        """
+        between = itertools.islice(self._between_tips(turns, most), most)
+        if len(self._fingers) < _SEVERAL or len(self._ways()) == 1:
+            yield from between
+            return
+        wrapped = self._in_palm(turns, most)
+        yield from itertools.islice(_by_turns(between, wrapped), most)
+
+    def _between_tips(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
+        opening, open_at = float(self.gaps.max()), int(np.argmax(self.gaps))
+        _, closing = self._at(STEP_MIDDLE)
+        fitting = []
+        for number, turn in enumerate(turns):
+            width = self._width(closing, turn)
+            if width <= opening - 2.0 * GAP:
+                deep = self._width(self._out, turn, closing)
+                fitting.append((round(width, 3), round(deep, 3), number))
+        for width, _, number in sorted(fitting):
+            there = np.flatnonzero(self.gaps >= width + GAP)
+            step = int(there[there >= open_at].max(initial=open_at))
+            placed = self._placed(step, turns[number], self._ways())
+            yield from itertools.islice(placed, _share(most, len(fitting)))
+
+    def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
+        _, closing = self._at(STEP_MIDDLE)
+        front = self._ways()[1:]
+        sized = []
+        for number, turn in enumerate(turns):
+            rotation = self._rotation(closing, turn)
+            both = np.stack([front[0][0], -front[0][0]]) @ rotation
+            thick = float(self._scene.object.support(both).sum())
+            high = self._width(self._out, turn, closing)
+            sized.append((round(thick + high, 3), number))
+        for _, number in sorted(sized):
+            placed = self._placed(3 * STEP_MIDDLE // 2, turns[number], front)
+            yield from itertools.islice(placed, _share(most, len(sized)))
+
+    def narrowest(self, turns: list[FloatArray]) -> float:
+        """Return the object's least width between the fingers [m]."""
+        _, closing = self._at(STEP_MIDDLE)
+        return min(self._width(closing, turn) for turn in turns)
+
+    def _rotation(self, closing: FloatArray, turn: FloatArray) -> FloatArray:
+        side = np.cross(self._out, closing)
+        rotation: FloatArray = np.stack([closing, side, self._out], axis=1) @ turn
+        return rotation
+
+    def _width(
+        self, along: FloatArray, turn: FloatArray, closing: FloatArray | None = None
+    ) -> float:
+        rotation = self._rotation(along if closing is None else closing, turn)
+        both = np.stack([along, -along]) @ rotation
+        return float(self._scene.object.support(both).sum())
+
+    def _placed(
+        self, step: int, turn: FloatArray, ways: list[tuple[FloatArray, FloatArray]]
+    ) -> Iterator[Candidate]:
+        middle, closing = self._at(step)
+        pose = np.eye(4)
+        pose[:3, :3] = self._rotation(closing, turn)
+        pose[:3, 3] = middle - pose[:3, :3] @ self._scene.object.box[0]
+        width, opening = self._width(closing, turn), float(self.gaps.max())
+        for way, shift in ways:
+            begin = pose.copy()
+            begin[:3, 3] += shift
+            deepest = self._brought_in(begin, way)
+            if deepest is None:
+                continue
+            inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
+            centre = float(way @ pose[:3, :3] @ self._scene.object.box[0])
+            out_of_reach = float(inner + centre) - _TIPS
+            depths = [deepest, 0.0, 0.5 * deepest, out_of_reach]
+            taken: list[float] = []
+            for depth in depths:
+                if depth < deepest or any(abs(depth - other) < _APART for other in taken):
+                    continue
+                taken.append(depth)
+                there = begin.copy()
+                there[:3, 3] += depth * way
+                yield Candidate(there, _WAY * way, width, opening)
+
+    def _ways(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Return from where the object may come, as unit vectors, and shifts of it [m]."""
+        ways = [(self._out, np.zeros(3))]
+        curl = self._paths[len(self._paths) // 2].mean(axis=0) - self._paths[0].mean(axis=0)
+        curl = curl - (curl @ self._out) * self._out
+        size = float(np.linalg.norm(curl))
+        if size > 5.0 * _STILL:
+            ways.append((curl / size, np.zeros(3)))
+            ways.append((curl / size, -_BACK * self._out))
+        return ways
+
+    def _brought_in(self, pose: FloatArray, way: FloatArray) -> float | None:
+        """Return how far the object comes towards the open hand, before it touches [m].
+
+        Returns:
+            How far before the pose it stops; negative beyond it; ``None`` if it cannot come.
+        """
+        moved = pose.copy()
+        at = self._closing.table[0]
+        inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
+        depth = first = _WAY + float(inner)
+        while depth > -_DEEPEST:
+            moved[:3, 3] = pose[:3, 3] + depth * way
+            free = self._scene.nearest(at, moved, enough=first) - GAP
+            if free < 0.5 * GAP:
+                return None if depth >= first else depth
+            depth -= free
+        return -_DEEPEST
+
+
+def _share(most: int, turns: int) -> int:
+    """Return how many poses are tried of each turn of the object."""
+    return max(2, -(-most // max(1, min(turns, most // 2))))
+
+
+def _by_turns(first: Iterator[Candidate], second: Iterator[Candidate]) -> Iterator[Candidate]:
+    """Yield from two iterators by turns, until both have ended."""
+    for pair in itertools.zip_longest(first, second):
+        yield from (item for item in pair if item is not None)
+
+
+STEP_MIDDLE: Final = 8
+"""The step at which the axis of closing is looked at first: half of the way."""

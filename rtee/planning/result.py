@@ -1,0 +1,200 @@
+"""What planning finds: ranked grasps with their reasons, as data that needs no geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rtee.actions.naming import label
+from rtee.actions.types import ActionReference
+
+Point = tuple[float, float, float]
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Where a hand touches an object; all in the hand's base frame.
+
+    Attributes:
+        link: The link that touches.
+        finger: Its finger; empty for the palm and for links of linkages.
+        point: Where ``(3,)`` [m].
+        normal: Unit normal ``(3,)`` into the object.
+    """
+
+    link: str
+    finger: str
+    point: Point
+    normal: Point
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What dynamics said of a grasp.
+
+    Attributes:
+        held: The object was lifted, held and shaken and is still in the hand.
+        reason: Why not, in words; empty if it was held.
+        slip: How far the object moved in the hand from the grasp to the end [m].
+        peak: The largest contact force on a fingertip while it was lifted and shaken [N].
+    """
+
+    held: bool
+    reason: str
+    slip: float
+    peak: float
+
+
+@dataclass(frozen=True, slots=True)
+class GraspPlan:
+    """A grasp: an action, how to do it, and why.
+
+    Attributes:
+        action: Name of the action; empty for one that was composed for the object and has no name.
+        elements: Its elements, for a primitive.
+        kind: ``primitive``, ``composed``, ``timed`` or ``generic``.
+        parts: What it is made of, if it was composed for the object.
+        score: From 0 to 1; what the ranking is by.
+        intensity: How far the action goes, 0 to 1, so that it presses.
+        touch: Intensity at which the links oppose each other on the object.
+        preshape: Intensity to which the hand closes before the object comes.
+        opening: How far apart the fingertips are then [m].
+        width: The object's width between the fingers [m].
+        effort: Share of the effort limits that carries three times the weight, at most 1.
+        load: How many times its weight the object can have, at full effort.
+        quality: Radius of the largest ball of wrenches that is resisted, per newton of normal
+            force (Ferrari and Canny).
+        clearance: Least distance between hand and object before it closes [m].
+        pose: Pose of the object ``(4, 4)`` in the hand's base frame before the hand closes, row by
+            row [m].
+        held_pose: The same after it has closed: the fingers may push the object.
+        way: From where the object comes, relative to the hand ``(3,)`` [m].
+        contacts: Where the hand touches.
+        reasons: Why it has its rank, one sentence each.
+        check: What dynamics said, if it was asked.
+    """
+
+    action: str
+    elements: tuple[str, ...]
+    kind: str
+    parts: tuple[ActionReference, ...]
+    score: float
+    intensity: float
+    touch: float
+    preshape: float
+    opening: float
+    width: float
+    effort: float
+    load: float
+    quality: float
+    clearance: float
+    pose: Matrix
+    held_pose: Matrix
+    way: Point
+    contacts: tuple[Contact, ...]
+    reasons: tuple[str, ...]
+    check: Check | None = None
+
+    @property
+    def label(self) -> str:
+        """How it is called in a sentence; without a name, ``Trig:index*0.6 + Trig:thumb``."""
+        if self.action:
+            return label(self.action, self.elements)
+        return " + ".join(written(part) for part in self.parts)
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """The fingers that touch, each once."""
+        return tuple(dict.fromkeys(c.finger for c in self.contacts if c.finger))
+
+
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """The grasps of an object by a hand, the best first.
+
+    Attributes:
+        hand: The hand's name.
+        object: The object, as on the command line.
+        mass: Its mass [kg].
+        friction: Coefficient of friction.
+        weight_axis: Where its weight pulls, a unit vector of the hand's base frame.
+        plans: The grasps, one for each action that can hold the object.
+        rejected: The other actions, and why not.
+        notes: What was assumed, one sentence each.
+    """
+
+    hand: str
+    object: str
+    mass: float
+    friction: float
+    weight_axis: Point
+    plans: tuple[GraspPlan, ...]
+    rejected: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def written(part: ActionReference) -> str:
+    """Return a part as `rtee compose` reads it: ``Trig:index*0.6``."""
+    elements = f":{','.join(part.elements)}" if part.elements else ""
+    scale = f"*{part.scale:g}" if part.scale != 1.0 else ""
+    return f"{part.action}{elements}{scale}"
+
+
+def to_document(ranking: Ranking) -> dict[str, Any]:
+    """Return a ranking as plain data, ready for JSON."""
+    return asdict(ranking)
+
+
+def from_document(document: Mapping[str, Any]) -> Ranking:
+    """Return a ranking from plain data.
+
+    Raises:
+        KeyError, TypeError, ValueError: if it is none.
+    """
+    plain = dict(document)
+    plans = tuple(_plan(entry) for entry in plain.pop("plans"))
+    return Ranking(
+        hand=str(plain["hand"]),
+        object=str(plain["object"]),
+        mass=float(plain["mass"]),
+        friction=float(plain["friction"]),
+        weight_axis=_point(plain["weight_axis"]),
+        plans=plans,
+        rejected=tuple((str(name), str(why)) for name, why in plain["rejected"]),
+        notes=tuple(str(note) for note in plain["notes"]),
+    )
+
+
+def _point(values: Any) -> Point:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _matrix(rows: Any) -> Matrix:
+    return tuple(tuple(float(value) for value in row) for row in rows)
+
+
+def _plan(entry: Mapping[str, Any]) -> GraspPlan:
+    plain = dict(entry)
+    parts = (
+        ActionReference(p["action"], tuple(p["elements"]), float(p["scale"]))
+        for p in plain.pop("parts")
+    )
+    contacts = (
+        Contact(c["link"], c["finger"], _point(c["point"]), _point(c["normal"]))
+        for c in plain.pop("contacts")
+    )
+    check = plain.pop("check")
+    return GraspPlan(
+        elements=tuple(plain.pop("elements")),
+        parts=tuple(parts),
+        contacts=tuple(contacts),
+        pose=_matrix(plain.pop("pose")),
+        held_pose=_matrix(plain.pop("held_pose")),
+        way=_point(plain.pop("way")),
+        reasons=tuple(plain.pop("reasons")),
+        check=None if check is None else Check(**check),
+        **plain,
+    )

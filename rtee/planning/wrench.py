@@ -1,0 +1,291 @@
+"""What contacts can resist: closure, quality of a grasp, and the load it can carry.
+
+A wrench is a force and a torque about the object's centre of mass, the torque divided by a length
+(the object's greatest distance from there), so that both are forces [N]. All is done in numpy:
+
+- A cone of friction is linearised by `EDGES` edges (Kerr and Roth, 1986). A contact is a small
+  patch, not a point, so it also resists a torque about its normal: a soft finger (Howard and Kumar,
+  1996), of a disc of even pressure ``2/3 friction PATCH`` per newton.
+- The quality is that of Ferrari and Canny (1992), Q1: the radius of the largest ball around the
+  origin inside the convex hull of the wrenches that contacts of unit normal force exert. With the
+  support function ``h(d) = max_i w_i d``, it is the least ``h`` on the unit sphere. That is sought
+  from many directions at once by descent on a smooth maximum; the best of them are led on to the
+  facet of the hull near them by an active-set method. What comes out is the distance of a facet,
+  and that of the nearest one in all but rare cases (`tests/planning` compare with Qhull).
+- Whether the origin is inside, and whether a load is carried, are problems of non-negative least
+  squares, solved by the method of Lawson and Hanson (1974, chapter 23).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from rtee.hand.halton import halton
+from rtee.planning.result import Contact
+from rtee.types import FloatArray
+
+EDGES: Final = 8
+"""Edges of a linearised cone of friction; its force is up to 8 % too small between two edges."""
+
+_CIRCLE: Final = np.array(
+    [
+        (math.cos(2.0 * math.pi * i / EDGES), math.sin(2.0 * math.pi * i / EDGES))
+        for i in range(EDGES)
+    ]
+)
+
+PATCH: Final = 0.004
+"""Radius of the patch in which a fingertip touches [m]: what pads of rubber flatten to."""
+
+GRAVITY: Final = 9.81
+"""Acceleration of free fall [m/s²]."""
+
+MOST_LOAD: Final = 50.0
+"""Loads are told up to this multiple of the object's weight; beyond, they do not limit a grasp."""
+
+_STARTS: Final = 96
+"""Directions from which the least support is sought: a few for each of the 64 orthants."""
+
+_SHARPENING: Final = (8.0, 32.0, 128.0)
+"""Sharpness of the smooth maximum, step by step."""
+
+_DESCENT: Final = 6
+"""Steps at each sharpness."""
+
+_CLIMBS: Final = 6
+"""Facets that are compared: the nearest that the descent leads to."""
+
+_SAME: Final = 0.99
+"""Directions with this cosine lead to the same facet."""
+
+_PIVOTS: Final = 40
+"""Steps to a facet; a polytope of six dimensions takes about twelve."""
+
+_CLOSED: Final = 1e-6
+"""Residual below which a system of unit vectors counts as solved."""
+
+_LEAST_LOAD: Final = 0.05
+"""A grasp that carries less than this part of the weight carries nothing."""
+
+_HALVINGS: Final = 7
+"""Halvings of the interval in which the load is sought, in logarithms: to 6 %."""
+
+
+def cone(normal: FloatArray, friction: float) -> FloatArray:
+    """Return the edges ``(EDGES, 3)`` of a cone of friction, each of unit normal force.
+
+    Args:
+        normal: Unit normal into the object ``(3,)``.
+        friction: Coefficient of friction.
+    """
+    x, y, z = (float(v) for v in normal)
+    first = (0.0, -z, y) if abs(x) <= min(abs(y), abs(z)) else (z, 0.0, -x)
+    first = (-y, x, 0.0) if abs(z) < min(abs(x), abs(y)) else first
+    a, b, c = (v / math.hypot(*first) for v in first)
+    second = (y * c - z * b, z * a - x * c, x * b - y * a)
+    edges: FloatArray = normal + friction * (_CIRCLE @ np.array([(a, b, c), second]))
+    return edges
+
+
+def wrenches(
+    contacts: Sequence[Contact], friction: float, centre: FloatArray, length: float
+) -> FloatArray:
+    """Return the wrenches ``(k, 6)`` of contacts of unit normal force [N].
+
+    Args:
+        contacts: The contacts.
+        friction: Coefficient of friction.
+        centre: The object's centre of mass ``(3,)`` [m].
+        length: What torques are divided by [m].
+
+    Returns:
+        `EDGES` + 2 wrenches for each contact: the edges of its cone, and its normal with a torque
+        about it to either side.
+    """
+    rows = []
+    torsion = 2.0 / 3.0 * friction * PATCH / length
+    for contact in contacts:
+        normal, arm = np.array(contact.normal), np.array(contact.point) - centre
+        edges = cone(normal, friction)
+        rows.append(np.hstack([edges, np.cross(arm, edges) / length]))
+        straight = np.concatenate([normal, np.cross(arm, normal) / length])
+        twist = np.concatenate([np.zeros(3), torsion * normal])
+        rows.append(np.stack([straight + twist, straight - twist]))
+    return np.concatenate(rows) if rows else np.zeros((0, 6))
+
+
+def least_squares(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, float]:
+    """Solve ``min |matrix x - target|`` with ``x >= 0`` (Lawson and Hanson, 1974, algorithm NNLS).
+
+    Args:
+        matrix: ``(m, n)``.
+        target: ``(m,)``.
+
+    Returns:
+        ``x`` ``(n,)``, and the residual's norm.
+    """
+    count = matrix.shape[1]
+    x, used = np.zeros(count), np.zeros(count, dtype=bool)
+    enough = 1e-10 * max(1.0, float(np.abs(matrix).max(initial=0.0)))
+    for _ in range(3 * count):
+        gradient = matrix.T @ (target - matrix @ x)
+        gradient[used] = -np.inf
+        best = int(np.argmax(gradient)) if count else 0
+        if used.all() or gradient[best] <= enough:
+            break
+        used[best] = True
+        while used.any():
+            trial = np.zeros(count)
+            trial[used] = np.linalg.lstsq(matrix[:, used], target, rcond=None)[0]
+            below = used & (trial <= 0.0)
+            if not below.any():
+                x = trial
+                break
+            ratio = x[below] / np.maximum(x[below] - trial[below], 1e-300)
+            x = x + float(ratio.min()) * (trial - x)
+            before = int(used.sum())
+            used &= x > 1e-12
+            x[~used] = 0.0
+            if int(used.sum()) == before:  # rounding: drop what would be negative
+                used &= ~below
+    return x, float(np.linalg.norm(matrix @ x - target))
+
+
+def balanced(vectors: FloatArray) -> bool:
+    """Return whether non-negative shares of vectors ``(k, d)``, not all zero, add up to zero."""
+    if len(vectors) < 2:
+        return False
+    lengths = np.linalg.norm(vectors, axis=1)
+    system = np.vstack([vectors.T / lengths, np.ones(len(vectors))])
+    target = np.zeros(len(system))
+    target[-1] = 1.0
+    return least_squares(system, target)[1] < 1e-3
+
+
+def quality(found: FloatArray) -> float:
+    """Return the radius of the largest ball of wrenches that a grasp resists (Ferrari and Canny).
+
+    Args:
+        found: Wrenches of contacts of unit normal force ``(k, 6)``; see `wrenches`.
+
+    Returns:
+        The radius [N]; 0 where some wrench is not resisted at all.
+    """
+    if not balanced(found) or np.linalg.matrix_rank(found, tol=1e-9) < found.shape[1]:
+        return 0.0
+    size = float(np.linalg.norm(found, axis=1).max())
+    directions = _starts(found.shape[1])
+    for sharpness in _SHARPENING:
+        for _ in range(_DESCENT):
+            support = directions @ found.T
+            weight = np.exp((support - support.max(axis=1, keepdims=True)) * (sharpness / size))
+            weight /= weight.sum(axis=1, keepdims=True)
+            slope = weight @ found
+            slope -= (slope * directions).sum(axis=1, keepdims=True) * directions
+            directions = directions - slope / (size * sharpness)
+            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    support = (directions @ found.T).max(axis=1)
+    best = np.argsort(support, kind="stable")
+    if support[best[0]] <= _CLOSED * size:
+        return 0.0
+    chosen: list[int] = []
+    for i in best.tolist():
+        if all(float(directions[i] @ directions[j]) < _SAME for j in chosen):
+            chosen.append(i)
+        if len(chosen) == _CLIMBS:
+            break
+    return min(1.0 / _climb(found, directions[i] / support[i]) for i in chosen)
+
+
+def _climb(found: FloatArray, start: FloatArray) -> float:
+    """Return the norm of a vertex of the polar polytope ``{x: found x <= 1}``, uphill of a point.
+
+    Facets of the hull are vertices of its polar, and the nearer a facet the longer its vertex. The
+    way goes along faces of ever smaller dimension, then from vertex to vertex along edges that
+    lead away from the origin.
+
+    Args:
+        found: The hull's points ``(k, d)``.
+        start: A point of the polytope ``(d,)``.
+    """
+    x, active = start, list[int]()
+    for _ in range(_PIVOTS):
+        if active:
+            basis = found[active]
+            shares = np.linalg.lstsq(basis.T, x, rcond=None)[0]
+            way = x - basis.T @ shares
+        else:
+            shares, way = np.zeros(0), x
+        if float(np.linalg.norm(way)) <= 1e-9 * float(np.linalg.norm(x)):
+            # At a vertex of these faces; a negative share says which one to leave.
+            if not len(shares) or shares.min() >= -1e-9 * np.abs(shares).max():
+                break
+            left = int(np.argmin(shares))
+            others = found[active[:left] + active[left + 1 :]]
+            way = -found[active[left]]
+            if len(others):
+                way = way - others.T @ np.linalg.lstsq(others.T, way, rcond=None)[0]
+            del active[left]
+        rate = found @ way
+        rate[active] = 0.0
+        room = np.where(rate > 1e-12, (1.0 - found @ x) / np.maximum(rate, 1e-12), np.inf)
+        nearest = int(np.argmin(room))
+        if not np.isfinite(room[nearest]):
+            break
+        x = x + max(0.0, float(room[nearest])) * way
+        active.append(nearest)
+    return float(np.linalg.norm(x))
+
+
+def _starts(dimensions: int) -> FloatArray:
+    """Return unit vectors ``(_STARTS + 2 dimensions, dimensions)``: the axes, and all over."""
+    spread = 2.0 * halton(dimensions, _STARTS) - 1.0
+    starts = np.vstack([np.eye(dimensions), -np.eye(dimensions), spread])
+    result: FloatArray = starts / np.linalg.norm(starts, axis=1, keepdims=True)
+    return result
+
+
+def load(
+    found: FloatArray,
+    torques: FloatArray,
+    weight: FloatArray,
+) -> float:
+    """Return how many times a weight a grasp can carry with the efforts of the actuators.
+
+    Args:
+        found: Wrenches of contacts of unit normal force ``(k, 6)``; see `wrenches`.
+        torques: Effort that each takes of each actuator with an effort limit, as a fraction of
+            that limit ``(k, a)``.
+        weight: The wrench of the object's weight ``(6,)`` [N].
+
+    Returns:
+        The multiple, from 0 to `MOST_LOAD`.
+    """
+    heavy = float(np.linalg.norm(weight))
+    if not len(found) or heavy <= 0.0:
+        return 0.0
+    actuators = torques.shape[1]
+    # Columns: normal forces in units of the weight, then what is left of each effort, both ways.
+    slack = np.eye(2 * actuators)
+    upper = np.vstack([torques.T, -torques.T]) * heavy
+    system = np.block([[found.T, np.zeros((6, 2 * actuators))], [upper, slack]])
+    scale = np.maximum(np.linalg.norm(system[:, : len(found)], axis=0), 1e-9)
+    system[:, : len(found)] /= scale
+
+    def carried(times: float) -> bool:
+        target = np.concatenate([-times * weight / heavy, np.ones(2 * actuators)])
+        return least_squares(system, target)[1] < _CLOSED * 1e2 * max(1.0, times)
+
+    if not carried(_LEAST_LOAD):
+        return 0.0
+    if carried(MOST_LOAD):
+        return MOST_LOAD
+    low, high = _LEAST_LOAD, MOST_LOAD
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if carried(middle) else (low, middle)
+    return low

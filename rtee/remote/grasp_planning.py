@@ -1,0 +1,86 @@
+"""Grasps planned for clients: one after the other, in processes of their own beside the loop."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rtee.errors import RequestRejected
+from rtee.planning.apart import Question, ask
+from rtee.remote.call_queue import CallQueue
+from rtee.remote.incoming_request import IncomingRequest
+
+_WAITING: Final = 4
+"""Plans that may wait: each takes a second or two of a processor."""
+
+
+class GraspPlanning:
+    """Answers the request ``grasp_plan``.
+
+    Args:
+        hand: The hand's name.
+    """
+
+    def __init__(self, hand: str) -> None:
+        self._hand = hand
+        self._queue: CallQueue | None = None
+        self._process: subprocess.Popen[str] | None = None
+        self._closed = False
+
+    def handle(self, asked: IncomingRequest, actions: Path | None) -> None:
+        """Have a question answered later.
+
+        Args:
+            asked: The question.
+            actions: The folder of the hand's actions, in that of the hand.
+
+        Raises:
+            RteeError: if it cannot be.
+        """
+        question = _question(asked.fields)
+        question.check()
+        if actions is None:
+            raise RequestRejected(f"{self._hand} has no folder with actions to plan with")
+        if self._queue is None:
+            self._queue = CallQueue(f"plan {self._hand}", _WAITING)
+        if not self._queue.put(partial(self._answer, asked, actions.parent, question)):
+            raise RequestRejected(f"{_WAITING} plans are waiting already")
+
+    def _answer(self, asked: IncomingRequest, folder: Path, question: Question) -> None:
+        try:
+            if self._closed:
+                raise RequestRejected(f"{self._hand} has ended")
+            asked.answer({"data": ask(folder, question, self._started)})
+        except Exception as error:
+            asked.refuse(error)
+
+    def _started(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        if self._closed:
+            process.kill()
+
+    def close(self) -> None:
+        """End what is being planned; blocks for a moment."""
+        self._closed = True
+        if self._process is not None:
+            self._process.kill()
+        if self._queue is not None:
+            self._queue.close()
+
+
+def _question(fields: Mapping[str, Any]) -> Question:
+    return Question(
+        object=fields["object"],
+        mesh=np.asarray(fields["mesh"], np.uint8).tobytes(),
+        format=fields["format"],
+        mass=float(fields["mass"]),
+        friction=float(fields["friction"]),
+        scale=float(fields["scale"]),
+        weight_axis=tuple(float(value) for value in fields["weight_axis"]),
+        top=int(fields["top"]),
+    )

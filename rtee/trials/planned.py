@@ -1,0 +1,187 @@
+"""Planned grasps tried in dynamics: the object as the plan puts it, the weight as it pulls."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.objects import ObjectShape, add_object
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import add_carrier, build_hand
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.hand.model import Hand
+from rtee.loop.settings import LoopSettings
+from rtee.planning.composition import DRAFT
+from rtee.planning.objects import GraspObject, Piece
+from rtee.planning.result import Check, GraspPlan, Ranking
+from rtee.trials.grasp_placement import Place
+from rtee.trials.headless import HeadlessHand
+from rtee.trials.result import Trial
+from rtee.trials.trial import _Run as TrialRun
+from rtee.types import FloatArray
+
+_DOWN: Final = np.array([0.0, 0.0, -1.0])
+
+
+def check_plan(
+    hand: Hand,
+    library: ActionLibrary,
+    settings: LoopSettings,
+    thing: GraspObject,
+    ranking: Ranking,
+    plan: GraspPlan,
+) -> Check:
+    """Try a planned grasp: approach, grasp, lift, hold and shake, as `rtee try` does.
+
+    Args:
+        hand: The hand.
+        library: Its actions, with that of the plan.
+        settings: Its loop's settings.
+        thing: The object.
+        ranking: What the plan is one of; it has the friction and the weight's axis.
+        plan: The plan.
+
+    Raises:
+        UnknownAction: if the library does not have the action.
+        ModelError: if the hand cannot be simulated.
+    """
+    name = plan.action or DRAFT
+    if not plan.action:
+        library = ActionLibrary(hand, (*library, library.compose(DRAFT, plan.parts)))
+    library.find(name, plan.elements)
+    options = SimOptions(
+        object_mass=thing.mass, friction=ranking.friction, support="held", carrier="arm"
+    )
+    simulation = _simulation(
+        hand, options, thing, np.array(plan.pose), np.array(ranking.weight_axis), settings.period
+    )
+    trial = Trial(name, plan.elements, thing.name, plan.intensity, thing.mass)
+    place = Place(np.array(plan.pose), plan.touch, np.array(plan.way))
+    headless = HeadlessHand(hand, library, settings, simulation)
+    result = TrialRun(headless, trial, place, 1, None).result()
+    return Check(result.held, result.reason, result.slip, result.peak)
+
+
+def checked(
+    hand: Hand,
+    library: ActionLibrary,
+    settings: LoopSettings,
+    thing: GraspObject,
+    ranking: Ranking,
+    most: int,
+) -> Ranking:
+    """Return a ranking whose best plans were tried in dynamics; those that held come first.
+
+    Args:
+        hand: The hand.
+        library: Its actions, with those of the plans.
+        settings: Its loop's settings.
+        thing: The object.
+        ranking: The ranking.
+        most: How many of the best plans are tried.
+    """
+    plans = list(ranking.plans)
+    for number, plan in enumerate(plans[:most]):
+        check = check_plan(hand, library, settings, thing, ranking, plan)
+        said = (
+            f"held in dynamics, slip {check.slip * 1e3:.1f} mm"
+            if check.held
+            else f"lost in dynamics: {check.reason}"
+        )
+        plans[number] = dataclasses.replace(plan, check=check, reasons=(*plan.reasons, said))
+    plans.sort(key=_said)  # stable: otherwise as ranked
+    return dataclasses.replace(ranking, plans=tuple(plans))
+
+
+def _said(plan: GraspPlan) -> int:
+    """Return 0 for a plan that held, 1 for one that was not tried, 2 for one that failed."""
+    return 1 if plan.check is None else 2 * (not plan.check.held)
+
+
+def _simulation(
+    hand: Hand,
+    options: SimOptions,
+    thing: GraspObject,
+    place: FloatArray,
+    weight_axis: FloatArray,
+    period: float,
+) -> Simulation:
+    """Build a simulation of a carried hand that holds its weight axis down, with the object."""
+    built = build_hand(hand, options)
+    pose = np.eye(4)
+    pose[:3, :3] = _turned(weight_axis)
+    add_carrier(built.spec, pose[:3, :3], options)
+    with TemporaryDirectory() as folder:
+        _add_pieces(built.spec, thing, pose @ place, Path(folder))
+        model: mujoco.MjModel = built.spec.compile()
+    return Simulation(model, hand, options, hand.actuator_names, period, built.servos, built.notes)
+
+
+def _turned(axis: FloatArray) -> FloatArray:
+    """Return the shortest rotation ``(3, 3)`` that brings a unit vector downwards."""
+    cosine = float(axis @ _DOWN)
+    if cosine < -1.0 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    x, y, z = np.cross(axis, _DOWN)
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation: FloatArray = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
+    return rotation
+
+
+def _add_pieces(spec: mujoco.MjSpec, thing: GraspObject, pose: FloatArray, folder: Path) -> None:
+    """Add an object: one body, one geom for each convex piece, the mass shared by volume."""
+    volumes = np.array([piece.shape.computeVolume() for piece in thing.pieces])
+    masses = thing.mass * volumes / volumes.sum()
+    first = add_object(spec, _shape(thing.pieces[0], folder, 0), mass=masses[0], pose=pose)
+    model = first.geoms[0]
+    for number, piece in enumerate(thing.pieces[1:], 1):
+        file = _shape(piece, folder, number).path
+        mesh = spec.add_mesh(name=f"{model.name}/{number}", file=str(file))
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        geom = first.add_geom(name=mesh.name, type=mujoco.mjtGeom.mjGEOM_MESH, mass=masses[number])
+        geom.meshname = mesh.name
+        for name in ("friction", "solref", "solimp", "condim", "priority", "margin", "rgba"):
+            setattr(geom, name, getattr(model, name))
+
+
+def _shape(piece: Piece, folder: Path, number: int) -> ObjectShape:
+    """Return a piece as MuJoCo takes it; a hull and a capsule as a mesh file."""
+    if piece.kind in ("box", "cylinder", "sphere"):
+        return ObjectShape(piece.kind, piece.size)
+    path = folder / f"piece-{number}.stl"
+    path.write_bytes(_stl(piece))
+    return ObjectShape("mesh", path=path)
+
+
+def _stl(piece: Piece) -> bytes:
+    """Return the hull of a piece as a binary STL file; MuJoCo makes the hull of its corners."""
+    points = piece.points
+    if piece.radius:
+        ball = _BALL * piece.radius
+        points = (points[:, None] + ball).reshape(-1, 3)
+    count = len(points)
+    corners = points[
+        np.stack(
+            [np.arange(count), np.roll(np.arange(count), -1), np.roll(np.arange(count), -2)], axis=1
+        )
+    ]
+    record = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    triangles = np.zeros(count, dtype=record)
+    triangles["corners"] = corners
+    return bytes(80) + count.to_bytes(4, "little") + triangles.tobytes()
+
+
+_BALL: Final = np.array(
+    [
+        (np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b))
+        for a in np.arange(24) * (np.pi / 12.0)
+        for b in np.linspace(-np.pi / 2.0, np.pi / 2.0, 13)
+    ]
+)
+"""Points on a ball of radius 1."""

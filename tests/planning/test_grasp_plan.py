@@ -1,0 +1,294 @@
+"""Grasps planned for objects: geometric truths, in hands whose measures are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtee.actions.build import full_posture, generic
+from rtee.actions.library import ActionLibrary
+from rtee.actions.types import ActionReference, Primitive, PrimitiveKind
+from rtee.errors import ConfigError, ModelError, UserError
+from rtee.hand.load import load_hand, load_model
+from rtee.hand.model import Hand
+from rtee.hand.tessellation import Triangles, box, cylinder
+from rtee.planning.composition import action_of
+from rtee.planning.objects import read_object
+from rtee.planning.plan import grasp_plan, plan_grasps
+from rtee.planning.poses import orientations
+from rtee.planning.result import from_document, to_document
+from rtee.types import FloatArray
+
+ROOT = Path(__file__).parents[2]
+
+# Two jaws with flat sides 20 mm wide and 30 mm high, up to 100 mm apart; x is the axis of closing.
+JAWS = """<robot name="jaws">
+  <link name="palm"><collision><origin xyz="0 0 -0.01"/>
+    <geometry><box size="0.14 0.04 0.02"/></geometry></collision></link>
+  <joint name="jaw" type="prismatic"><parent link="palm"/><child link="left"/>
+    <origin xyz="-0.05 0 0"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.05" velocity="0.1" effort="40"/></joint>
+  <link name="left"><collision><origin xyz="-0.005 0 0.045"/>
+    <geometry><box size="0.01 0.02 0.03"/></geometry></collision></link>
+  <joint name="follower" type="prismatic"><parent link="palm"/><child link="right"/>
+    <origin xyz="0.05 0 0"/><axis xyz="-1 0 0"/>
+    <limit lower="0" upper="0.05" velocity="0.1" effort="40"/><mimic joint="jaw"/></joint>
+  <link name="right"><collision><origin xyz="0.005 0 0.045"/>
+    <geometry><box size="0.01 0.02 0.03"/></geometry></collision></link>
+</robot>"""
+
+
+@pytest.fixture(scope="module")
+def jaws(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    file = tmp_path_factory.mktemp("jaws") / "jaws.urdf"
+    file.write_text(JAWS)
+    return load_model(file)
+
+
+@pytest.fixture
+def library(jaws: Hand) -> ActionLibrary:
+    closed = full_posture(jaws, {"jaw": 0.05})
+    return ActionLibrary(
+        jaws,
+        (
+            Primitive(PrimitiveKind.PINCH_TIGHT, ("left", "right"), (closed,)),
+            generic(jaws, "Half", {"jaw": 0.02}),
+        ),
+    )
+
+
+def _stl(path: Path, *parts: Triangles) -> Path:
+    corners = np.concatenate([vertices[faces] for vertices, faces in parts])
+    record = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    triangles = np.zeros(len(corners), dtype=record)
+    triangles["corners"] = corners
+    path.write_bytes(bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes())
+    return path
+
+
+def _pose(plan_pose: tuple[tuple[float, ...], ...]) -> FloatArray:
+    return np.array(plan_pose)
+
+
+def test_parallel_jaws_touch_a_box_on_opposite_sides(library: ActionLibrary) -> None:
+    ranking = plan_grasps(library.hand, library, read_object("box:0.04x0.02x0.03"))
+    plan = ranking.plans[0]
+    assert plan.label == "PinchTight (left, right)"
+    assert plan.width == pytest.approx(min(0.04, 0.02, 0.03))
+    normals = {c.finger: np.array(c.normal) for c in plan.contacts if c.finger}
+    assert normals["left"] == pytest.approx([1, 0, 0], abs=1e-6)
+    assert normals["right"] == pytest.approx([-1, 0, 0], abs=1e-6)
+    sides = {c.finger: c.point[0] for c in plan.contacts if c.finger}
+    # Half the width to either side, and the half millimetre within which surfaces touch.
+    assert sides["left"] == pytest.approx(-0.01, abs=1e-3)
+    assert sides["right"] == pytest.approx(0.01, abs=1e-3)
+
+
+def test_the_intensity_closes_the_jaws_on_the_object(library: ActionLibrary) -> None:
+    plans = plan_grasps(library.hand, library, read_object("box:0.06x0.08x0.08")).plans
+    plan = next(plan for plan in plans if plan.action == "PinchTight")
+    assert plan.touch == pytest.approx((0.1 - plan.width) / 0.1, abs=0.01)
+    assert plan.touch < plan.intensity <= 1.0
+    assert plan.preshape < plan.touch
+    assert plan.opening >= plan.width + 0.01
+
+
+def test_jaws_carry_what_friction_and_their_force_allow(library: ActionLibrary) -> None:
+    # 40 N drive both jaws, so each presses with 20: 2 * 0.5 * 20 N of friction, 0.5 kg * 9.81.
+    thing = read_object("box:0.03x0.06x0.06", mass=0.5)
+    plan = plan_grasps(library.hand, library, thing, friction=0.5).plans[0]
+    assert plan.load == pytest.approx(20.0 / (0.5 * 9.81), rel=0.12)
+    less = plan_grasps(library.hand, library, thing, friction=0.25).plans[0]
+    assert less.load == pytest.approx(plan.load / 2.0, rel=0.12)
+
+
+def test_a_weight_along_the_jaws_way_presses_on_one_of_them(library: ActionLibrary) -> None:
+    thing = read_object("box:0.03x0.06x0.06", mass=0.5)
+    plan = plan_grasps(library.hand, library, thing, weight_axis=(1.0, 0.0, 0.0)).plans[0]
+    assert plan.load == pytest.approx(40.0 / (0.5 * 9.81), rel=0.12)
+
+
+def test_what_is_too_heavy_says_so(library: ActionLibrary) -> None:
+    plan = plan_grasps(library.hand, library, read_object("box:0.03x0.06x0.06", mass=10.0)).plans[0]
+    assert plan.load < 1.0
+    assert any("can't carry the weight" in reason for reason in plan.reasons)
+    assert plan.effort == 1.0
+
+
+def test_an_action_that_stays_too_open_is_rejected(library: ActionLibrary) -> None:
+    ranking = plan_grasps(library.hand, library, read_object("sphere:0.015"))
+    assert [plan.action for plan in ranking.plans] == ["PinchTight"]
+    assert dict(ranking.rejected)["Half"] == "its fingers do not oppose each other on the object"
+
+
+def test_an_object_that_is_too_wide_does_not_fit(library: ActionLibrary) -> None:
+    with pytest.raises(ConfigError, match=r"does not fit: width 140 mm, the hand opens to 100 mm"):
+        plan_grasps(library.hand, library, read_object("box:0.14x0.15x0.16"))
+
+
+def test_a_mesh_is_planned_for_as_the_shape_it_has(library: ActionLibrary, tmp_path: Path) -> None:
+    mesh = _stl(tmp_path / "block.stl", box((0.04, 0.02, 0.03)))
+    ranked = plan_grasps(library.hand, library, read_object("box:0.04x0.02x0.03"))
+    meshed = plan_grasps(library.hand, library, read_object(str(mesh)))
+    assert [p.label for p in meshed.plans] == [p.label for p in ranked.plans]
+    for one, other in zip(ranked.plans, meshed.plans, strict=True):
+        assert other.score == pytest.approx(one.score, abs=0.02)
+        assert other.touch == pytest.approx(one.touch, abs=0.02)
+        assert _pose(other.pose) == pytest.approx(_pose(one.pose), abs=1e-3)
+
+
+def test_a_mesh_of_a_hand_like_svh_ranks_as_its_primitive(tmp_path: Path) -> None:
+    mesh = _stl(tmp_path / "rod.stl", cylinder(0.03, 0.12))
+    ranked = grasp_plan(ROOT / "config/robotiq_3f", "cylinder:0.03x0.12")
+    meshed = grasp_plan(ROOT / "config/robotiq_3f", str(mesh))
+    assert meshed.plans[0].action == ranked.plans[0].action
+    assert meshed.plans[0].width == pytest.approx(ranked.plans[0].width, abs=1e-3)
+
+
+def test_the_ranking_is_the_same_every_time() -> None:
+    first, second = (grasp_plan(ROOT / "config/robotiq_2f_85", "sphere:0.02") for _ in range(2))
+    assert first == second
+    assert [p.score for p in first.plans] == sorted((p.score for p in first.plans), reverse=True)
+
+
+def test_a_ranking_survives_json() -> None:
+    ranking = grasp_plan(ROOT / "config/robotiq_2f_85", "capsule:0.02x0.1")
+    assert from_document(json.loads(json.dumps(to_document(ranking)))) == ranking
+
+
+@pytest.mark.parametrize(
+    ("text", "turns"),
+    [
+        ("sphere:0.03", 1),
+        ("box:0.02x0.02x0.02", 1),
+        ("box:0.02x0.02x0.05", 3),
+        ("box:0.02x0.03x0.05", 6),
+        ("cylinder:0.02x0.1", 3),
+        ("capsule:0.02x0.1", 3),
+    ],
+)
+def test_turns_that_look_the_same_are_one(text: str, turns: int) -> None:
+    assert len(orientations(read_object(text))) == turns
+
+
+def test_measures_of_an_object() -> None:
+    thing = read_object("capsule:0.01x0.06")
+    assert thing.extents == pytest.approx((0.02, 0.02, 0.06))
+    assert thing.length == pytest.approx(0.03)
+    assert thing.centre == pytest.approx(np.zeros(3))
+
+
+def test_loose_parts_of_a_mesh_are_convex_pieces(tmp_path: Path) -> None:
+    vertices, faces = box((0.02, 0.02, 0.02))
+    aside = vertices + np.array([0.1, 0.0, 0.0])
+    mesh = _stl(tmp_path / "two.stl", (vertices, faces), (aside, faces))
+    thing = read_object(str(mesh))
+    assert len(thing.pieces) == 2
+    assert thing.centre == pytest.approx([0.05, 0.0, 0.0], abs=1e-6)
+    assert not thing.notes
+
+
+def test_a_mesh_that_lies_askew_has_a_box_of_its_own(tmp_path: Path) -> None:
+    vertices, faces = box((0.02, 0.03, 0.1))
+    turn = np.linalg.qr(np.array([[1.0, 2.0, 0.5], [-1.0, 0.3, 2.0], [0.4, -1.5, 1.0]]))[0]
+    mesh = _stl(tmp_path / "askew.stl", (vertices @ turn.T, faces))
+    assert read_object(str(mesh)).extents == pytest.approx((0.02, 0.03, 0.1), abs=1e-4)
+
+
+def test_a_composed_action_is_made_where_no_single_one_is_good() -> None:
+    hand = load_hand(ROOT / "config/leap_hand")
+    library = ActionLibrary.load(hand, ROOT / "config/leap_hand/actions")
+    trigs = ActionLibrary(hand, [a for a in library.all("primitive") if a.name == "Trig"])
+    thing = read_object("cylinder:0.025x0.12")
+    plan = plan_grasps(hand, trigs, thing).plans[0]
+    assert not plan.action
+    assert len(plan.parts) > 1
+    assert {part.action for part in plan.parts} == {"Trig"}
+    assert all(0.0 < part.scale <= 1.0 for part in plan.parts)
+    singles = plan_grasps(hand, trigs, thing, compose=False).plans
+    assert all(plan.score > single.score for single in singles)
+    action = action_of(trigs, "Rod", plan, "A rod.")
+    assert action.description == "A rod."
+    assert {use.action for use in action.uses} == {"Trig"}
+
+
+def test_a_saved_action_goes_as_far_as_planned(library: ActionLibrary) -> None:
+    plan = plan_grasps(library.hand, library, read_object("sphere:0.015")).plans[0]
+    plan = dataclasses.replace(plan, intensity=0.8)
+    action = action_of(library, "Ball", plan, "")
+    assert action.parts == (ActionReference("PinchTight", ("left", "right"), 0.8),)
+    assert action.posture.position["jaw"] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("sphere", "'sphere' is no object"),
+        ("cone:0.1x0.2", "'cone:0.1x0.2' is no object"),
+        ("sphere:-0.03", "is no object"),
+        ("sphere:nan", "is no object"),
+        ("sphere:inf", "is no object"),
+        ("box:0.1x0.1", "is no object"),
+        ("capsule:0.05x0.02", "at least as long as thick"),
+        ("missing.stl", "no such mesh"),
+        ("missing.step", "is no object"),
+    ],
+)
+def test_what_is_no_object_is_refused(text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        read_object(text)
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, float("nan"), float("inf"), 1e3])
+def test_masses_that_make_no_sense_are_refused(mass: float) -> None:
+    with pytest.raises(ConfigError, match="mass"):
+        read_object("sphere:0.03", mass=mass)
+
+
+@pytest.mark.parametrize("friction", [0.0, -0.5, float("nan"), 11.0])
+def test_frictions_that_make_no_sense_are_refused(library: ActionLibrary, friction: float) -> None:
+    with pytest.raises(ConfigError, match="friction"):
+        plan_grasps(library.hand, library, read_object("sphere:0.03"), friction=friction)
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 0), (1, 2), (float("nan"), 0, 1)])
+def test_weight_axes_that_make_no_sense_are_refused(
+    library: ActionLibrary, axis: tuple[float, ...]
+) -> None:
+    with pytest.raises(ConfigError, match="weight axis"):
+        plan_grasps(library.hand, library, read_object("sphere:0.03"), weight_axis=axis)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        ("a.stl", b"", "the file is empty"),
+        ("a.stl", b"nothing", "no STL file"),
+        ("a.stl", bytes(80) + (9).to_bytes(4, "little") + bytes(50), "truncated"),
+        ("a.off", b"nothing", "cannot be read"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "cannot be read"),
+    ],
+)
+def test_files_that_are_no_mesh_are_refused(
+    tmp_path: Path, name: str, data: bytes, said: str
+) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ModelError, match=said) as caught:
+        read_object(str(tmp_path / name))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mesh_in_millimetres_is_noticed(tmp_path: Path) -> None:
+    mesh = _stl(tmp_path / "block.stl", box((40.0, 20.0, 30.0)))
+    with pytest.raises(ModelError, match=r"in millimetres\? then give --scale 0.001"):
+        read_object(str(mesh))
+    assert read_object(str(mesh), scale=0.001).extents == pytest.approx((0.02, 0.03, 0.04))
+
+
+def test_a_hand_without_actions_is_told_what_to_do(jaws: Hand) -> None:
+    with pytest.raises(UserError, match="rtee extract jaws --save"):
+        plan_grasps(jaws, ActionLibrary(jaws), read_object("sphere:0.02"))

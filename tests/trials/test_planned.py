@@ -1,0 +1,68 @@
+"""Planned grasps in dynamics."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from rtee.planning.objects import read_object
+from rtee.planning.plan import plan_grasps
+from rtee.trials.planned import check_plan, checked
+from rtee.trials.sweep import Bench, bench
+
+
+@pytest.fixture(scope="module")
+def gripper(repository: Path) -> Bench:
+    return bench(str(repository / "config/robotiq_2f_85"))
+
+
+@pytest.mark.parametrize("text", ["box:0.04x0.04x0.1", "capsule:0.02x0.1"])
+def test_a_planned_grasp_holds(gripper: Bench, text: str) -> None:
+    thing = read_object(text)
+    ranking = plan_grasps(gripper.hand, gripper.library, thing)
+    found = checked(gripper.hand, gripper.library, gripper.settings, thing, ranking, 1)
+    check = found.plans[0].check
+    assert check is not None
+    assert check.held
+    assert check.reason == ""
+    assert check.slip < 0.01
+    assert "held in dynamics" in found.plans[0].reasons[-1]
+
+
+def test_pieces_of_a_mesh_are_held(gripper: Bench, repository: Path) -> None:
+    thing = read_object(str(repository / "experiments/objects/marker.stl"), mass=0.02)
+    ranking = plan_grasps(gripper.hand, gripper.library, thing)
+    check = check_plan(
+        gripper.hand, gripper.library, gripper.settings, thing, ranking, ranking.plans[0]
+    )
+    assert check.held
+
+
+def test_a_grasp_that_is_lost_is_ranked_last(gripper: Bench) -> None:
+    thing = read_object("box:0.04x0.04x0.1")
+    ranking = plan_grasps(gripper.hand, gripper.library, thing)
+    first = ranking.plans[0]
+    away = np.array(first.pose)
+    away[2, 3] += 0.3  # out of the fingers' reach
+    missed = dataclasses.replace(first, pose=tuple(tuple(row) for row in away.tolist()))
+    wrong = dataclasses.replace(ranking, plans=(missed, *ranking.plans[1:]))
+    found = checked(gripper.hand, gripper.library, gripper.settings, thing, wrong, 1)
+    assert found.plans[-1].check is not None
+    assert not found.plans[-1].check.held
+    assert "lost in dynamics: it was not grasped" in found.plans[-1].reasons[-1]
+
+
+def test_the_weight_pulls_along_the_axis_that_is_asked_for(gripper: Bench) -> None:
+    # Held sideways, the object's weight lies on the edges of the pads.
+    thing = read_object("box:0.04x0.04x0.06")
+    ranking = plan_grasps(gripper.hand, gripper.library, thing, weight_axis=(1.0, 0.0, 0.0))
+    check = check_plan(
+        gripper.hand, gripper.library, gripper.settings, thing, ranking, ranking.plans[0]
+    )
+    assert ranking.weight_axis == (1.0, 0.0, 0.0)
+    assert check.held
