@@ -17,7 +17,7 @@ import numpy as np
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference, Composed, Primitive, PrimitiveKind
-from rtee.planning.plan import Planner, rank, squeeze
+from rtee.planning.planner import Planner, rank, squeeze
 from rtee.planning.result import GraspPlan
 
 DRAFT: Final = "Planned"

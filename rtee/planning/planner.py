@@ -1,0 +1,366 @@
+"""How a hand grasps an object by its actions: geometry and forces, no dynamics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtee.actions.naming import label
+from rtee.actions.types import Action, Timed, kind_of
+from rtee.errors import ConfigError
+from rtee.hand.model import Hand
+from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.objects import GraspObject
+from rtee.planning.poses import GAP, Candidate, Poses, orientations, outward
+from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
+from rtee.planning.scene import GraspScene
+from rtee.planning.wrench import EDGES, GRAVITY, balanced, load, quality, wrenches
+from rtee.types import ActuatorSpec, BoolArray, FloatArray, JointKind
+
+FRICTION: Final = 0.5
+"""Coefficient of friction unless given: rubber on most things has more, bare metal less."""
+
+SAFETY: Final = 3.0
+"""A grasp that carries so many times the weight is not limited by its load: arms accelerate."""
+
+_POSES: Final = 120
+"""Poses of the object that are tried for a hand, shared by its actions."""
+
+_FEWEST: Final = 3
+"""Poses tried for each action at least."""
+
+_MOST: Final = 16
+"""Poses tried for each action at most."""
+
+_FINALISTS: Final = 2
+"""Poses of an action whose quality and load are worked out; one where there are many actions."""
+
+_ENOUGH: Final = 3
+"""Poses at which an action holds the object, after which no others are tried."""
+
+_JUDGED: Final = 12
+"""Actions whose quality and load are worked out: the most promising."""
+
+_GOOD_QUALITY: Final = 0.05
+"""Quality that counts half [N/N]: two soft fingers at friction 0.5 have 0.04, a wrap 0.1 to 0.3."""
+
+_MARGIN: Final = 0.01
+"""What a hand stands wider open than the object is wide, before it closes [m]."""
+
+_SQUEEZE: Final = {JointKind.PRISMATIC: 0.01}
+"""How far set-points go beyond the contact of sliding actuators [m], so that they press."""
+
+_SQUEEZE_ANGLE: Final = 0.3
+"""The same of turning ones [rad]: the full effort of a servo of ordinary stiffness."""
+
+_MOST_CONTACTS: Final = 32
+"""Contacts that count; more add nothing but time."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is asked of a grasp.
+
+    Attributes:
+        friction: Coefficient of friction between hand and object.
+        weight_axis: Where the weight pulls, a unit vector ``(3,)`` of the hand's base frame.
+    """
+
+    friction: float
+    weight_axis: FloatArray
+
+
+@dataclass(frozen=True)
+class _Grasp:
+    """A hand closed on the object by an action, and how it came there."""
+
+    action: Action
+    closing: Closing
+    poses: Poses
+    candidate: Candidate
+    closure: Closure
+    promise: float
+
+
+class Planner:
+    """Plans the grasps of one object by one hand.
+
+    Attributes:
+        scene: The hand and the object.
+        task: What is asked of a grasp.
+        too_wide: No action that was tried opens as wide as the object.
+        widest: The widest opening of these actions [m].
+        narrowest: The object's least width there [m].
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        thing: GraspObject,
+        friction: float = FRICTION,
+        weight_axis: Sequence[float] | None = None,
+    ) -> None:
+        """Read the geometry; see `plan_grasps`."""
+        if not (math.isfinite(friction) and 0.0 < friction <= 10.0):
+            raise ConfigError(f"a friction is above 0 and at most 10, not {friction:g}")
+        self.hand, self.thing = hand, thing
+        self.scene = GraspScene(hand, thing)
+        self._out = outward(self.scene)
+        axis = self._out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
+        if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
+            raise ConfigError("a weight axis is three finite numbers, not all of them 0")
+        self.task = Task(friction, axis / np.linalg.norm(axis))
+        self._turns = orientations(thing)
+        self.too_wide, self.widest, self.narrowest = True, 0.0, math.inf
+
+    def plan(self, actions: Iterable[Action]) -> tuple[list[GraspPlan], list[tuple[str, str]]]:
+        """Return the grasps of actions, the best first, and why the others can't be used."""
+        chosen = list(actions)
+        each = min(_MOST, max(_FEWEST, _POSES // max(1, len(chosen))))
+        grasps, plans, rejected = [], [], []
+        for action in chosen:
+            found = self._grasps(action, each)
+            if isinstance(found, str):
+                rejected.append((label(action.name, action.elements), found))
+            else:
+                grasps.append(found)
+        grasps.sort(key=lambda found: -found[0].promise)
+        for number, found in enumerate(grasps):
+            action = found[0].action
+            plan: GraspPlan | str = f"{_JUDGED} others hold the object with more links"
+            if number < _JUDGED:
+                plan = self._best_of(found if len(grasps) <= _JUDGED else found[:1])
+            if isinstance(plan, str):
+                rejected.append((label(action.name, action.elements), plan))
+            else:
+                plans.append(plan)
+        plans.sort(key=rank)
+        return plans, rejected
+
+    def ranking(
+        self, plans: Sequence[GraspPlan], rejected: Sequence[tuple[str, str]] = ()
+    ) -> Ranking:
+        """Return grasps with what they were planned for."""
+        x, y, z = (float(v) for v in self.task.weight_axis)
+        unlimited = [a.name for a in self.hand.actuators if not math.isfinite(a.effort)]
+        notes = [*self.thing.notes]
+        if unlimited:
+            notes.append(
+                f"no effort limit is known of {', '.join(unlimited)}; the load is not theirs"
+            )
+        return Ranking(
+            self.hand.name,
+            self.thing.name,
+            self.thing.mass,
+            self.task.friction,
+            (x, y, z),
+            tuple(plans),
+            tuple(rejected),
+            tuple(notes),
+        )
+
+    def best(self, action: Action, most: int = _MOST) -> GraspPlan | str:
+        """Return the best grasp by an action, or why there is none.
+
+        Args:
+            action: The action.
+            most: Poses of the object that are tried.
+        """
+        found = self._grasps(action, most)
+        return found if isinstance(found, str) else self._best_of(found)
+
+    def _grasps(self, action: Action, most: int) -> list[_Grasp] | str:
+        """Return the most promising grasps by an action, or why there is none."""
+        closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
+        if not closing.way.moving.any():
+            return "it moves nothing"
+        poses = Poses(self.scene, closing, action, self._out)
+        opening, narrowest = float(poses.gaps.max()), poses.narrowest(self._turns)
+        self.widest = max(self.widest, opening)
+        self.narrowest = min(self.narrowest, narrowest)
+        grasps, tried = [], 0
+        for candidate in poses.candidates(self._turns, most):
+            tried += 1
+            closure = closing.close(candidate.pose)
+            if closure is not None:
+                promise = self._promise(closure)
+                grasps.append(_Grasp(action, closing, poses, candidate, closure, promise))
+                if len(grasps) >= max(_ENOUGH, most // 2):
+                    break
+        if not tried and narrowest > opening - 2.0 * GAP:
+            return f"it opens to {opening * 1e3:.0f} mm, the width is {narrowest * 1e3:.0f} mm"
+        self.too_wide = False
+        if not tried:
+            return "the object can't come between its fingers"
+        grasps.sort(key=lambda grasp: -grasp.promise)
+        return grasps[:_FINALISTS] or "its fingers do not oppose each other on the object"
+
+    def _best_of(self, grasps: Sequence[_Grasp]) -> GraspPlan | str:
+        """Return the best of the grasps of an action, or why there is none."""
+        best = min((self._judged(grasp) for grasp in grasps), key=rank)
+        return best if best.load > 0.0 else "it can't carry the weight along this axis"
+
+    def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
+        """Return the hand as it has closed by an action where a plan says."""
+        closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
+        return closing.close(np.array(plan.pose))
+
+    def _promise(self, closure: Closure) -> float:
+        """Return a quick estimate of how good a grasp is; larger is better."""
+        contacts = closure.contacts
+        by_link = {contact.link: contact for contact in contacts}
+        found = self._wrenches(closure, list(by_link.values()))
+        points = np.array([contact.point for contact in contacts])
+        off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure)))
+        links = len(by_link)
+        return (
+            4.0 * balanced(found) + min(links, 6) / 6.0 + (1.0 - min(1.0, off / self.thing.length))
+        )
+
+    def _centre(self, closure: Closure) -> FloatArray:
+        centre: FloatArray = closure.pose[:3, :3] @ self.thing.centre + closure.pose[:3, 3]
+        return centre
+
+    def _wrenches(self, closure: Closure, contacts: Sequence[Contact]) -> FloatArray:
+        return wrenches(contacts, self.task.friction, self._centre(closure), self.thing.length)
+
+    def _carried(self, closure: Closure, contacts: Sequence[Contact], found: FloatArray) -> float:
+        """Return how many times its weight the object can have, at full effort."""
+        limits = np.array([actuator.effort for actuator in self.hand.actuators])
+        limited: BoolArray = np.isfinite(limits)
+        maps = self.scene.torques(closure.u, contacts)[:, limited] / limits[limited, None]
+        maps = np.repeat(maps, EDGES + 2, axis=0)
+        torques = np.einsum("kaj,kj->ka", maps, found[:, :3])
+        force = self.thing.mass * GRAVITY * self.task.weight_axis
+        return load(found, torques, np.concatenate([force, np.zeros(3)]))
+
+    def _judged(self, grasp: _Grasp) -> GraspPlan:
+        action, closing, candidate = grasp.action, grasp.closing, grasp.candidate
+        closure = grasp.closure
+        contacts = closure.contacts[:_MOST_CONTACTS]
+        found = self._wrenches(closure, contacts)
+        ball, times = quality(found), self._carried(closure, contacts, found)
+        points = np.array([contact.point for contact in contacts])
+        off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure)))
+        preshape, opening, clearance = self._before(grasp)
+        score = _score(times, ball, off / self.thing.length)
+        x, y, z = (float(v) for v in candidate.way)
+        kind = kind_of(action)
+        return GraspPlan(
+            action=action.name,
+            elements=action.elements,
+            kind=str(kind),
+            parts=(),
+            score=round(score, 4),
+            intensity=1.0 if isinstance(action, Timed) else self._intensity(closing, closure),
+            touch=round(closure.first, 3),
+            preshape=preshape,
+            opening=round(opening, 4),
+            width=round(candidate.width, 4),
+            effort=round(min(1.0, max(0.05, SAFETY / times)) if times > 0.0 else 1.0, 2),
+            load=round(times, 2),
+            quality=round(ball, 4),
+            clearance=round(clearance, 4),
+            pose=_rows(candidate.pose),
+            held_pose=_rows(closure.pose),
+            way=(round(x, 4), round(y, 4), round(z, 4)),
+            contacts=contacts,
+            reasons=self._reasons(candidate, opening, contacts, times, ball, clearance),
+        )
+
+    def _intensity(self, closing: Closing, closure: Closure) -> float:
+        """Return how far the action goes so that all blocked actuators press."""
+        way = np.abs(closing.way.knots[-1] - closing.way.knots[0])
+        wanted = [closure.first]
+        for index in np.flatnonzero(closure.blocked).tolist():
+            beyond = squeeze(self.hand.actuators[index]) / max(float(way[index]), 1e-6)
+            wanted.append(float(closure.shares[index]) + beyond)
+        return min(1.0, math.ceil(100.0 * max(wanted)) / 100.0)
+
+    def _before(self, grasp: _Grasp) -> tuple[float, float, float]:
+        """Return pre-shape, opening and clearance before the hand closes.
+
+        The hand closes as far as it can without coming near the object where it is and on its way.
+        """
+        gaps, closing, candidate = grasp.poses.gaps, grasp.closing, grasp.candidate
+        along = candidate.pose.copy()
+        ways = [
+            candidate.pose[:3, 3] + share * np.array(candidate.way) for share in (0, 0.1, 0.3, 1)
+        ]
+        steps = range(len(gaps) - 1, -1, -1) if not isinstance(grasp.action, Timed) else (0,)
+        for step in steps:
+            wide = gaps[step] >= candidate.width + _MARGIN
+            if step and not (wide and closing.grid[step] < grasp.closure.first):
+                continue
+            least = math.inf
+            for place in ways:
+                along[:3, 3] = place
+                least = min(least, self.scene.nearest(closing.table[step], along, enough=0.05))
+            if not step or least > 1e-3:
+                return float(closing.grid[step]), float(gaps[step] if step else gaps.max()), least
+        return 0.0, float(gaps.max()), 0.0
+
+    def _part(self, link: str) -> str:
+        """Return how a link is called that is of no finger alone: the palm, or by its name."""
+        return link if self.scene.geometry.kinematics.body(link) else "palm"
+
+    def _reasons(
+        self,
+        candidate: Candidate,
+        opening: float,
+        contacts: Sequence[Contact],
+        times: float,
+        ball: float,
+        clearance: float,
+    ) -> tuple[str, ...]:
+        where: dict[str, int] = {}
+        for contact in contacts:
+            name = contact.finger or self._part(contact.link)
+            where[name] = where.get(name, 0) + 1
+        touched = ", ".join(f"{name} {count}" for name, count in where.items())
+        carried = (
+            f"carries {times:.1f} times the weight at full effort"
+            if times >= 1.0
+            else f"can't carry the weight: {times:.0%} of it at full effort"
+        )
+        room = f"width {candidate.width * 1e3:.0f} mm, {clearance * 1e3:.0f} mm clear"
+        return (
+            f"opens to {opening * 1e3:.0f} mm, {room}"
+            if opening > candidate.width
+            else f"wraps it from the palm's front, {room}",
+            f"contacts: {touched}",
+            f"{carried} with friction {self.task.friction:g}",
+            f"resists every wrench up to {ball:.3f} N per newton of grip"
+            if ball > 0.0
+            else "does not resist every wrench",
+        )
+
+
+def squeeze(actuator: ActuatorSpec) -> float:
+    """Return how far the set-point of an actuator goes beyond a contact to press [rad | m]."""
+    return _SQUEEZE.get(actuator.kind, _SQUEEZE_ANGLE)
+
+
+def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:
+    """Return what grasps are sorted by: the best score first, then the name."""
+    return (-plan.score, plan.action, plan.elements)
+
+
+def _rows(pose: FloatArray) -> Matrix:
+    return tuple(tuple(round(float(value), 6) for value in row) for row in pose)
+
+
+def _score(times: float, ball: float, off: float) -> float:
+    """Return the score of a grasp, 0 to 1.
+
+    Args:
+        times: How many times its weight the object can have.
+        ball: The quality.
+        off: Distance of the contacts' middle from the centre of mass, in the object's lengths.
+    """
+    held = min(1.0, times / SAFETY)
+    return held * (0.2 + 0.5 * ball / (ball + _GOOD_QUALITY) + 0.3 * (1.0 - min(1.0, off)))
