@@ -199,6 +199,12 @@ def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
     return size
 
 
+def box_piece(size: FloatArray, middle: FloatArray) -> Piece:
+    """Return a box of an object, with edges ``(3,)`` along its axes and a middle ``(3,)`` [m]."""
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size + middle
+    return Piece("mesh", (), hull_of(corners), corners)
+
+
 def _primitive(kind: str, size: tuple[float, ...]) -> Piece:
     match kind:
         case "box":

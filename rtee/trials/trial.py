@@ -17,10 +17,11 @@ from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.loop.settings import LoopSettings
 from rtee.trials.arm_motion import CarrierScript
-from rtee.trials.grasp_placement import Place, Places
+from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
+from rtee.trials.robust_places import graspable, robust_places
 from rtee.trials.variation import Variation, draw
 from rtee.types import Goal
 
@@ -72,24 +73,28 @@ def run_trial(
     """
     action = library.find(trial.action, trial.elements)
     simulation = _simulation(hand, settings, trial)
-    places = Places(simulation, hand, action).find(trial.places)
+    thing = graspable(trial.object, trial.mass)
+    places = robust_places(simulation, library, action, thing, trial.places)
     if not places:
         return TrialResult(trial, False, "the object fits nowhere between the fingers")
-    tried: list[TrialResult] = []
+    tried: list[tuple[TrialResult, Place]] = []
     ticks = 0
     for number, place in enumerate(places[skip:], skip + 1):
         simulation.reset()
         simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
         headless = HeadlessHand(hand, library, settings, simulation, observers, ticks=ticks)
-        result = _Run(headless, trial, place, number, watch).result()
+        result = TrialRun(headless, trial, place, number, watch).result()
         ticks = headless.ticks
         if result.held and trial.variations:
-            survived = _survived(hand, library, settings, trial, place)
+            survived = _survived(hand, library, settings, trial, place, give_up=True)
             result = replace(result, survived=survived)
         if result.held and result.survived >= _ENOUGH * trial.variations:
             return result
-        tried.append(result)
-    return max(tried, key=lambda result: (result.held, result.survived, -result.slip))
+        tried.append((result, place))
+    result, place = max(tried, key=lambda each: (each[0].held, each[0].survived, -each[0].slip))
+    if result.held and trial.variations:
+        result = replace(result, survived=_survived(hand, library, settings, trial, place))
+    return result
 
 
 def _simulation(
@@ -115,22 +120,39 @@ def _simulation(
 
 
 def _survived(
-    hand: Hand, library: ActionLibrary, settings: LoopSettings, trial: Trial, place: Place
+    hand: Hand,
+    library: ActionLibrary,
+    settings: LoopSettings,
+    trial: Trial,
+    place: Place,
+    *,
+    give_up: bool = False,
 ) -> int:
-    """Return in how many variations of a trial an object is held at a place."""
+    """Return in how many variations of a trial an object is held at a place.
+
+    Args:
+        hand: The hand.
+        library: Its actions.
+        settings: Its loop's settings.
+        trial: The trial.
+        place: The place.
+        give_up: Stop at so many losses that the place is not good enough.
+    """
     count = 0
     for number in range(trial.variations):
+        if give_up and number - count > (1.0 - _ENOUGH) * trial.variations:
+            break
         variation = draw(trial.seed, number)
         simulation = _simulation(hand, settings, trial, variation)
         around = simulation.surroundings
         moved = replace(place, pose=variation.moved(place.pose))
         around.place(around.base_pose @ moved.pose)
         headless = HeadlessHand(hand, library, settings, simulation)
-        count += _Run(headless, trial, moved, number, None).result().held
+        count += TrialRun(headless, trial, moved).result().held
     return count
 
 
-class _Run:
+class TrialRun:
     """One trial at one place."""
 
     def __init__(
@@ -138,9 +160,18 @@ class _Run:
         headless: HeadlessHand[Simulation],
         trial: Trial,
         place: Place,
-        number: int,
-        watch: Watch | None,
+        number: int = 1,
+        watch: Watch | None = None,
     ) -> None:
+        """Prepare a trial; nothing moves yet.
+
+        Args:
+            headless: The hand, on an arm, with the object at its place.
+            trial: What is tried.
+            place: The object's place in the hand.
+            number: How many places were tried, with this one.
+            watch: Told of the moments of the trial.
+        """
         self._headless, self._trial, self._place = headless, trial, place
         self._number = number
         self._watch = watch
@@ -150,6 +181,7 @@ class _Run:
         self._began = headless.time - headless.period
 
     def result(self) -> TrialResult:
+        """Approach, grasp, lift, hold and shake; return how it ended."""
         headless, around, trial = self._headless, self._around, self._trial
         self._approach()
         goal = Goal(

@@ -114,6 +114,20 @@ def parse_object(text: str) -> ObjectShape:
     return ObjectShape("mesh", path=path)
 
 
+def drill_parts(scale: float = 1.0) -> tuple[tuple[FloatArray, FloatArray], ...]:
+    """Return edge lengths ``(3,)`` and middles ``(3,)`` [m] of a drill's handle, motor and trigger.
+
+    The handle's middle is the origin; the trigger is not pressed.
+    """
+    grip, top, button = (scale * np.array(part) for part in (_HANDLE, _BODY, _PLATE))
+    front = 0.5 * grip[1] + TRIGGER_TRAVEL + 0.5 * button[1]
+    return (
+        (grip, np.zeros(3)),
+        (top, np.array([0.0, 0.03 * scale, 0.5 * (grip[2] + top[2])])),
+        (button, np.array([0.0, front, 0.5 * grip[2] - 0.5 * button[2] - 0.002])),
+    )
+
+
 def add_object(
     spec: mujoco.MjSpec,
     shape: ObjectShape,
@@ -172,18 +186,15 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     The trigger slides along y towards the handle, against a preloaded spring; its joint counts from
     0, not pressed, to `TRIGGER_TRAVEL`.
     """
-    grip, top, button = (
-        tuple(scale * value for value in part) for part in (_HANDLE, _BODY, _PLATE)
-    )
+    (grip, _), (top, above), (button, front) = drill_parts(scale)
     handle = _geom(body, OBJECT, 0.5 * mass)
     handle.type = mujoco.mjtGeom.mjGEOM_BOX
     handle.size = [0.5 * value for value in grip]
     motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass)
     motor.type = mujoco.mjtGeom.mjGEOM_BOX
     motor.size = [0.5 * value for value in top]
-    motor.pos = [0.0, 0.03 * scale, 0.5 * (grip[2] + top[2])]
-    front = 0.5 * grip[1] + TRIGGER_TRAVEL + 0.5 * button[1]
-    trigger = body.add_body(name=TRIGGER, pos=[0.0, front, 0.5 * grip[2] - 0.5 * button[2] - 0.002])
+    motor.pos = above
+    trigger = body.add_body(name=TRIGGER, pos=front)
     joint = trigger.add_joint(
         name=TRIGGER, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, -1.0, 0.0], armature=0.01
     )
