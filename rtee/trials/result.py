@@ -26,7 +26,7 @@ class Trial:
     object: str = "sphere:0.03"
     intensity: float = 1.0
     mass: float = 0.1
-    places: int = 6
+    places: int = 5
     friction: float | None = None
     variations: int = 0
     seed: int = 0
