@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -113,6 +114,7 @@ def load_configured(
         dynamics=config.dynamics.actuators,
         default_dynamics=config.dynamics.defaults,
         clearance=config.clearance,
+        payload=math.inf if config.payload is None else config.payload,
         ignore=tuple(config.ignore),
         error=document.error,
     )
@@ -241,6 +243,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         package_dirs=overrides.package_dirs,
         description=overrides.title,
         clearance=overrides.clearance,
+        payload=overrides.payload,
         dynamics=make_dynamics(
             overrides.dynamics,
             overrides.default_dynamics,

@@ -69,7 +69,7 @@ def robust_poses(
     if not closing.way.moving.any():
         return []
     candidates = [*others]
-    for group in (action, *sorted(groups, key=lambda g: -len(g.fingers))[:_GROUPS]):
+    for group in (action, *_largest(groups)):
         poses = Poses(planner.scene, closing, group, planner.out)
         most = _CANDIDATES if group is action else _OF_GROUP
         candidates += poses.candidates(planner.turns, most)
@@ -80,13 +80,31 @@ def robust_poses(
     return found
 
 
-def opening_for(planner: Planner, action: Action) -> tuple[float, float]:
-    """Return how far an action's fingers open, and the object's least width between them [m]."""
+def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) -> str:
+    """Return why an object can't come into the hand at rest; empty if it can.
+
+    Args:
+        planner: The hand with the object.
+        action: The action.
+        groups: Actions whose fingers it moves, too.
+    """
     closing = Closing(planner.scene, ActionWay.of(planner.hand, action), planner.task.friction)
     if not closing.way.moving.any():
-        return 0.0, 0.0
-    poses = Poses(planner.scene, closing, action, planner.out)
-    return float(poses.gaps.max()) - 2.0 * GAP, poses.narrowest(planner.turns)
+        return ""
+    widest = 0.0
+    for group in (action, *_largest(groups)):
+        poses = Poses(planner.scene, closing, group, planner.out)
+        if next(poses.candidates(planner.turns, _OF_GROUP), None) is not None:
+            return ""
+        widest = max(widest, float(poses.gaps.max()))
+    wide = poses.narrowest(planner.turns)
+    if wide <= widest - 2.0 * GAP:
+        return ""  # it has room; something else is in its way, which a trial tells
+    return f"{wide * 1e3:.0f} mm wide, the hand opens to {widest * 1e3:.0f} mm"
+
+
+def _largest(groups: Sequence[Action]) -> list[Action]:
+    return sorted(groups, key=lambda group: -len(group.fingers))[:_GROUPS]
 
 
 def _judged(

@@ -67,3 +67,4 @@ class TrialResult:
     places: int = 0
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     survived: int = 0
+    fits: bool = True

@@ -14,8 +14,9 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.planning.objects import GraspObject, box_piece, read_object
 from rtee.planning.planner import Planner
 from rtee.planning.poses import Candidate
-from rtee.planning.robust import robust_poses
+from rtee.planning.robust import robust_poses, too_wide
 from rtee.trials.grasp_placement import Place, Places, fingers_of
+from rtee.trials.variation import MASS, SIZE
 
 _APART: Final = 0.012
 """Places whose outlines differ by less are one [m]: an object is moved about as far."""
@@ -59,16 +60,9 @@ def robust_places(
         most: How many places are wanted.
     """
     hand = library.hand
-    planner = Planner(hand, thing)
     tips = Places(simulation, hand, action).find(_FROM_TIPS)
     others = [Candidate(place.pose, place.way, 0.0, 0.0) for place in tips]
-    moved = set(fingers_of(hand, action))
-    groups = [
-        pinch
-        for pinch in library.all("primitive")
-        if isinstance(pinch, Primitive) and pinch.kind.pinch and set(pinch.fingers) < moved
-    ]
-    found = robust_poses(planner, action, groups, others)
+    found = robust_poses(Planner(hand, thing), action, groups_of(library, action), others)
     places = [Place(pose.candidate.pose, pose.first, pose.candidate.way) for pose in found]
     chosen: list[Place] = []
     for place in (*places, *tips):
@@ -77,6 +71,37 @@ def robust_places(
             if len(chosen) == most:
                 break
     return chosen
+
+
+def groups_of(library: ActionLibrary, action: Action) -> list[Primitive]:
+    """Return the pinches of some of the fingers that an action moves."""
+    moved = set(fingers_of(library.hand, action))
+    return [
+        pinch
+        for pinch in library.all("primitive")
+        if isinstance(pinch, Primitive) and pinch.kind.pinch and set(pinch.fingers) < moved
+    ]
+
+
+def misfit(library: ActionLibrary, action: Action, thing: GraspObject, variations: int) -> str:
+    """Return why an object does not fit a hand; empty if it does.
+
+    With variations, the largest and the heaviest one has to.
+
+    Args:
+        library: The hand's actions.
+        action: What is to grasp the object.
+        thing: The object.
+        variations: How many variations of it there are.
+    """
+    hand = library.hand
+    mass = thing.mass * (1.0 + MASS if variations else 1.0)
+    if mass > hand.payload:
+        return f"{mass:.3g} kg, the hand may hold {hand.payload:.3g} kg"
+    if variations:
+        thing = thing.scaled(1.0 + SIZE)
+    reason = too_wide(Planner(hand, thing), action, groups_of(library, action))
+    return f"{reason}, {1.0 + SIZE:g} times as large" if reason and variations else reason
 
 
 def _apart(one: Place, other: Place, thing: GraspObject) -> bool:

@@ -22,7 +22,7 @@ from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
-from rtee.trials.robust_places import graspable, robust_places
+from rtee.trials.robust_places import graspable, misfit, robust_places
 from rtee.trials.variation import Variation, draw
 from rtee.types import Goal
 
@@ -87,6 +87,9 @@ def run_trial(
     action = library.find(trial.action, trial.elements)
     simulation = _simulation(hand, settings, trial)
     thing = graspable(trial.object, trial.mass)
+    unfit = misfit(library, action, thing, trial.variations)
+    if unfit:
+        return TrialResult(trial, False, unfit, fits=False)
     places = robust_places(simulation, library, action, thing, trial.places)
     if not places:
         return TrialResult(trial, False, "the object fits nowhere between the fingers")
