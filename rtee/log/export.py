@@ -18,7 +18,7 @@ from rtee.log.recording import Recording
 from rtee.log.sink import reason
 from rtee.log.tables import Table, tables
 
-_ROWS = 10_000
+_ROWS = 10_000  # rows converted to Python numbers at a time: some megabytes
 
 
 class Format(StrEnum):

@@ -13,9 +13,9 @@ from rtee.log.export import replacing
 from rtee.log.figure import Figure, Line
 from rtee.log.labels import MARK_COLOUR
 
-_ROW_HEIGHT = 210
-_LANE_HEIGHT = 18
-_HEAD = 90
+_ROW_HEIGHT = 210  # of a panel [pixels]
+_LANE_HEIGHT = 18  # of a row of labels [pixels]
+_HEAD = 90  # room for title and legend [pixels]
 
 
 def write_html(figure: Figure, path: Path) -> None:

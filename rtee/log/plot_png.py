@@ -10,10 +10,10 @@ from rtee.log.export import replacing
 from rtee.log.figure import Figure, Row
 from rtee.log.labels import MARK_COLOUR
 
-_WIDTH = 14.0
-_ROW_HEIGHT = 1.9
-_LANE_HEIGHT = 0.22
-_DPI = 110
+_WIDTH = 14.0  # of the drawing [inch]: two panels beside each other
+_ROW_HEIGHT = 1.9  # of a panel [inch]
+_LANE_HEIGHT = 0.22  # of a row of labels [inch]
+_DPI = 110  # dots per inch: 1540 pixels, a screen's width
 
 
 def write_png(figure: Figure, path: Path) -> None:

@@ -29,9 +29,10 @@ from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Resu
 
 log = logging.getLogger(__name__)
 
+# Pause between two items while the queue is long [s]: the loop gets the interpreter.
 _YIELD: Final = 50e-6
-_LEAST_QUEUE: Final = 200
-_CLOSING: Final = 10.0
+_LEAST_QUEUE: Final = 200  # items that the queue holds at least, at slow rates, too
+_CLOSING: Final = 10.0  # longest wait for the thread to write what is queued [s]: a slow disk
 
 _GATHER: Final = 4e-3
 """What the loop tells is worked off this often [s]; to be woken at every tick would disturb it."""

@@ -21,7 +21,7 @@ FLIGHT = "flight"
 
 _STAMP = r"\d{8}T\d{9}Z"
 _NAME = re.compile(rf"(?P<hand>.+)_(?P<session>{_STAMP})_(?P<part>\d{{3,}}|{FLIGHT})\.mcap")
-_FEW_RECORDS = 3
+_FEW_RECORDS = 3  # records read to recognise a recording: header and metadata are the first
 
 
 def session_name(wall_ns: int) -> str:

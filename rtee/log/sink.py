@@ -14,9 +14,9 @@ from rtee.log.mcapfile import McapFile, being_written
 from rtee.log.rotation import FLIGHT, Retention, flight_path, part_path, session_name
 from rtee.log.settings import RecorderSettings
 
-_NAME_TRIES = 50
+_NAME_TRIES = 50  # parts that may exist already in the folder, by runs of the same millisecond
 _PARTIAL = ".partial"
-_LOOK_EVERY = 60.0
+_LOOK_EVERY = 60.0  # the folder's size and free space are looked at this often [s]
 
 
 def reason(error: OSError) -> str:

@@ -47,7 +47,7 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
 
 _CHANNELS = message_type("rtee_msgs/msg/Channels")
 _SECOND = 1_000_000_000
-_FLIGHT_FILES = 20
+_FLIGHT_FILES = 20  # names that are kept of files that the flight recorder wrote, newest last
 
 
 class LogWriter:

@@ -11,7 +11,7 @@ from rtee.buses.emulator import CanFrame
 
 # The predefined connection set: identifiers, to which the node id is added.
 SYNC = 0x080
-EMERGENCY = 0x080
+EMERGENCY = 0x080  # function codes of the pre-defined connection set (CiA 301, section 7.3.3)
 NMT = 0x000
 HEARTBEAT = 0x700
 SDO_ANSWER = 0x580

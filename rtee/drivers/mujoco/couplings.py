@@ -35,7 +35,8 @@ and little enough to pinch without bending back."""
 _LINEAR_GIVE = 0.01
 """The same in m, for one in rad."""
 
-_SAMPLES = 201
+_SAMPLES = 201  # places at which a coupling is fitted and compared: 1/200 of its range
+# Range that is fitted for an actuator without limits, to both sides [rad].
 _CONTINUOUS_SPAN = math.pi
 
 _SOLREF = [0.005, 1.0]
