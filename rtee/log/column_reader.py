@@ -68,7 +68,7 @@ def sequences(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
 
 
 def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
-    """Whether an index tells the truth: messages of the channel begin at all starts."""
+    """Whether an index is right: messages of the channel begin at all starts."""
     if not starts.size:
         return True
     if starts.min() < 0 or starts.max() + MESSAGE.size > data.size:

@@ -79,7 +79,7 @@ def labels_of(
 ) -> Iterator[Label]:
     """Lay out the names: inner actions below, actions above them, marks on top.
 
-    Each kind has a few lanes; a name for which there is no room in any of them is left out.
+    Each kind has a few lanes; a name that fits into none of them is left out.
     """
     duration = max(end - start, 1e-9)
     kinds = (

@@ -27,7 +27,7 @@ def reason(error: OSError) -> str:
 class DiskSink:
     """Writes chunks to the parts of a recording.
 
-    While the disk takes nothing the chunks are lost, and the next one is tried anew: recording goes
+    While the disk takes nothing the chunks are lost, and each next one is tried: recording goes
     on as soon as there is room.
 
     Args:

@@ -161,7 +161,7 @@ def _lock_memory() -> list[str]:
 
 
 def affinity() -> frozenset[int]:
-    """Return the CPUs that the calling thread may run on; none where the system does not tell."""
+    """Return the CPUs that the calling thread may run on; none where the system does not say."""
     if not hasattr(os, "sched_getaffinity"):
         return frozenset()
     return frozenset(os.sched_getaffinity(0))

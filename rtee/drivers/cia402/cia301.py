@@ -60,7 +60,7 @@ def read_heartbeat(data: bytes) -> NmtState:
     try:
         return NmtState(data[0] & 0x7F)
     except (IndexError, ValueError) as error:
-        raise CanopenFrameError("this is no heartbeat") from error
+        raise CanopenFrameError("this is not a heartbeat") from error
 
 
 @dataclass(frozen=True, slots=True)

@@ -218,7 +218,7 @@ def _add_equality(
 
 
 def add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Hold the ignored joints where they stand."""
+    """Hold the ignored joints where they are."""
     for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True):
         if joint.role is JointRole.IGNORED:
             _add_equality(spec, joint.name, None, (coupling.value(0.0), 0.0, 0.0, 0.0, 0.0))

@@ -83,7 +83,7 @@ class MujocoDriver(Driver):
             log.info("%s: %s", self.spec.name, note)
 
     async def activate(self) -> None:
-        """Power the actuators where they stand."""
+        """Power the actuators where they are."""
         self.simulation.hold()
         self.simulation.power(True)
 
