@@ -8,6 +8,7 @@ import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from functools import partial
+from html import escape
 
 import anyio
 import anyio.to_thread
@@ -16,7 +17,7 @@ import viser
 
 from rtee.actions.sideways import sideways_words
 from rtee.actions.types import Action, ActionKind, Evidence, Posture
-from rtee.errors import ConfigError, RequestRejected
+from rtee.errors import ConfigError, RequestRejected, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import LONGEST
 from rtee.gui.panels.action_editor import MakingPanel
@@ -29,8 +30,10 @@ from rtee.gui.panels.table import TablePanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
 from rtee.gui.trial_results import tried_in
+from rtee.gui.wording import small
 from rtee.hand.model import Hand
 from rtee.messages.state import State
+from rtee.object_description import OBJECT_POSE, ObjectDescription
 from rtee.remote.client import RemoteHand
 from rtee.types import Event, FloatArray, from_rest
 
@@ -85,6 +88,7 @@ class Session:
         self._pressed = False
         self._plots_due = self._table_due = 0.0
         self._playback: Playback | None = None
+        self._thing: ObjectDescription | None = None
         with top:
             self._header = Header(bridge, remote)
         self._tabs = gui.add_tab_group()
@@ -107,6 +111,13 @@ class Session:
             self._press = gui.add_checkbox(
                 "Pressure", True, hint="Show the pressure at the tips, where the hand measures it"
             )
+            self._object = gui.add_checkbox(
+                "Object", True, hint="Show the object that a simulated hand grasps"
+            )
+            self._forces = gui.add_checkbox(
+                "Contact forces", True, hint="Show by arrows how hard links press on things"
+            )
+            self._felt = gui.add_html("")
         self._panel = gui.add_panel()
         with self._panel.add_tab("Plots", viser.Icon.CHART_LINE):
             self._plots = PlotsPanel(gui, hand)
@@ -161,7 +172,20 @@ class Session:
             tasks.start_soon(self._follow_events, events)
             tasks.start_soon(self._follow_status)
             tasks.start_soon(self._follow_states)
+            tasks.start_soon(self._follow_object)
             await self._ask_trials()
+
+    async def _follow_object(self) -> None:
+        """Ask what is grasped once there is something: a simulation appears after its hand."""
+        with contextlib.suppress(RteeError):  # an older hand cannot tell
+            while self._thing is None:
+                await anyio.sleep(_STATUS_PERIOD)
+                if self._state is not None and self._has_object(self._state):
+                    self._thing = await self._remote.object_description()
+
+    @staticmethod
+    def _has_object(state: State) -> bool:
+        return any(name.endswith(f"/{OBJECT_POSE}") for name in state.channels)
 
     async def _ask_trials(self) -> None:
         with contextlib.suppress(RequestRejected, ConfigError):
@@ -223,6 +247,7 @@ class Session:
         if now >= self._table_due:
             self._table_due = now + _TABLE_PERIOD
             self._table.show_state(state)
+            self._felt.content = small(escape(self._scene.seen.said(tuple(self._hand.urdf.links))))
             if playback is None:
                 self._making.show_state(state)
 
@@ -235,6 +260,9 @@ class Session:
             self._pressed = bool(pressure)
             self._scene.show_pressure(pressure)
             self._scene.place_pressures(state.position)
+        thing = self._thing if self._playback is None else self._playback.object_description
+        self._scene.seen.describe(thing if self._object.value else None)
+        self._scene.seen.show(state.channels, forces=self._forces.value)
 
     def _in_order(self, state: State) -> State:
         by_name, names = state.joints, self._hand.joint_names
