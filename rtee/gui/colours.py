@@ -24,7 +24,7 @@ CONTACT: Final = rgb("#d55e00")
 OBJECT: Final[Colour] = (189, 153, 112)
 """What is grasped: the same as in the pictures of trials."""
 
-FORCE: Final = rgb("#cc79a7")
+FORCE: Final = rgb("#a3195b")
 """Contact forces: unlike any other colour of the scene."""
 
 STRAINED: Final[Colour] = (75, 0, 20)

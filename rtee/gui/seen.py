@@ -28,6 +28,9 @@ _LONGEST: Final = 0.35
 _HALF: Final = 10.0
 """Force of an arrow of half that length [N]: light touches are seen, and crushing ones fit."""
 
+_CLEAR: Final = 0.6
+"""Opacity of the object: the arrows of the forces on it are inside."""
+
 _SHARP: Final = 0.25
 """Change of forces that is drawn at least [N], or of points [mm]: others would flicker."""
 
@@ -120,7 +123,7 @@ class ObjectView:
 
 
 def arrows_of(rows: FloatArray, size: float) -> FloatArray:
-    """Return arrows ``(k, 2, 3)`` from their ends to the contact points [m].
+    """Return arrows ``(k, 2, 3)`` that begin at the contact points [m].
 
     An arrow's length grows with its force, less and less.
 
@@ -132,7 +135,7 @@ def arrows_of(rows: FloatArray, size: float) -> FloatArray:
     strength = np.linalg.norm(forces, axis=1, keepdims=True)
     length = _LONGEST * size * strength / (strength + _HALF)
     ways = forces / np.maximum(strength, math.ulp(1.0)) * length
-    return np.stack([points - ways, points], axis=1)
+    return np.stack([points, points + ways], axis=1)
 
 
 def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
@@ -154,7 +157,7 @@ def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
 
 
 def _add(scene: viser.SceneApi, name: str, part: ObjectPart, colour: Colour) -> None:
-    at: dict[str, Any] = {"wxyz": part.pose[3:], "position": part.pose[:3]}
+    at: dict[str, Any] = {"wxyz": part.pose[3:], "position": part.pose[:3], "opacity": _CLEAR}
     match part.kind:
         case "box":
             w, d, h = part.size

@@ -23,17 +23,20 @@ from rtee.gui.history import LONGEST
 from rtee.gui.panels.action_editor import MakingPanel
 from rtee.gui.panels.actions import ActionsPanel
 from rtee.gui.panels.cards import Card
+from rtee.gui.panels.execution import last_posture
 from rtee.gui.panels.header import Header
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
+from rtee.gui.panels.trying import TryPanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
-from rtee.gui.trial_results import tried_in
+from rtee.gui.trial_results import key_of, tried_in
 from rtee.gui.wording import small
 from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.object_description import OBJECT_POSE, ObjectDescription
+from rtee.planning.result import GraspPlan
 from rtee.remote.client import RemoteHand
 from rtee.types import Event, FloatArray, from_rest
 
@@ -89,16 +92,19 @@ class Session:
         self._plots_due = self._table_due = 0.0
         self._playback: Playback | None = None
         self._thing: ObjectDescription | None = None
+        self._known: list[Action] = []
         with top:
             self._header = Header(bridge, remote)
         self._tabs = gui.add_tab_group()
-        with self._tabs.add_tab("Actions", viser.Icon.HAND_GRAB):
+        with self._tabs.add_tab("Actions"):
             self._actions = ActionsPanel(bridge, remote, self._show, partial(sideways_words, hand))
-        with self._tabs.add_tab("Make", viser.Icon.PENCIL):
+        with self._tabs.add_tab("Make"):
             self._making = MakingPanel(bridge, remote, hand, self._refresh)
-        with self._tabs.add_tab("Log", viser.Icon.MOVIE):
+        with self._tabs.add_tab("Try"):
+            self._trying = TryPanel(bridge, remote, hand, self._actions.add_trial, self._show_grasp)
+        with self._tabs.add_tab("Log"):
             self._recordings = RecordingsPanel(bridge, remote, hand, self._look_at)
-        with self._tabs.add_tab("View", viser.Icon.EYE):
+        with self._tabs.add_tab("View"):
             self._ghost = gui.add_checkbox(
                 "Reference", False, hint="Show the set-points sent as a grey ghost"
             )
@@ -141,6 +147,18 @@ class Session:
             contact.append((evidence.point, evidence.normal))
         self._scene.show_contacts(contact if self._touch.value else ())
 
+    def _show_grasp(self, plan: GraspPlan | None) -> None:
+        """Show a planned grasp as a ghost, with its contacts."""
+        if plan is None:
+            self._show(None, 0.0, None)
+            return
+        found = [a for a in self._known if key_of(a) == (plan.action, plan.elements)]
+        self._scene.show_preview(
+            self._target(last_posture(found[0]), plan.intensity) if found else None
+        )
+        contacts = [(contact.point, contact.normal) for contact in plan.contacts]
+        self._scene.show_contacts(contacts if self._touch.value else ())
+
     def _target(self, posture: Posture, intensity: float) -> FloatArray:
         start = self._hand.rest if self._state is None else self._state.reference_position
         target = np.array(start)
@@ -155,7 +173,9 @@ class Session:
 
     async def _refresh(self) -> list[Action]:
         actions = await self._actions.refresh()
+        self._known = actions
         self._making.show_actions(actions)
+        self._trying.show_actions(actions)
         return actions
 
     async def run(self) -> None:
@@ -290,6 +310,7 @@ class Session:
 
     def remove(self) -> None:
         """Remove everything of the hand from the browser."""
+        self._trying.remove()
         self._scene.remove()
         self._header.remove()
         self._actions.remove()

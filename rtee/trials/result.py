@@ -3,6 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+OBJECTS: Final = (
+    "sphere:0.01",
+    "sphere:0.02",
+    "sphere:0.03",
+    "sphere:0.04",
+    "sphere:0.05",
+    "cylinder:0.01x0.12",
+    "cylinder:0.02x0.12",
+    "cylinder:0.035x0.12",
+    "box:0.02x0.02x0.1",
+    "box:0.04x0.04x0.1",
+    "box:0.06x0.06x0.1",
+    "drill",
+)
+"""The standard objects: spheres of 20 to 100 mm, cylinders, boxes, and a drill-like body."""
+
+_MASS: Final = 0.1
+_DRILL_MASS: Final = 0.4
+
+
+def mass_of(shape: str) -> float:
+    """Return the mass of a standard object [kg]."""
+    return _DRILL_MASS if shape == "drill" else _MASS
 
 
 @dataclass(frozen=True, slots=True)
