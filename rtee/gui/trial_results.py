@@ -72,7 +72,7 @@ def rate(result: TrialResult) -> str:
     if not (tries and result.held):
         return ""
     low, high = interval(result.survived, tries)
-    return f"{result.survived} of {tries} variations (95 %: {low:.0%} to {high:.0%})"
+    return f"{result.survived} of {tries} variations (95 %: {low * 100:.0f} to {high * 100:.0f} %)"
 
 
 def verdict(result: TrialResult) -> str:

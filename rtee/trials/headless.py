@@ -44,7 +44,7 @@ class Play(Protocol):
 
     @property
     def contact_forces(self) -> FloatArray:
-        """Contact force on each fingertip ``(fingers,)`` [N]."""
+        """Contact force on each finger ``(fingers,)`` [N]."""
 
     @property
     def seen(self) -> Mapping[str, FloatArray]:

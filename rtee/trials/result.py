@@ -73,7 +73,7 @@ class TrialResult:
         outcome: How the goal ended: ``grasped``, ``reached`` and so on; empty if it never began.
         slip: How far the object moved in the hand from the grasp to the end [m].
         forces: Contact force per finger after the grasp [N].
-        peak: The largest contact force on a fingertip while it was lifted and shaken [N].
+        peak: The largest contact force on a finger while it was lifted and shaken [N].
         duration: Simulated time of the trial [s].
         places: How many places were tried.
         position: Where the object was put in the hand's base frame [m].

@@ -92,7 +92,7 @@ def test_a_hand_from_elsewhere_is_not_tried(repository: Path, tmp_path: Path) ->
 def test_a_result_is_shown_with_its_rate() -> None:
     trial = Trial("Grasp", (), "/somewhere/mug.stl", variations=20)
     held = TrialResult(trial, True, survived=18)
-    assert rate(held) == "18 of 20 variations (95 %: 70% to 97%)"
+    assert rate(held) == "18 of 20 variations (95 %: 70 to 97 %)"
     assert verdict(held).startswith("held, 18 of 20")
     assert verdict(TrialResult(trial, False, "it fell while it was lifted")).startswith("it fell")
     assert object_name(trial.object) == "mug.stl"
