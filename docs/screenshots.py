@@ -1,8 +1,8 @@
 """Make the pictures of the GUI: ``python docs/screenshots.py [FOLDER]``.
 
-Runs each hand with its kinematic driver, one also in simulation, opens the GUI in a headless browser, has it do something
-and takes pictures at 1280×800 and in a tablet's size. Needs Chromium; takes some minutes where the
-browser has no graphics card.
+Runs each hand with its kinematic driver, one also in simulation, opens the GUI in a headless
+browser, has it do something and takes pictures at 1280×800 and in a tablet's size. Needs Chromium;
+takes some minutes where the browser has no graphics card.
 """
 
 from __future__ import annotations

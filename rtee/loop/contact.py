@@ -48,7 +48,7 @@ class Measured:
         fresh: Whether the measurement is newer than at the tick before.
         grasped: The device's own word: 1 holding, 0 not, -1 none.
         current: Measured currents [A]; empty: none at all.
-        touch: Measured contact forces on the fingers [N], in the hand's order of fingers; ``NaN``: not
+        touch: Measured contact forces on the fingers [N], in the hand's order; ``NaN``: not
             measured; empty: none at all.
     """
 
