@@ -21,8 +21,8 @@ OBJECTS: Final = (
 )
 """The standard objects: spheres of 20 to 100 mm, cylinders, boxes, and a drill-like body."""
 
-_MASS: Final = 0.1
-_DRILL_MASS: Final = 0.4
+_MASS: Final = 0.1  # mass of a standard object [kg]: a full yoghurt pot
+_DRILL_MASS: Final = 0.4  # mass of the drill-like body [kg]: half of a small cordless one
 
 
 def mass_of(shape: str) -> float:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError, MissingExtra, RteeError
+from rtee.errors import ConfigError, RteeError, needing_extra
 from rtee.hand.config import HandConfig
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
@@ -155,10 +155,8 @@ def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Genera
         MissingExtra: if Dask is missing.
         ConfigError: if the scheduler does not answer.
     """
-    try:
+    with needing_extra("a sweep on a cluster", "sweep"):
         distributed: Any = importlib.import_module("distributed")
-    except ImportError:
-        raise MissingExtra("a sweep on a cluster", "sweep") from None
     try:
         client = distributed.Client(address, timeout=10)
     except (OSError, ValueError) as error:
