@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import anyio
 import numpy as np
 import pytest
+from PIL import Image
 
 pytest.importorskip("mujoco")
 
@@ -16,6 +18,7 @@ from rtee.gui.playback import Playback
 from rtee.hand.frames import pose_in_hand
 from rtee.log import read
 from rtee.trials.recorded import recorder_for
+from rtee.trials.recorded_pictures import moments, write_pictures
 from rtee.trials.result import Trial
 from rtee.trials.sweep import bench
 from rtee.trials.trial import run_trial
@@ -80,3 +83,19 @@ async def test_who_plays_it_gets_the_object_and_all_channels(file: Path) -> None
         assert {"object_pose", "base_pose", "contacts", "contact_force"} <= set(extras)
     finally:
         await driver.close()
+
+
+def test_pictures_are_made_before_the_grasp_and_after_it(file: Path, tmp_path: Path) -> None:
+    pytest.importorskip("coal")
+    recording = read(file)
+    captions = [caption for caption, _ in moments(recording)]
+    assert captions == ["before", "Grasp: grasped", "at the end"]
+    assert write_pictures(recording, tmp_path / "strip.png")
+    with Image.open(tmp_path / "strip.png") as strip:
+        width = strip.width // 3
+        colours = strip.convert("RGB").crop((width, 0, 2 * width, strip.height - 30))
+        pixels = np.asarray(colours, dtype=int)
+    red, green, blue = pixels[..., 0], pixels[..., 1], pixels[..., 2]
+    assert ((red > 150) & (red - blue > 40) & (green > blue)).mean() > 0.02, "the object"
+    assert ((red > 1.5 * blue) & (blue > 1.5 * green)).any(), "the forces"
+    assert not write_pictures(replace(recording, object_description=None), tmp_path / "none.png")
