@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +20,26 @@ from rtee.trials.recorded import recorder_for
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, TrialResult, run_trial
 
+SLIP = 0.06
+"""How far an object may move in the hand before it counts as fallen [m], as in `rtee try`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Something that had to be seen, and what was.
+
+    Attributes:
+        what: What was looked at, such as ``the trigger is pressed``.
+        measured: What was seen, with its unit.
+        limit: What it had to be, such as ``> 5 mm``; empty when ``what`` says it.
+        passed: It was so.
+    """
+
+    what: str
+    measured: str
+    limit: str
+    passed: bool
+
 
 @dataclass
 class Outcome:
@@ -27,20 +47,54 @@ class Outcome:
 
     Attributes:
         condition: What had to be seen, in words.
-        passed: It was seen.
-        facts: What was measured, a line each.
+        conditions: The same one by one, with what was measured.
         files: What was written.
     """
 
     condition: str
-    passed: bool = True
-    facts: list[str] = field(default_factory=list)
+    conditions: list[Condition] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
 
-    def check(self, seen: bool, fact: str) -> None:
-        """Note a fact, and whether it is as the condition wants it."""
-        self.facts.append(("ok    " if seen else "FAILED ") + fact)
-        self.passed = self.passed and seen
+    @property
+    def passed(self) -> bool:
+        """Everything was seen."""
+        return all(condition.passed for condition in self.conditions)
+
+    def check(self, passed: bool, what: str, measured: str = "", limit: str = "") -> None:
+        """Note a condition; see `Condition`."""
+        self.conditions.append(Condition(what, measured, limit, bool(passed)))
+
+    def below(self, what: str, value: float, limit: float, unit: str, form: str = ".1f") -> None:
+        """Note a value that has to be smaller than a limit, both in the unit that is printed."""
+        self.check(value < limit, what, f"{value:{form}} {unit}", f"< {limit:g} {unit}")
+
+    def above(self, what: str, value: float, limit: float, unit: str, form: str = ".1f") -> None:
+        """Note a value that has to be larger than a limit, both in the unit that is printed."""
+        self.check(value > limit, what, f"{value:{form}} {unit}", f"> {limit:g} {unit}")
+
+
+HEADER = ("condition", "measured", "limit", "passed")
+
+
+def cells(condition: Condition) -> tuple[str, str, str, str]:
+    """Return a condition as a row under `HEADER`."""
+    return (
+        condition.what,
+        condition.measured,
+        condition.limit,
+        "yes" if condition.passed else "NO",
+    )
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, pad: bool = True) -> str:
+    """Return a table in Markdown; padded, its columns are aligned in a terminal, too."""
+    columns = list(zip(header, *rows, strict=True))
+    widths = [max(map(len, column)) if pad else 0 for column in columns]
+    lines = [header, ["-" * max(width, 3) for width in widths], *rows]
+    return "\n".join(
+        "| " + " | ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)) + " |"
+        for line in lines
+    )
 
 
 @contextmanager
@@ -65,9 +119,24 @@ def plot_of(path: Path) -> Path:
 
 
 def hold(
-    name: str, trial: Trial, folder: Path, outcome: Outcome, *, pictures: bool = True
+    name: str,
+    trial: Trial,
+    folder: Path,
+    outcome: Outcome,
+    *,
+    slip: float = SLIP,
+    pictures: bool = True,
 ) -> TrialResult:
-    """Try a grasp, with recording, plot and pictures, and note whether the object was held."""
+    """Try a grasp, with recording, plot and pictures, and note whether the object was held.
+
+    Args:
+        name: The hand.
+        trial: What is tried.
+        folder: Where recording, plot and pictures go.
+        outcome: What notes the conditions.
+        slip: How far the object may move in the hand from the grasp to the end [m].
+        pictures: Take pictures.
+    """
     ready = bench(name)
     stills = Stills.of_trial(ready.hand) if pictures else None
     # Once to find the place that holds, and again from there, to record nothing else.
@@ -83,7 +152,9 @@ def hold(
             skip=max(0, first.places - 1),
         )
     what = f"{name}: {' '.join((trial.action, *trial.elements))} on {trial.object}"
-    outcome.check(result.held, f"{what}: {result.reason or f'slip {result.slip * 1e3:.1f} mm'}")
+    outcome.check(result.held, f"{what} is lifted, held and shaken", result.reason or "held")
+    if result.held:
+        outcome.below(f"{what} slips in the hand", 1e3 * result.slip, 1e3 * slip, "mm")
     if stills is not None and stills.taken:
         strip(folder / f"{name}_{trial.action}.png", stills.taken, outcome)
     return result
@@ -111,8 +182,7 @@ def main(run: Callable[[Path], Outcome], name: str) -> None:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
     print(outcome.condition)
-    for fact in outcome.facts:
-        print(f"  {fact}")
+    print(table(HEADER, [cells(condition) for condition in outcome.conditions]))
     for file in outcome.files:
         print(f"  {file}")
     print("passed" if outcome.passed else "failed")

@@ -42,7 +42,8 @@ def run(folder: Path, *, pictures: bool = True, most: int | None = None) -> Outc
             there = np.array([result.position[n] for n in action.posture.involved])
             error = float(np.abs(wanted - there).max())
             name = " ".join((action.name, *elements))
-            outcome.check(result.reached and error <= TOLERANCE, f"{name}: {error:.4f} rad off")
+            seen = result.reached and error <= TOLERANCE
+            outcome.check(seen, name, f"{error:.4f} rad off", f"<= {TOLERANCE:g} rad")
     if pictures:
         from rtee.render.hand import HandRenderer
 

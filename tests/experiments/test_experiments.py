@@ -20,7 +20,7 @@ from experiments import (
     variants,
     wide_grasp,
 )
-from experiments.common import Outcome, hold
+from experiments.common import Outcome, cells, hold
 from rtee.errors import ConfigError
 from rtee.log import read
 from rtee.testing.browser import find_browser
@@ -30,8 +30,8 @@ from rtee.trials.trial import Trial, run_trial
 
 
 def passed(outcome: Outcome) -> bool:
-    assert outcome.facts
-    assert outcome.passed, outcome.facts
+    assert outcome.conditions
+    assert outcome.passed, [c for c in outcome.conditions if not c.passed]
     return all(path.stat().st_size > 0 for path in outcome.files)
 
 
@@ -60,7 +60,8 @@ def test_an_experiment_that_fails_says_so(tmp_path: Path) -> None:
     outcome = Outcome("held")
     hold("robotiq_2f_85", Trial("Grasp", object="sphere:0.06"), tmp_path, outcome, pictures=False)
     assert not outcome.passed
-    assert outcome.facts[0].startswith("FAILED")
+    assert not outcome.conditions[0].passed
+    assert cells(outcome.conditions[0])[-1] == "NO"
 
 
 @pytest.mark.browser
