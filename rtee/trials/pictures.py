@@ -45,7 +45,12 @@ class SimulationRenderer:
     """
 
     def __init__(
-        self, simulation: Simulation, hand: Hand, reach: FloatArray, size: tuple[int, int] = SIZE
+        self,
+        simulation: Simulation,
+        hand: Hand,
+        reach: FloatArray,
+        size: tuple[int, int] = SIZE,
+        back: FloatArray | None = None,
     ) -> None:
         """Set the camera up.
 
@@ -55,6 +60,8 @@ class SimulationRenderer:
             reach: Ways ``(k, 3)`` [m] from its present place that the hand will go and that must
                 fit into the picture.
             size: Width and height [pixels].
+            back: Vector ``(3,)`` in the world from what is seen towards the camera; where the
+                hand's closing is seen well, from above, unless given.
 
         Raises:
             MissingExtra: The extra ``plot`` is not installed.
@@ -64,11 +71,11 @@ class SimulationRenderer:
         self._hand = hand
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
         self._extras = self._find_extras()
-        back = choose_view(self._mesh.geometry)[0]
-        turn = simulation.surroundings.base_pose[:3, :3]
         self._up = np.array([0.0, 0.0, 1.0])
-        back = turn @ back
-        back[2] = abs(back[2])
+        if back is None:
+            turn = simulation.surroundings.base_pose[:3, :3]
+            back = turn @ choose_view(self._mesh.geometry)[0]
+            back[2] = abs(back[2])
         table = [i for i, (geom, *_) in enumerate(self._extras) if self._is_table(geom)]
         mesh = self._posed(leave_out=table)
         points = mesh.corners.reshape(-1, 3)

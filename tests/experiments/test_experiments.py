@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
@@ -21,6 +22,8 @@ from experiments import (
     wide_grasp,
 )
 from experiments.common import Outcome, cells, hold
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.log import read
 from rtee.testing.browser import find_browser
@@ -44,10 +47,23 @@ def test_svh_reaches_its_postures(tmp_path: Path) -> None:
 
 
 def test_the_trigger_is_pressed_and_let_go(tmp_path: Path) -> None:
-    outcome = drill.run(tmp_path, pictures=False)
+    outcome = drill.run(tmp_path, pictures=False, variations=3)
     assert passed(outcome)
+    assert outcome.conditions[-1].measured.startswith("3 of 3")
     (span,) = read(next(tmp_path.glob("*.mcap"))).spans
     assert [inner.name for inner in span.inner] == ["GRASP3f", "TrigOn", "TrigOff"]
+
+
+def test_a_drill_on_the_palm_is_given_farther_out() -> None:
+    ready = bench("heri_ii")
+    options = SimOptions(object="drill", carrier="arm")
+    names, period = ready.hand.actuator_names, ready.settings.period
+    simulation = make_simulation(ready.hand, options, names, period, mount=drill.REACH)
+    inside = np.array(drill.PLACE)
+    inside[2, 3] -= 0.005
+    start = drill.given(simulation, inside)
+    assert 0.003 < start[2, 3] - inside[2, 3] < 0.007
+    assert simulation.surroundings.position_in_hand == pytest.approx(start[:3, 3])
 
 
 def test_heri_ii_holds_an_object(tmp_path: Path) -> None:
