@@ -11,7 +11,7 @@ from pathlib import Path
 from PIL import Image
 
 NAMES = {
-    "svh": ("schunk_svh.png",),
+    "svh": ("schunk_svh.png", "schunk_svh_composed.png"),
     "wide_grasp": ("robotiq_3f_timed_wide_grasp.png", "robotiq_2f_140_Grasp.png"),
     "dagana_gui": ("dagana_gui.png",),
     "same_object": (

@@ -12,12 +12,15 @@ TRIALS = (
     ("robotiq_2f_140", Trial("Grasp", object="box:0.05x0.05x0.1")),
 )
 
+SLIP = 0.005
+"""How far the object may slide in the hand from the grasp to the end [m]."""
+
 
 def run(folder: Path, *, pictures: bool = True) -> Outcome:
     """Grasp, lift, hold for 2 s and shake with each of the grippers."""
     outcome = Outcome("the object is lifted, held for 2 s and shaken")
     for name, trial in TRIALS:
-        hold(name, trial, folder, outcome, pictures=pictures)
+        hold(name, trial, folder, outcome, slip=SLIP, pictures=pictures)
     return outcome
 
 

@@ -43,7 +43,8 @@ def test_svh_reaches_its_postures(tmp_path: Path) -> None:
     assert passed(outcome)
     assert {path.suffix for path in outcome.files} == {".mcap", ".png"}
     names = [span.name for span in read(next(tmp_path.glob("*.mcap"))).spans]
-    assert names[-1] == "schunkGrasp"
+    assert names[1::2] == ["open"] * len(names[::2])
+    assert names[-4::2] == [svh.FIGURE_4, "schunkGrasp"]
 
 
 def test_the_trigger_is_pressed_and_let_go(tmp_path: Path) -> None:
