@@ -9,16 +9,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from experiments.common import Outcome, main, recording, strip
+from experiments.common import Outcome, Steps, main, recording, strip
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.log.recording import outcome_of
-from rtee.loop.observer import LoopObserver, Observer
+from rtee.loop.observer import LoopObserver
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.variation import Variation, draw, interval
-from rtee.types import Feedback, FloatArray, Goal
+from rtee.types import FloatArray, Goal
 
 PRESSED, LET_GO = 5.0, 1.0
 """How far the trigger is pressed, and how far it has come back in the end [mm]."""
@@ -116,19 +116,6 @@ class Use:
         return outcome.passed
 
 
-class _Steps(Observer):
-    """Tells when the next step of the timed action begins."""
-
-    def __init__(self, call: Callable[[str], None]) -> None:
-        self._call = call
-        self._now = ""
-
-    def on_feedback(self, feedback: Feedback) -> None:
-        if feedback.inner != self._now:
-            self._now = feedback.inner
-            self._call(self._now)
-
-
 def given(simulation: Simulation, pose: FloatArray) -> FloatArray:
     """Give the drill to the hand as a person does: no nearer to the palm than where it touches.
 
@@ -184,7 +171,7 @@ def use(
             watch(before, simulation)
 
     headless = HeadlessHand(
-        ready.hand, ready.library, ready.settings, simulation, [*observers, _Steps(step)]
+        ready.hand, ready.library, ready.settings, simulation, [*observers, Steps(step)]
     )
     headless.before_tick(look)
     result = headless.do(Goal("drill", effort=EFFORT, goal_id="drill"))

@@ -183,22 +183,23 @@ class Stills:
         taken: The moments' names and PNG pictures.
     """
 
-    def __init__(self, hand: Hand, reach: FloatArray) -> None:
+    def __init__(self, hand: Hand, reach: FloatArray, back: FloatArray | None = None) -> None:
         """Start without pictures.
 
         Args:
             hand: The hand.
             reach: Ways ``(k, 3)`` [m] from its first place that the hand will go.
+            back: Vector ``(3,)`` in the world towards the camera; see `SimulationRenderer`.
         """
         self.taken: list[tuple[str, bytes]] = []
         self._hand = hand
-        self._reach = reach
+        self._reach, self._back = reach, back
         self._renderer: SimulationRenderer | None = None
 
     @classmethod
-    def of_trial(cls, hand: Hand) -> Stills:
+    def of_trial(cls, hand: Hand, back: FloatArray | None = None) -> Stills:
         """Return what takes the pictures of a trial."""
-        return cls(hand, _REACH)
+        return cls(hand, _REACH, back)
 
     @classmethod
     def of_transfer(cls, hand: Hand) -> Stills:
@@ -211,5 +212,7 @@ class Stills:
             self.taken.clear()
         simulation = headless.simulation
         if self._renderer is None or self._renderer.simulation is not simulation:
-            self._renderer = SimulationRenderer(simulation, self._hand, self._reach)
+            self._renderer = SimulationRenderer(
+                simulation, self._hand, self._reach, back=self._back
+            )
         self.taken.append((moment, self._renderer.picture()))

@@ -21,12 +21,13 @@ from experiments import (
     variants,
     wide_grasp,
 )
-from experiments.common import Outcome, cells, hold
+from experiments.common import Outcome, TrialStills, cells, hold
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.log import read
 from rtee.testing.browser import find_browser
+from rtee.trials.pictures import Stills
 from rtee.trials.recorded import recorder_for
 from rtee.trials.sweep import bench
 from rtee.trials.trial import Trial, run_trial
@@ -129,10 +130,24 @@ def test_the_same_object_is_grasped_on_all_wires(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "trial"), wide_grasp.TRIALS)
 def test_a_wide_grasp_holds(name: str, trial: Trial, tmp_path: Path) -> None:
     outcome = Outcome("held")
-    hold(name, trial, tmp_path, outcome, pictures=False)
+    hold(name, trial, tmp_path, outcome, slip=wide_grasp.SLIP, pictures=False)
+    if name == "robotiq_3f":
+        wide_grasp.check_spread(outcome)
     assert passed(outcome)
     (span,) = read(sorted(tmp_path.glob("*.mcap"))[-1]).spans
     assert span.name == trial.action
+
+
+def test_the_steps_of_a_timed_action_get_their_pictures(tmp_path: Path) -> None:
+    pytest.importorskip("PIL")
+    ready = bench("robotiq_3f")
+    stills = TrialStills(Stills.of_trial(ready.hand))
+    trial = wide_grasp.TRIALS[0][1]
+    run_trial(
+        ready.hand, ready.library, ready.settings, trial, observers=[stills.steps], watch=stills
+    )
+    names = [name for name, _ in stills.stills.taken]
+    assert names == ["start", "approach", wide_grasp.WIDE, "grasp", "lift", "shake"]
 
 
 def test_two_runs_of_an_experiment_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:
