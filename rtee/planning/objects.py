@@ -210,10 +210,9 @@ def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
     return size
 
 
-def box_piece(size: FloatArray, middle: FloatArray) -> Piece:
-    """Return a box of an object, with edges ``(3,)`` along its axes and a middle ``(3,)`` [m]."""
-    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size + middle
-    return Piece("mesh", (), hull_of(corners), corners)
+def hull_piece(points: FloatArray) -> Piece:
+    """Return the hull of points ``(k, 3)`` in an object's frame [m] as a piece of it."""
+    return Piece("mesh", (), hull_of(points), points)
 
 
 def _primitive(kind: str, size: tuple[float, ...]) -> Piece:

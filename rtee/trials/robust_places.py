@@ -11,7 +11,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action, Primitive
 from rtee.drivers.mujoco.objects import drill_parts, parse_object
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.planning.objects import GraspObject, box_piece, read_object
+from rtee.planning.objects import GraspObject, hull_piece, read_object
 from rtee.planning.planner import Planner
 from rtee.planning.poses import Candidate
 from rtee.planning.robust import robust_poses, too_wide
@@ -39,7 +39,7 @@ def graspable(text: str, mass: float) -> GraspObject:
         ModelError: if the mesh cannot be used.
     """
     if parse_object(text).kind == "drill":
-        pieces = tuple(box_piece(size, middle) for size, middle in drill_parts())
+        pieces = tuple(hull_piece(points) for points in drill_parts())
         return GraspObject(text, pieces, mass)
     return read_object(text, mass)
 

@@ -29,6 +29,9 @@ from rtee.types import Goal
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a trial: ``start``, ``approach``, ``grasp``, ``lift``, ``shake``."""
 
+Progress = Callable[[int, int], None]
+"""Told how many of how many variations were tried."""
+
 _ENOUGH = 0.9
 """Share of the variations that a place must survive for no other one to be tried."""
 
@@ -63,6 +66,7 @@ def run_trial(
     observers: Sequence[LoopObserver] = (),
     watch: Watch | None = None,
     skip: int = 0,
+    progress: Progress | None = None,
 ) -> TrialResult:
     """Try an action on an object at one place after the other until one is held.
 
@@ -74,6 +78,7 @@ def run_trial(
         observers: Told of every tick, as in the loop.
         watch: Told of the moments of the trial.
         skip: Places to leave out, because they are known to fail.
+        progress: Called with how many variations of a place were tried, and of how many.
 
     Returns:
         The result at the first place where it was held, in 9 of 10 variations if there are any; or
@@ -93,7 +98,7 @@ def run_trial(
     places = robust_places(simulation, library, action, thing, trial.places)
     if not places:
         return TrialResult(trial, False, "the object fits nowhere between the fingers")
-    varied = _Varied(hand, library, settings, trial)
+    varied = _Varied(hand, library, settings, trial, progress)
     tried: list[_Tried] = []
     ticks = 0
     for number, place in enumerate(places[skip:], skip + 1):
@@ -171,10 +176,15 @@ class _Varied:
     """Tries the variations of a trial."""
 
     def __init__(
-        self, hand: Hand, library: ActionLibrary, settings: LoopSettings, trial: Trial
+        self,
+        hand: Hand,
+        library: ActionLibrary,
+        settings: LoopSettings,
+        trial: Trial,
+        progress: Progress | None,
     ) -> None:
         self._hand, self._library, self._settings = hand, library, settings
-        self._trial = trial
+        self._trial, self._progress = trial, progress
         self._losses = trial.variations - math.ceil(_ENOUGH * trial.variations)
         """So many variations may be lost at a place that is good enough."""
 
@@ -199,12 +209,13 @@ class _Varied:
         while len(here.held) < most and (losses is None or here.lost <= losses):
             variation = draw(self._trial.seed, len(here.held))
             here.held.append(self.run(here.place, variation).result().held)
+            if self._progress is not None:
+                self._progress(len(here.held), self._trial.variations)
 
     def shifted(self, place: Place) -> Place:
         """Return a place amid those around it where an object is held.
 
         What is looked at is drawn apart from the variations that count, and farther away.
-
         """
         held = [np.zeros(3)]
         for number in range(_EXPLORED):

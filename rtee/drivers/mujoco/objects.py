@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,11 +29,23 @@ _FORMS = (
 _NUMBERS = {"box": 3, "cylinder": 2, "sphere": 1}
 _LARGEST = 2.0
 _MESHES = (".stl", ".obj")
-_HANDLE = (0.026, 0.032, 0.130)
-_BODY = (0.050, 0.140, 0.050)
-_PLATE = (0.024, 0.006, 0.026)
-_SPRING = 250.0
-_PRELOAD = 0.004
+_HANDLE = (0.044, 0.048, 0.130)
+"""Width, depth and length of a drill's handle [m]; its back and its front are round."""
+
+_MOTOR = (0.050, 0.140, 0.050)
+"""Width, length and height of the housing above the handle, flush with its back [m]."""
+
+_PLATE = (0.022, 0.008, 0.034)
+"""Width, thickness and height of the trigger [m]."""
+
+_AROUND = 24
+"""Corners of a round side in the points of a drill."""
+
+_SPRING = 350.0
+"""Stiffness of the trigger's spring [N/m]."""
+
+_PRELOAD = 0.008
+"""How far the trigger's spring is pressed when nothing presses the trigger [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,17 +127,23 @@ def parse_object(text: str) -> ObjectShape:
     return ObjectShape("mesh", path=path)
 
 
-def drill_parts(scale: float = 1.0) -> tuple[tuple[FloatArray, FloatArray], ...]:
-    """Return edge lengths ``(3,)`` and middles ``(3,)`` [m] of a drill's handle, motor and trigger.
+def drill_parts(scale: float = 1.0) -> tuple[FloatArray, ...]:
+    """Return points ``(k, 3)`` [m] whose hulls are a drill's handle, motor and trigger.
 
     The handle's middle is the origin; the trigger is not pressed.
     """
-    grip, top, button = (scale * np.array(part) for part in (_HANDLE, _BODY, _PLATE))
-    front = 0.5 * grip[1] + TRIGGER_TRAVEL + 0.5 * button[1]
+    radius, flat = 0.5 * _HANDLE[0], 0.5 * (_HANDLE[1] - _HANDLE[0])
+    turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
+    ring = radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    ends = np.array([[0.0, y, 0.5 * z * _HANDLE[2]] for y in (-flat, flat) for z in (-1, 1)])
+    front = 0.5 * _HANDLE[1] + TRIGGER_TRAVEL + 0.5 * _PLATE[1]
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    motor = [0.0, 0.5 * (_MOTOR[1] - _HANDLE[1]), 0.5 * (_HANDLE[2] + _MOTOR[2])]
+    trigger = [0.0, front, 0.5 * _HANDLE[2] - 0.5 * _PLATE[2] - 0.002]
     return (
-        (grip, np.zeros(3)),
-        (top, np.array([0.0, 0.03 * scale, 0.5 * (grip[2] + top[2])])),
-        (button, np.array([0.0, front, 0.5 * grip[2] - 0.5 * button[2] - 0.002])),
+        scale * (ends[:, None] + ring).reshape(-1, 3),
+        scale * (corners * _MOTOR + motor),
+        scale * (corners * _PLATE + trigger),
     )
 
 
@@ -186,15 +205,25 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     The trigger slides along y towards the handle, against a preloaded spring; its joint counts from
     0, not pressed, to `TRIGGER_TRAVEL`.
     """
-    (grip, _), (top, above), (button, front) = drill_parts(scale)
-    handle = _geom(body, OBJECT, 0.5 * mass)
-    handle.type = mujoco.mjtGeom.mjGEOM_BOX
-    handle.size = [0.5 * value for value in grip]
+    grip, top, button = (
+        tuple(scale * value for value in part) for part in (_HANDLE, _MOTOR, _PLATE)
+    )
+    radius = 0.5 * grip[0]
+    flat = 0.5 * grip[1] - radius
+    core = _geom(body, OBJECT, 0.2 * mass)
+    core.type = mujoco.mjtGeom.mjGEOM_BOX
+    core.size = [radius, flat, 0.5 * grip[2]]
+    for name, side in (("back", -1.0), ("front", 1.0)):
+        edge = _geom(body, f"{OBJECT}/{name}", 0.15 * mass)
+        edge.type = mujoco.mjtGeom.mjGEOM_CYLINDER
+        edge.size = [radius, 0.5 * grip[2], 0.0]
+        edge.pos = [0.0, side * flat, 0.0]
     motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass)
     motor.type = mujoco.mjtGeom.mjGEOM_BOX
     motor.size = [0.5 * value for value in top]
-    motor.pos = above
-    trigger = body.add_body(name=TRIGGER, pos=front)
+    motor.pos = [0.0, 0.5 * (top[1] - grip[1]), 0.5 * (grip[2] + top[2])]
+    front = 0.5 * grip[1] + TRIGGER_TRAVEL + 0.5 * button[1]
+    trigger = body.add_body(name=TRIGGER, pos=[0.0, front, 0.5 * grip[2] - 0.5 * button[2] - 0.002])
     joint = trigger.add_joint(
         name=TRIGGER, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, -1.0, 0.0], armature=0.01
     )
