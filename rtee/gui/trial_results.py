@@ -85,7 +85,9 @@ def verdict(result: TrialResult) -> str:
 def line(results: Sequence[TrialResult], *, outdated: bool = False) -> str:
     """Return the summary of an action's trials: ``held 7 of 12 objects``."""
     held = sum(result.held for result in results)
-    words = f"held {held} of {len(results)} object{'s' if len(results) != 1 else ''}"
+    fitting = sum(result.fits for result in results)
+    words = f"held {held} of {fitting} object{'s' if fitting != 1 else ''}"
+    words += " that fit" if fitting < len(results) else ""
     return f"{words}, with other files of this hand" if outdated else words
 
 

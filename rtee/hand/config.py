@@ -96,6 +96,9 @@ class HandConfig(BaseModel):
     clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE
     """Distance that clear poses and the ways to them keep from all links that they are not to touch
     [m]; links that have hardly more at rest keep four fifths of what they have there."""
+    payload: Annotated[float, Field(gt=0)] | None = None
+    """Largest mass that its data sheet lets it hold by friction [kg]; trials of heavier objects say
+    that they do not fit."""
     profile: ProfileSettings = ProfileSettings()
     """How references move between set-points."""
     loop: LoopSection = LoopSection()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -114,6 +115,7 @@ def load_configured(
         default_dynamics=config.dynamics.defaults,
         tip_friction=config.tip_friction,
         clearance=config.clearance,
+        payload=math.inf if config.payload is None else config.payload,
         ignore=tuple(config.ignore),
         error=document.error,
     )
@@ -242,6 +244,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         package_dirs=overrides.package_dirs,
         description=overrides.title,
         clearance=overrides.clearance,
+        payload=overrides.payload,
         dynamics=make_dynamics(
             overrides.dynamics,
             overrides.default_dynamics,

@@ -51,7 +51,7 @@ class Trial:
     object: str = "sphere:0.03"
     intensity: float = 1.0
     mass: float = 0.1
-    places: int = 3
+    places: int = 5
     friction: float | None = None
     variations: int = 0
     seed: int = 0
@@ -92,3 +92,4 @@ class TrialResult:
     places: int = 0
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     survived: int = 0
+    fits: bool = True
