@@ -97,8 +97,9 @@ class Playout:
         self._offset = min(self._least)
         delay = offset - self._offset
         if math.isfinite(self._stamp):
-            # A pause is no period: samples of a stream that goes on are lost one or two at a time.
-            step = min(stamp - self._stamp, 3.0 * self.period)
+            # A lost sample doubles the time to the next one, which is not the period; a client that
+            # is slower than it said is found out, too, if later.
+            step = min(stamp - self._stamp, 1.5 * self.period)
             self.period += _SHARE * (step - self.period)
             self._delay += _SHARE * (delay - self._delay)
             self.jitter += _SHARE * (abs(delay - self._delay) - self.jitter)
