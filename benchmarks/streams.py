@@ -203,7 +203,7 @@ async def streamed(name: str, seconds: float, rate: float, jitter: float) -> Non
         for k in range(round(seconds * rate)):
             stamp = begin + k / rate
             await anyio.sleep(max(0.0, stamp + chance.uniform(0.0, jitter) - time.monotonic()))
-            await stream.send(dict(zip(names, at(stamp), strict=True)), stamp=stamp)
+            await stream.send(dict(zip(names, at(k / rate), strict=True)), stamp=stamp)
         status = await stream.status()
         print(
             f"<!-- {status.samples} samples, lag {status.lag * 1e3:.1f} ms, jitter "
@@ -218,7 +218,7 @@ def live(name: str, seconds: float) -> None:
     table = Table("samples", "jitter", "lag", "amplitude", "error", "jerk")
     for rate, jitter in ((50.0, 0.0), (50.0, 5e-3), (30.0, 0.0)):
         with tempfile.TemporaryDirectory() as folder:
-            command = [sys.executable, "-m", "rtee", "run", name, "--log-dir", folder]
+            command = [sys.executable, "-m", "rtee", "run", name, "--log", folder]
             process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
             try:
                 anyio.run(streamed, name, seconds, rate, jitter)
