@@ -218,7 +218,7 @@ def live(name: str, seconds: float) -> None:
     table = Table("samples", "jitter", "lag", "amplitude", "error", "jerk")
     for rate, jitter in ((50.0, 0.0), (50.0, 5e-3), (30.0, 0.0)):
         with tempfile.TemporaryDirectory() as folder:
-            command = [sys.executable, "-m", "rtee", "run", name, "--log", folder]
+            command = [sys.executable, "-m", "rtee", "run", name, "--realtime", "--log", folder]
             process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
             try:
                 anyio.run(streamed, name, seconds, rate, jitter)

@@ -72,6 +72,7 @@ class Interpolator:
         self._wanted: list[float] = []
         self._error: list[tuple[float, float, float, float]] = []
         self._fresh: dict[int, float] = {}
+        self._now = 0.0
 
     def clear(self) -> None:
         """Forget all samples; the actuators are no longer moved."""
@@ -88,6 +89,8 @@ class Interpolator:
             position: Its reference [rad | m].
             velocity: The reference's velocity [rad/s | m/s].
         """
+        if not self.indices:
+            self._now = math.inf  # the first step is one of a tick
         self._fresh[len(self.indices)] = velocity
         self.indices.append(index)
         self._wanted.append(position)
@@ -290,6 +293,8 @@ class Interpolator:
             into: Takes the positions to be sent, of those that move [rad | m].
         """
         limits, dt, wanted = self._limits, self._tick, self._wanted
+        # After missed ticks what is wanted is further away, but not faster.
+        passed, self._now = max(now - self._now, dt), now
         base = self._base(play, period)
         for place, index in enumerate(self.indices):
             target = base[place][0]
@@ -297,7 +302,7 @@ class Interpolator:
                 target += self._error_at(place, now)[0]
             last, wanted[place] = wanted[place], target
             here, acceleration = position[index], limits.acceleration[index]
-            speed = (target - last) / dt
+            speed = (target - last) / passed
             behind = last - here
             if abs(behind) > _EXACT:
                 speed += approach(here, last, _SHARE * acceleration, dt)
