@@ -70,8 +70,7 @@ class CommandHandlers:
         """
         name = request.request.name
         if name == "sample":
-            self._take_sample(request)
-            return None
+            raise RequestRejected("samples of a stream are put, not queried")
         goal = decode_goal(request.question) if name == "do" else None
         client = request.fields["client"] if goal is None else goal.client
         with self._lock:
@@ -81,6 +80,13 @@ class CommandHandlers:
                 self._lease.check(client)
             text = self._handlers[name](request) if goal is None else self._do(goal)
         return None if text is None else REPLY.encode(accepted(text))
+
+    def handle_put(self, request: IncomingRequest) -> bytes | None:
+        """Handle a request that was put; samples of streams are, and only refusals answer them."""
+        if request.request.name != "sample":
+            return self.handle(request)
+        self._take_sample(request)
+        return None
 
     def _check_known(self, client: str) -> None:
         if client not in self._clients:
