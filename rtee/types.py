@@ -244,6 +244,7 @@ class DeviceStatus:
         hint: What the user can do.
         message: The last error in words.
         gains: Names of gains that can be tuned while it runs.
+        gain_values: What they are now, in this order; ``NaN``: the device does not tell.
     """
 
     name: str
@@ -264,6 +265,7 @@ class DeviceStatus:
     hint: str = ""
     message: str = ""
     gains: tuple[str, ...] = ()
+    gain_values: tuple[float, ...] = ()
 
 
 # --- goals -----------------------------------------------------------------------------------

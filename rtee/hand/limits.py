@@ -45,6 +45,7 @@ class Overrides:
         default_limits: Limits of actuators that have none of their own there.
         dynamics: What the actuators are like inside, by actuator.
         default_dynamics: What holds for all actuators where they say nothing else.
+        tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
         clearance: Distance that clear poses keep from other links [m].
         ignore: Actuators that stay fixed at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
@@ -59,6 +60,7 @@ class Overrides:
     default_limits: DefaultLimits = field(default_factory=DefaultLimits)
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
     default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
+    tip_friction: Mapping[str, float] = field(default_factory=dict)
     clearance: float = CLEARANCE
     ignore: tuple[str, ...] = ()
     passive: frozenset[str] = frozenset()

@@ -2,8 +2,9 @@
 
 The way of a goal and its answer: Zenoh's thread calls `Server._on_put`; `handle_request` checks the
 message and calls `CommandHandlers.handle_put`, which appends the goal to what the loop does at its
-next tick and returns the encoded answer. `Server._answer_put` gives the answer to a `CallQueue`, whose
-thread publishes it, since that may have to wait for a slow client. Queries are handled likewise.
+next tick and returns the encoded answer. `Server._answer_put` gives the answer to a `CallQueue`,
+whose thread publishes it, since that may have to wait for a slow client. Queries are handled
+likewise.
 """
 
 from __future__ import annotations
