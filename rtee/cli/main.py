@@ -35,6 +35,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "status": ("rtee.cli.status:status", "Show the loop and the devices."),
     "info": ("rtee.cli.info:info", "Describe the hand, as a grasp planner needs it."),
     "gains": ("rtee.cli.gains:gains", "Show or set the gains of the devices."),
+    "teleop": ("rtee.cli.teleop:teleop", "Move a hand from a gamepad or the keyboard."),
+    "stream": ("rtee.cli.teleop:app", "Play recorded streams of set-points."),
     "gui": ("rtee.cli.gui:gui", "Open the hand in the browser."),
     "log": ("rtee.cli.log:app", "Inspect, replay and repair recordings."),
     # devices

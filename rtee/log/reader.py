@@ -245,6 +245,7 @@ class _Collector:
             goals=goals,
             plans=entries(topics.PLANS, plan) if names else (),
             commands=entries(topics.COMMANDS, convert.COMMAND.of),
+            stream_samples=entries(topics.STREAM_SAMPLES, convert.STREAM_SAMPLE.of),
             feedback=entries(topics.FEEDBACK, convert.FEEDBACK.of),
             results=entries(topics.RESULTS, convert.RESULT.of),
             events=entries(topics.EVENTS, convert.EVENT.of),

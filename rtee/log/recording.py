@@ -169,6 +169,7 @@ class Recording:
         goals: Goals that were accepted.
         plans: What the goals come to.
         commands: Calls that steered the hand otherwise.
+        stream_samples: Samples of streams, as commands.
         feedback: Progress of the goals.
         results: How they ended.
         events: Events, marks among them.
@@ -194,6 +195,7 @@ class Recording:
     goals: Sequence[Entry[Goal]] = ()
     plans: Sequence[Entry[Plan]] = ()
     commands: Sequence[Entry[CommandRecord]] = ()
+    stream_samples: Sequence[Entry[CommandRecord]] = ()
     feedback: Sequence[Entry[Feedback]] = ()
     results: Sequence[Entry[Result]] = ()
     events: Sequence[Entry[Event]] = ()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from rtee.commands import CommandRecord
+from rtee.commands import CommandRecord, StreamSample
 from rtee.log.chunks import ChunkBuilder
 from rtee.log.flight import FlightRecorder
 from rtee.log.layout import CHANNELS, Contents
@@ -198,6 +198,8 @@ class LogWriter:
             self._add(topics.PLANS, wall, encode_plan(item, self._actuators, time=stamp, wall=wall))
         else:
             topic, codec = _CODECS[type(item)]
+            if isinstance(item, CommandRecord) and isinstance(item.command, StreamSample):
+                topic, codec = topics.STREAM_SAMPLES, convert.STREAM_SAMPLE
             self._add(topic, wall, codec.encode(item, time=stamp, wall=wall))
         if isinstance(item, Event) and (item.severity == "error" or item.kind in FAULTS):
             self.fault(f"{item.kind}: {item.text}")

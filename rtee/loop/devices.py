@@ -139,12 +139,17 @@ class Devices:
         active = (device for device in self._all if self._active[device.name])
         return frozenset().union(*(device.indices for device in active))
 
-    def check_movable(self, indices: Iterable[int], movable: Collection[int]) -> None:
+    def check_movable(self, indices: Iterable[int], movable: Collection[int] | None = None) -> None:
         """Check that some actuators may be moved.
+
+        Args:
+            indices: The actuators.
+            movable: Those that may; ``None``: to be found out.
 
         Raises:
             GoalRejected: if not.
         """
+        movable = self.movable() if movable is None else movable
         idle = [self._hand.actuators[i].name for i in sorted(indices) if i not in movable]
         if not idle:
             return

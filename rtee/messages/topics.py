@@ -16,6 +16,7 @@ FEEDBACK = "feedback"
 RESULTS = "results"
 EVENTS = "events"
 COMMANDS = "commands"
+STREAM_SAMPLES = "stream_samples"
 DEVICE_STATUS = "device_status"
 LOOP_STATISTICS = "loop_statistics"
 OBJECT = "object"
@@ -42,6 +43,7 @@ TYPES: dict[str, str] = {
     URDF: "std_msgs/msg/String",
     TF: "tf2_msgs/msg/TFMessage",
     TF_STATIC: "tf2_msgs/msg/TFMessage",
+    STREAM_SAMPLES: "rtee_msgs/msg/StreamSample",
 }
 """Name of a topic to the type of its messages."""
 

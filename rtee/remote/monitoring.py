@@ -8,7 +8,7 @@ import math
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import anyio
@@ -20,7 +20,7 @@ from rtee.messages.state import State, decode_state
 from rtee.object_description import ObjectDescription
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
-from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics
+from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, StreamStatus
 
 T = TypeVar("T")
 
@@ -49,6 +49,7 @@ class HandStatus:
         statistics: Statistics of the loop's clock.
         devices: Status of each device.
         profile: Profile of the references, and why it is not the one in hand.yaml if so.
+        stream: Status of the stream of set-points.
     """
 
     hand: str
@@ -61,6 +62,7 @@ class HandStatus:
     statistics: LoopStatistics
     devices: tuple[DeviceStatus, ...]
     profile: str = ""
+    stream: StreamStatus = field(default_factory=StreamStatus)
 
 
 class CollectedStates:
@@ -191,6 +193,7 @@ class Monitoring:
             statistics=LOOP_STATISTICS.of(reply["statistics"]),
             devices=tuple(DEVICE_STATUS.of(device) for device in reply["devices"]),
             profile=reply["profile"],
+            stream=StreamStatus(**reply["stream"]),
         )
 
     async def ready(

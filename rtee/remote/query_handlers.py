@@ -10,6 +10,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -171,6 +172,7 @@ class QueryHandlers:
         statuses, statistics, plan = self._thread.call(
             lambda: (loop.statuses(), loop.statistics(), loop.controller.running)
         )
+        stream = loop.streams.status()
         path = self._recording_path()
         return {
             "hand": self._hand.name,
@@ -184,6 +186,7 @@ class QueryHandlers:
             "statistics": LOOP_STATISTICS.fields(statistics),
             "devices": [DEVICE_STATUS.fields(status) for status in statuses],
             "profile": self._profile,
+            "stream": asdict(stream),
         }
 
     def _object_description(self, _: Fields) -> Fields:
