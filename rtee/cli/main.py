@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compose": ("rtee.cli.define:compose", "Define a composed action."),
     "time": ("rtee.cli.define:time", "Define a timed action."),
     "generic": ("rtee.cli.define:generic", "Define a generic action."),
+    "openings": ("rtee.cli.openings:openings", "List how far fingertips open."),
     "grasp-plan": ("rtee.cli.grasp_plan:grasp_plan", "Rank the actions of a hand for an object."),
     "import": ("rtee.cli.import_:import_", "Import action files of ROS End-Effector."),
     # online

@@ -46,6 +46,7 @@ class Overrides:
         dynamics: What the actuators are like inside, by actuator.
         default_dynamics: What holds for all actuators where they say nothing else.
         clearance: Distance that clear poses keep from other links [m].
+        openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
         ignore: Actuators that stand fixed at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
         error: Makes the error for a value of the configuration, from its place and a message.
@@ -60,6 +61,7 @@ class Overrides:
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
     default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
     clearance: float = CLEARANCE
+    openings: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     ignore: tuple[str, ...] = ()
     passive: frozenset[str] = frozenset()
     error: Callable[[tuple[str | int, ...], str], UserError] | None = None

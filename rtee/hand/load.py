@@ -113,6 +113,7 @@ def load_configured(
         dynamics=config.dynamics.actuators,
         default_dynamics=config.dynamics.defaults,
         clearance=config.clearance,
+        openings={name: tuple(pairs) for name, pairs in config.openings.items()},
         ignore=tuple(config.ignore),
         error=document.error,
     )
@@ -241,6 +242,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         package_dirs=overrides.package_dirs,
         description=overrides.title,
         clearance=overrides.clearance,
+        openings=overrides.openings,
         dynamics=make_dynamics(
             overrides.dynamics,
             overrides.default_dynamics,

@@ -96,6 +96,7 @@ class Hand:
         description: Its name for people.
         clearance: Distance that clear poses and their ways keep from all other links [m].
         dynamics: What the actuators are like inside, by name; nothing of one that is missing.
+        openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
     """
 
     name: str
@@ -112,6 +113,9 @@ class Hand:
     description: str = field(default="", kw_only=True)
     clearance: float = field(default=CLEARANCE, kw_only=True)
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict, kw_only=True)
+    openings: Mapping[str, tuple[tuple[float, float], ...]] = field(
+        default_factory=dict, kw_only=True
+    )
 
     @cached_property
     def lower(self) -> FloatArray:
