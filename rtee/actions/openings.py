@@ -208,9 +208,7 @@ class Openings:
                 f"newer than the tables; {remedy}"
             )
         if found.posture != fingerprint_of(self.hand, action):
-            raise ActionError(
-                f"the opening of {name} was made for another posture; {remedy}"
-            )
+            raise ActionError(f"the opening of {name} was made for another posture; {remedy}")
         return found.corrected(self.measured(action))
 
     def measured(self, action: Action) -> tuple[tuple[float, float], ...]:

@@ -69,7 +69,8 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
 
     tables = library.openings
     known = {(table.action, frozenset(table.elements)) for table in tables.tables}
-    found, notes = [], {}
+    found: list[Opening] = []
+    notes: dict[str, None] = {}
     for action in library:
         if tables.made and (action.name, frozenset(action.elements)) not in known:
             continue

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 from typing import Final
 
 import coal
@@ -138,7 +138,7 @@ def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
 def _fingers(hand: Hand, action: Action) -> tuple[str, ...]:
     """Return the fingers with a tip that take part; a lone one may close on one that is fixed."""
     tipped = [finger for finger in hand.fingers if finger.tip]
-    moved = set(action.posture.involved)
+    moved = set(action.waypoints[-1].involved)
     named = [f.name for f in tipped if f.name in action.fingers]
     found = named or [f.name for f in tipped if moved.intersection(f.actuators)]
     if len(found) == 1:
@@ -154,13 +154,13 @@ class _Way:
         self.geometry, self.action, self.fingers = geometry, action, tuple(fingers)
         self.actuators = tuple(
             name
-            for name in action.posture.involved
-            if action.posture.position[name] != hand.actuator(name).rest
+            for name in action.waypoints[-1].involved
+            if action.waypoints[-1].position[name] != hand.actuator(name).rest
         )
         self._columns = [hand.actuator_index(name) for name in self.actuators]
         goal = np.array(hand.rest)
         for name in self.actuators:
-            goal[hand.actuator_index(name)] = action.posture.position[name]
+            goal[hand.actuator_index(name)] = action.waypoints[-1].position[name]
         self._goal = np.clip(goal, hand.lower, hand.upper)
         self.direction: FloatArray = (self._goal - hand.rest)[self._columns]
         self._kinematics = geometry.kinematics
@@ -351,7 +351,9 @@ class _Table:
                     (gap for pair, gap in gaps.items() if pair[k] == finger),
                     key=lambda gap: gap.distance,
                 )
-                point, towards = (near.first, near.normal) if k == 0 else (near.second, -near.normal)
+                point, towards = (
+                    (near.first, near.normal) if k == 0 else (near.second, -near.normal)
+                )
                 moved = way.jacobian(finger, point)
                 lever += towards @ moved / len(side)
                 angle = max(angle, _angle(moved @ way.direction, towards))
@@ -381,7 +383,7 @@ class _Table:
 
 
 def _steps(grid: Sequence[float]) -> Iterator[tuple[float, float]]:
-    return zip(grid, grid[1:], strict=False)
+    return pairwise(grid)
 
 
 def _falling(width: Sequence[float]) -> list[int]:
@@ -417,7 +419,8 @@ def _angle(motion: FloatArray, towards: FloatArray) -> float:
 
 def _middle(points: FloatArray) -> FloatArray:
     """Return the centre of the smallest ball that holds a few points ``(k, 3)``."""
-    best, centre = math.inf, points.mean(axis=0)
+    best: float = math.inf
+    centre: FloatArray = points.mean(axis=0)
     for size in (2, 3):
         for chosen in combinations(points, size):
             middle = _circumcentre(np.array(chosen))
@@ -431,6 +434,8 @@ def _middle(points: FloatArray) -> FloatArray:
 def _circumcentre(points: FloatArray) -> FloatArray:
     """Return the centre of the smallest sphere through two or three points ``(k, 3)``."""
     edges = points[1:] - points[0]
-    weights = np.linalg.lstsq(2.0 * edges @ edges.T, (edges**2).sum(axis=1), rcond=None)[0]
+    weights: FloatArray = np.linalg.lstsq(
+        2.0 * edges @ edges.T, (edges**2).sum(axis=1), rcond=None
+    )[0]
     found: FloatArray = points[0] + weights @ edges
     return found

@@ -101,6 +101,7 @@ class Controller:
         self._seeding: set[int] = set()
         self._goal_effort: dict[int, float] = {}
         self._holding: set[int] = set()
+        self._kept: frozenset[int] = frozenset()
         self._settling: dict[int, float] = {}
         self._thermal_due = -math.inf
         self._limited_reported = -math.inf
@@ -161,6 +162,10 @@ class Controller:
         self._goal_effort = {
             i: e for i, e in self._goal_effort.items() if i not in plan.involved
         } | dict(plan.effort)
+        # A force that was asked for is kept; other efforts are lowered while something is held.
+        self._kept -= plan.involved
+        if plan.goal.force is not None:
+            self._kept |= plan.involved
         for i, actuator in enumerate(self.hand.actuators):
             self.max_velocity[i] = plan.goal.speed * actuator.velocity
         self._executor.start(plan, stamp, self._measured)
@@ -322,7 +327,7 @@ class Controller:
         """Reduce the effort of blocked actuators after a time; tell when a grasp is lost."""
         grasp = self._grasp
         for i in self._contact.blocked_longer_than(grasp.grip_after, stamp):
-            if i in self._holding:
+            if i in self._holding or i in self._kept:
                 continue
             self._holding.add(i)
             if not (self._accepts[i] and math.isfinite(self._effort_limit(i))):

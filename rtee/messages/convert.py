@@ -24,16 +24,25 @@ from rtee.types import DeviceStatus, Event, Feedback, Goal, Lifecycle, LoopStati
 
 _STRING = message_type("std_msgs/msg/String")
 
+
+def _number(name: str) -> As:
+    """Return how a number is held that may be missing: as ``NaN`` then."""
+    return As(
+        {name: lambda number: math.nan if number is None else number},
+        lambda number: None if math.isnan(number) else number,
+    )
+
+
 GOAL = Codec(
     "rtee_msgs/msg/Goal",
     Goal,
     elements=field("elements", tuple),
     kind=As({"kind": lambda kind: kind or ""}, lambda text: text or None),
     effort=mapping("effort_name", "effort"),
-    timeout=As(
-        {"timeout": lambda timeout: math.nan if timeout is None else timeout},
-        lambda number: None if math.isnan(number) else number,
-    ),
+    timeout=_number("timeout"),
+    opening=_number("opening"),
+    force=_number("force"),
+    tip_speed=_number("tip_speed"),
     stage=word("stage", Stage, "stage '{}' is none of both, pre_grasp, grasp"),
 )
 FEEDBACK = Codec(
@@ -47,6 +56,10 @@ RESULT = Codec(
     Result,
     grasped_fingers=field("grasped_fingers", tuple),
     position=mapping("position_name", "position"),
+    elements=field("elements", tuple),
+    opening=_number("opening"),
+    force=_number("force"),
+    force_error=_number("force_error"),
 )
 EVENT = Codec("rtee_msgs/msg/Event", Event, stamp=field("time"))
 DEVICE_STATUS = Codec(
