@@ -162,6 +162,7 @@ class Controller:
         self._goal_effort = {
             i: e for i, e in self._goal_effort.items() if i not in plan.involved
         } | dict(plan.effort)
+        self._let_go(plan.involved)
         # A force that was asked for is kept; other efforts are lowered while something is held.
         self._kept -= plan.involved
         if plan.goal.force is not None:
@@ -175,6 +176,18 @@ class Controller:
             self._fail(
                 list(plan.involved), stamp, f"the device of {lost[0]} is not active any more"
             )
+
+    def _let_go(self, indices: Iterable[int]) -> None:
+        """Have references that press with a force begin anew where the actuators are.
+
+        They lie far inside of what is held: on the way back from there, they would press with
+        whatever effort the next goal allows.
+        """
+        there = {i: self._measured.position[i] for i in self._kept.intersection(indices)}
+        there = {i: position for i, position in there.items() if math.isfinite(position)}
+        self._profile.seed(there)
+        for i, position in there.items():
+            self._limiter.seed(i, position)
 
     def apply(self, command: Command, stamp: float) -> None:
         """Do what a command says at a time [s]; one that concerns nothing does nothing."""

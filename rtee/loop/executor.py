@@ -57,6 +57,7 @@ class _Run:
     shares: dict[int, float] = field(default_factory=dict)
     length: float = 0.0
     reported: float = -math.inf
+    touched: tuple[float, ...] = ()
 
     @property
     def present(self) -> Leg:
@@ -143,6 +144,8 @@ class Executor:
             return
         targets = run.present.targets
         if run.phase is Phase.MOVING:
+            if run.plan.goal.grasp:
+                self._note_touch(run, measured, limits)
             self._contact.update(stamp, measured, reference, limits, targets)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
@@ -208,17 +211,33 @@ class Executor:
                 position=dict(
                     zip(self._hand.actuator_names, map(float, measured.position), strict=True)
                 ),
-                **self._gripped(plan, measured, grasped),
+                **self._gripped(run, measured, grasped),
             )
         )
 
-    def _gripped(self, plan: Plan, measured: Measured, grasped: bool) -> GripValues:
+    def _note_touch(self, run: _Run, measured: Measured, limits: Sequence[float]) -> None:
+        """Note where the actuators were when the fingertips met something.
+
+        From there on, adaptive fingers bend while the force builds up: their actuators go on, and
+        no longer tell the width of what is held.
+        """
+        grip = run.plan.grip
+        least = self._settings.grasp.touch
+        if grip is None or not grip.touches(
+            measured.position, measured.effort, limits, measured.touch, least
+        ):
+            run.touched = ()
+        elif not run.touched:
+            run.touched = tuple(measured.position)
+
+    def _gripped(self, run: _Run, measured: Measured, grasped: bool) -> GripValues:
         """Return what a result says of the opening and the force of the fingertips."""
+        plan = run.plan
         grip, goal = plan.grip, plan.goal
         if grip is None:
             return {}
         blocked = any(self._contact.blocked(i) for i in grip.indices)
-        width = grip.opening(measured.position)
+        width = grip.opening(run.touched if run.touched and grasped else measured.position)
         force, error, source = grip.force(
             measured.position, measured.effort, self._limits, measured.touch, blocked
         )

@@ -41,6 +41,9 @@ _SQUEEZES: Final = 0.1
 """An actuator takes part in squeezing if it closes the tips by this share of what the actuator does
 that closes them most; the others would need efforts smaller than their friction."""
 
+_PRESSES: Final = 0.5
+"""Without sensors at the tips, an actuator presses from this share of its effort limit on."""
+
 _LEAST_TRAVEL: Final = 1e-9
 """A way of the actuators shorter than this is none [rad² | m²]."""
 
@@ -230,6 +233,33 @@ class Grip:
             i: force * lever / self.efficiency[k] + self.friction[k]
             for k, i, lever in self.squeezing(intensity)
         }
+
+    def touches(
+        self,
+        position: Sequence[float],
+        effort: Sequence[float],
+        limits: Sequence[float],
+        touch: Sequence[float],
+        least: float,
+    ) -> bool:
+        """Return whether the tips seem to press on something from both sides.
+
+        Args:
+            position: Positions of all actuators of the hand [rad | m].
+            effort: Measured efforts [N·m | N]; ``NaN``: not measured.
+            limits: Effort limits sent [N·m | N].
+            touch: Forces at the fingertips [N], if they are measured.
+            least: Force from which on a fingertip touches [N].
+        """
+        sides = [[touch[i] for i in side if i < len(touch)] for side in (self.fingers, self.others)]
+        felt = [[force for force in side if force == force] for side in sides]
+        if all(felt):
+            return all(max(side) >= least for side in felt)
+        share = self._nearest(position)
+        if share != share:
+            return False
+        chosen = self.squeezing(min(max(share, self.intensity[0]), self.intensity[-1]))
+        return any(abs(effort[i]) >= _PRESSES * limits[i] for _, i, _ in chosen)
 
     def force(
         self,
