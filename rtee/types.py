@@ -193,6 +193,7 @@ class Capabilities:
         identity: Model, firmware, serial number and the like, as the device told.
         grip: Force at the fingertips by effort limit, where the device's sheet gives it, by
             actuator; others follow from the geometry.
+        unlimited: Actuators whose effort it cannot limit, though it limits that of others.
     """
 
     measures: frozenset[str] = frozenset({"position"})
@@ -205,6 +206,7 @@ class Capabilities:
     gains: tuple[str, ...] = ()
     identity: Mapping[str, str] = field(default_factory=_nothing)
     grip: Mapping[str, GripForce] = field(default_factory=_nothing)
+    unlimited: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)

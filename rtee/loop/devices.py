@@ -170,7 +170,9 @@ class Devices:
             for i in device.indices
             if names[i] in device.driver.capabilities.grip
         }
-        return DeviceForces(self.refuse_effort(), grips)
+        unlimited = [name for device in self._all for name in device.driver.capabilities.unlimited]
+        indices = frozenset(self._hand.actuator_index(name) for name in unlimited)
+        return DeviceForces(self.refuse_effort(), grips, indices)
 
     # --- at a tick ---------------------------------------------------------------------------
 

@@ -16,6 +16,8 @@ from rtee.actions.openings import Opening
 from rtee.errors import GoalRejected
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.model import Hand
+from rtee.loop.contact import TIP_FORCE, tip_forces
+from rtee.sample import TickRecord
 from rtee.types import GripForce
 
 TIPS: Final = "tip forces"
@@ -43,6 +45,9 @@ that closes them most; the others would need efforts smaller than their friction
 
 _PRESSES: Final = 0.5
 """Without sensors at the tips, an actuator presses from this share of its effort limit on."""
+
+_AHEAD: Final = 0.01
+"""A reference presses that leads on by this share of the action's way: more than rounding."""
 
 _LEAST_TRAVEL: Final = 1e-9
 """A way of the actuators shorter than this is none [rad² | m²]."""
@@ -287,6 +292,10 @@ class Grip:
             return math.nan, math.nan, ""
         at = min(max(share, self.intensity[0]), self.intensity[-1])
         chosen = self.squeezing(at)
+        if self.sheet is not None and effort[self.indices[0]] == effort[self.indices[0]]:
+            i = self.indices[0]
+            found = self.sheet.force_for(abs(effort[i]), position[i])
+            return found, _EFFORT_SHARE * found, EFFORT
         if chosen and all(effort[i] == effort[i] for _, i, _ in chosen):
             return self._from_efforts(chosen, effort)
         if pressing and chosen and all(math.isfinite(limits[i]) for _, i, _ in chosen):
@@ -314,6 +323,32 @@ class Grip:
             square += lever * lever
         found = along / square
         return found, lost / square + _EFFORT_SHARE * found, EFFORT
+
+
+def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float, str]:
+    """Return the opening [m], the force and its error [N], and what that is estimated from.
+
+    Those who publish and record work it out in their own threads, not the loop.
+
+    Args:
+        grip: That of the last action that was given an opening or a force; ``None``: none was.
+        record: What was known at a tick.
+    """
+    if grip is None:
+        return math.nan, math.nan, math.nan, ""
+    position, effort = record.position.tolist(), record.effort.tolist()
+    limits = record.reference_effort.tolist()
+    felt = [values for name, values in record.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+    # A reference that leads on from where the actuator is presses, if something is in its way.
+    ahead = record.reference_position - record.position
+    pressing = any(
+        ahead[i] * (target - rest) > _AHEAD * (target - rest) ** 2 and record.grasped[i] == 1
+        for i, rest, target in zip(grip.indices, grip.rest, grip.target, strict=True)
+    )
+    return (
+        grip.opening(position),
+        *grip.force(position, effort, limits, tip_forces(felt), pressing),
+    )
 
 
 def check_force(grip: Grip, hand: Hand, label: str, force: float, intensity: float) -> None:

@@ -37,10 +37,12 @@ class DeviceForces:
     Attributes:
         refused: Actuators whose device takes no effort limit, with its reason in words, or nothing.
         grips: What the devices' sheets say of forces, by actuator.
+        unlimited: Actuators whose effort their device cannot limit, though it limits others.
     """
 
     refused: Mapping[int, str] = field(default_factory=dict)
     grips: Mapping[int, GripForce] = field(default_factory=dict)
+    unlimited: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +142,7 @@ def plan_opening(
     if goal.force is not None:
         check_force(grip, hand, opening.label, goal.force, at)
         effort = grip.efforts(goal.force, at)
-        _check_devices(hand, effort, devices)
+        _check_devices(hand, opening, effort, devices)
     intensities: tuple[float, ...] = (at,)
     if goal.grasp:
         wider = min(width + MARGIN, opening.widest)
@@ -163,15 +165,41 @@ def _check_width(opening: Opening, goal: Goal) -> None:
     )
 
 
-def _check_devices(hand: Hand, effort: Mapping[int, float], devices: DeviceForces) -> None:
-    """Refuse a force where a device takes no effort limit."""
+def _check_devices(
+    hand: Hand, opening: Opening, effort: Mapping[int, float], devices: DeviceForces
+) -> None:
+    """Refuse a force where a device takes no effort limit, or none of what it takes to limit it."""
+    nearest = "the nearest is the same without a force"
     for i in effort:
         if i in devices.refused:
             why = f": {devices.refused[i]}" if devices.refused[i] else ""
             raise GoalRejected(
-                f"the device of '{hand.actuators[i].name}' takes no effort limit{why}; the nearest "
-                "is the same without a force"
+                f"the device of '{hand.actuators[i].name}' takes no effort limit{why}; {nearest}"
             )
+    # Two sides press equally: it is enough that one of them gives way at the force.
+    if all(_unlimited(hand, side, effort, devices) for side in opening.sides):
+        names = ", ".join(hand.actuators[i].name for i in effort if i in devices.unlimited)
+        raise GoalRejected(
+            f"the force of {opening.label} cannot be limited: its device knows no effort of "
+            f"{names}; {nearest}"
+        )
+
+
+def _can(hand: Hand, opening: Opening, effort: Mapping[int, float], devices: DeviceForces) -> bool:
+    """Return whether the devices can limit a force."""
+    try:
+        _check_devices(hand, opening, effort, devices)
+    except GoalRejected:
+        return False
+    return True
+
+
+def _unlimited(
+    hand: Hand, side: Sequence[str], effort: Mapping[int, float], devices: DeviceForces
+) -> bool:
+    """Return whether a side presses with an actuator that cannot be limited, or with none."""
+    presses = [i for i in effort if set(side).intersection(hand.actuators[i].fingers)]
+    return not presses or any(i in devices.unlimited for i in presses)
 
 
 def _speed(speed: float, hand: Hand, grip: Grip, at: float, name: str) -> float:
@@ -221,7 +249,7 @@ def _best(
         if goal.force is not None:
             low, high = grip.forces(hand, at)
             efforts = grip.efforts(goal.force, at)
-            weak = not low <= goal.force <= high or any(i in devices.refused for i in efforts)
+            weak = not low <= goal.force <= high or not _can(hand, opening, efforts, devices)
         short = max(0.0, width + MARGIN - opening.widest)
         square = round(opening.angle_at(at) / _SQUARE)
         doubtful = _doubtful(action)

@@ -22,6 +22,7 @@ ROBOT_DESCRIPTION = "robot_description"
 URDF = "urdf"
 TF = "tf"
 TF_STATIC = "tf_static"
+GRIP = "grip"
 
 TYPES: dict[str, str] = {
     JOINT_STATES: "sensor_msgs/msg/JointState",
@@ -40,6 +41,7 @@ TYPES: dict[str, str] = {
     URDF: "std_msgs/msg/String",
     TF: "tf2_msgs/msg/TFMessage",
     TF_STATIC: "tf2_msgs/msg/TFMessage",
+    GRIP: "rtee_msgs/msg/Grip",
 }
 """Name of a topic to the type of its messages."""
 
