@@ -191,8 +191,7 @@ class Capabilities:
         recoverable: ``recover()`` can clear faults.
         gains: Names of gains that can be tuned while it runs.
         identity: Model, firmware, serial number and the like, as the device reports them.
-        grip: Force at the fingertips by effort limit, where the device's sheet gives it, by
-            actuator; others follow from the geometry.
+        grip: Force at the fingertips by effort limit from the device's sheet, by actuator.
         unlimited: Actuators whose effort it cannot limit, though it limits that of others.
     """
 
