@@ -4,21 +4,48 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import UserError
 from rtee.hand.files import make_folder
 from rtee.log import Recorder, read
 from rtee.log.figure import By, figure
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
+from rtee.loop.observer import Observer
+from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
 from rtee.trials.recorded import recorder_for
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, TrialResult, run_trial
+from rtee.types import Feedback, FloatArray
+
+SLIP = 0.06
+"""How far an object may move in the hand before it counts as fallen [m], as in `rtee try`."""
+
+_ROW = 5
+"""Pictures beside one another that can still be made out on a page."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Something that had to be seen, and what was.
+
+    Attributes:
+        what: What was looked at, such as ``the trigger is pressed``.
+        measured: What was seen, with its unit.
+        limit: What it had to be, such as ``> 5 mm``; empty when ``what`` says it.
+        passed: It was so.
+    """
+
+    what: str
+    measured: str
+    limit: str
+    passed: bool
 
 
 @dataclass
@@ -27,20 +54,103 @@ class Outcome:
 
     Attributes:
         condition: What had to be seen, in words.
-        passed: It was seen.
-        facts: What was measured, a line each.
+        conditions: The same one by one, with what was measured.
         files: What was written.
     """
 
     condition: str
-    passed: bool = True
-    facts: list[str] = field(default_factory=list)
+    conditions: list[Condition] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
 
-    def check(self, seen: bool, fact: str) -> None:
-        """Note a fact, and whether it is as the condition wants it."""
-        self.facts.append(("ok    " if seen else "FAILED ") + fact)
-        self.passed = self.passed and seen
+    @property
+    def passed(self) -> bool:
+        """Everything was seen."""
+        return all(condition.passed for condition in self.conditions)
+
+    def check(self, passed: bool, what: str, measured: str = "", limit: str = "") -> None:
+        """Note a condition; see `Condition`."""
+        self.conditions.append(Condition(what, measured, limit, bool(passed)))
+
+    def below(self, what: str, value: float, limit: float, unit: str, form: str = ".1f") -> None:
+        """Note a value that has to be smaller than a limit, both in the unit that is printed."""
+        self.check(value < limit, what, f"{value:{form}} {unit}", f"< {limit:g} {unit}")
+
+    def above(self, what: str, value: float, limit: float, unit: str, form: str = ".1f") -> None:
+        """Note a value that has to be larger than a limit, both in the unit that is printed."""
+        self.check(value > limit, what, f"{value:{form}} {unit}", f"> {limit:g} {unit}")
+
+
+HEADER = ("condition", "measured", "limit", "passed")
+
+
+def cells(condition: Condition) -> tuple[str, str, str, str]:
+    """Return a condition as a row under `HEADER`."""
+    return (
+        condition.what,
+        condition.measured,
+        condition.limit,
+        "yes" if condition.passed else "NO",
+    )
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, pad: bool = True) -> str:
+    """Return a table in Markdown; padded, its columns are aligned in a terminal, too."""
+    columns = list(zip(header, *rows, strict=True))
+    widths = [max(map(len, column)) if pad else 0 for column in columns]
+    lines = [header, ["-" * max(width, 3) for width in widths], *rows]
+    return "\n".join(
+        "| " + " | ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)) + " |"
+        for line in lines
+    )
+
+
+class Steps(Observer):
+    """Tells when a step of a timed action begins, by its name."""
+
+    def __init__(self, call: Callable[[str], None]) -> None:
+        """Start before the first step.
+
+        Args:
+            call: Told the name of each step as it begins.
+        """
+        self._call = call
+        self._now = ""
+
+    def on_feedback(self, feedback: Feedback) -> None:
+        """Notice another step."""
+        if feedback.inner != self._now:
+            self._now = feedback.inner
+            self._call(self._now)
+
+
+class TrialStills:
+    """Takes the pictures of a trial, those of the ends of a timed action's steps among them.
+
+    Attributes:
+        stills: The pictures.
+        steps: Observer of the trial.
+    """
+
+    def __init__(self, stills: Stills) -> None:
+        """Start without pictures.
+
+        Args:
+            stills: What takes them.
+        """
+        self.stills = stills
+        self.steps = Steps(self._step)
+        self._headless: HeadlessHand[Simulation] | None = None
+        self._before = ""
+
+    def __call__(self, moment: str, headless: HeadlessHand[Simulation]) -> None:
+        """Take a picture at a moment of the trial."""
+        self._headless, self._before = headless, ""
+        self.stills(moment, headless)
+
+    def _step(self, name: str) -> None:
+        if self._before and self._headless is not None:
+            self.stills(self._before, self._headless)
+        self._before = name
 
 
 @contextmanager
@@ -65,11 +175,28 @@ def plot_of(path: Path) -> Path:
 
 
 def hold(
-    name: str, trial: Trial, folder: Path, outcome: Outcome, *, pictures: bool = True
+    name: str,
+    trial: Trial,
+    folder: Path,
+    outcome: Outcome,
+    *,
+    slip: float = SLIP,
+    pictures: bool = True,
+    view: FloatArray | None = None,
 ) -> TrialResult:
-    """Try a grasp, with recording, plot and pictures, and note whether the object was held."""
+    """Try a grasp, with recording, plot and pictures, and note whether the object was held.
+
+    Args:
+        name: The hand.
+        trial: What is tried.
+        folder: Where recording, plot and pictures go.
+        outcome: What notes the conditions.
+        slip: How far the object may move in the hand from the grasp to the end [m].
+        pictures: Take pictures.
+        view: Vector ``(3,)`` in the world towards the camera; chosen for the hand unless given.
+    """
     ready = bench(name)
-    stills = Stills.of_trial(ready.hand) if pictures else None
+    stills = TrialStills(Stills.of_trial(ready.hand, view)) if pictures else None
     # Once to find the place that holds, and again from there, to record nothing else.
     first = run_trial(ready.hand, ready.library, ready.settings, trial)
     with recording(ready, folder, outcome) as recorder:
@@ -78,14 +205,18 @@ def hold(
             ready.library,
             ready.settings,
             trial,
-            observers=[recorder],
+            observers=[recorder] if stills is None else [recorder, stills.steps],
             watch=stills,
             skip=max(0, first.places - 1),
         )
     what = f"{name}: {' '.join((trial.action, *trial.elements))} on {trial.object}"
-    outcome.check(result.held, f"{what}: {result.reason or f'slip {result.slip * 1e3:.1f} mm'}")
-    if stills is not None and stills.taken:
-        strip(folder / f"{name}_{trial.action}.png", stills.taken, outcome)
+    outcome.check(result.held, f"{what} is lifted, held and shaken", result.reason or "held")
+    if result.held:
+        outcome.below(f"{what} slips in the hand", 1e3 * result.slip, 1e3 * slip, "mm")
+    if stills is not None and stills.stills.taken:
+        taken = stills.stills.taken
+        columns = -(-len(taken) // 2) if len(taken) > _ROW else None
+        strip(folder / f"{name}_{trial.action}.png", taken, outcome, columns)
     return result
 
 
@@ -111,8 +242,7 @@ def main(run: Callable[[Path], Outcome], name: str) -> None:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
     print(outcome.condition)
-    for fact in outcome.facts:
-        print(f"  {fact}")
+    print(table(HEADER, [cells(condition) for condition in outcome.conditions]))
     for file in outcome.files:
         print(f"  {file}")
     print("passed" if outcome.passed else "failed")

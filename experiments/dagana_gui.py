@@ -91,12 +91,19 @@ def run(folder: Path, *, pictures: bool = True, steps: Sequence[Step] = STEPS) -
             seen = position >= CLOSED if step.at is None else abs(position - step.at) <= TOLERANCE
             outcome.check(
                 seen and said.startswith(step.word),
-                f"{step.action} at {step.intensity} %: '{said}', the claw at {position:.3f} rad",
+                f"{step.action} at {step.intensity} % in the browser",
+                f"'{said}', the claw at {position:.3f} rad",
+                f"{step.word}, {_wanted(step)}",
             )
             if pictures:
                 stills.append((f"{step.action} at {step.intensity} %", person.look()))
             position = person.open()
-            outcome.check(abs(position) <= TOLERANCE, f"opened: the claw at {position:.3f} rad")
+            outcome.check(
+                abs(position) <= TOLERANCE,
+                f"opened after {step.action}",
+                f"the claw at {position:.3f} rad",
+                f"0 rad within {TOLERANCE:g}",
+            )
         if pictures:
             stills.append(("Open", person.look()))
     for path in sorted(set(logs.glob("*.mcap")) - before):
@@ -112,12 +119,18 @@ def _check_log(recording: Recording, steps: Sequence[Step], outcome: Outcome) ->
     spans = recording.spans
     names = [span.name.split()[0] for span in spans]
     wanted = [name for step in steps for name in (step.action, "open")]
-    outcome.check(names == wanted, f"spans in the log: {', '.join(names)}")
+    outcome.check(names == wanted, "spans in the log", ", ".join(names), "what was clicked")
     moves = [span for span in spans if span.name != "open"]
     for step, span in zip(steps, moves, strict=False):
         at = _position(recording, span)
         seen = at >= CLOSED if step.at is None else abs(at - step.at) <= TOLERANCE
-        outcome.check(seen, f"{span.name} in the log: {span.outcome} at {at:.3f} rad")
+        outcome.check(
+            seen, f"{span.name} in the log", f"{span.outcome} at {at:.3f} rad", _wanted(step)
+        )
+
+
+def _wanted(step: Step) -> str:
+    return f"> {CLOSED:g} rad" if step.at is None else f"{step.at:g} rad within {TOLERANCE:g}"
 
 
 def _position(recording: Recording, span: Span) -> float:

@@ -76,7 +76,10 @@ def run(folder: Path) -> Outcome:
         for variant, expected in EXPECTED.items():
             found = Counter(p.name for p in extract(hand(variant, Path(scratch))).primitives)
             words = ", ".join(f"{count} {name}" for name, count in sorted(found.items()))
-            outcome.check(dict(found) == expected, f"variant {variant}: {words}")
+            stated = ", ".join(f"{count} {name}" for name, count in sorted(expected.items()))
+            outcome.check(
+                dict(found) == expected, f"primitives of variant {variant}", words, stated
+            )
             rows.append(f"| {variant} | {words} |")
     table = make_folder(folder) / "variants.md"
     write_atomically(table, "\n".join(rows) + "\n")

@@ -141,9 +141,7 @@ class DeviceSpec:
 
 @dataclass(frozen=True, slots=True)
 class GripForce:
-    """What force an actuator gives at the fingertips by its effort limit, from a device's sheet.
-
-    Between the two efforts the force is linear; between positions it is interpolated.
+    """Force at the fingertips by an actuator's effort limit, linear in it, from a device's sheet.
 
     Attributes:
         effort: Effort limits of the weakest and of the strongest grip [N·m | N].
@@ -159,10 +157,9 @@ class GripForce:
 
     def range_at(self, position: float) -> tuple[float, float]:
         """Return the weakest and the strongest force at a position [rad | m] in newtons."""
-        if not self.position:
-            return self.weakest[0], self.strongest[0]
-        low = np.interp(position, self.position, self.weakest)
-        return float(low), float(np.interp(position, self.position, self.strongest))
+        at = self.position or (0.0,)
+        low, high = (np.interp(position, at, force) for force in (self.weakest, self.strongest))
+        return float(low), float(high)
 
     def effort_for(self, force: float, position: float) -> float:
         """Return the effort limit that gives a force [N] at a position [rad | m]."""
@@ -286,6 +283,7 @@ class DeviceStatus:
         hint: What the user can do.
         message: The last error in words.
         gains: Names of gains that can be tuned while it runs.
+        gain_values: What they are now, in this order; ``NaN``: the device does not tell.
     """
 
     name: str
@@ -306,6 +304,7 @@ class DeviceStatus:
     hint: str = ""
     message: str = ""
     gains: tuple[str, ...] = ()
+    gain_values: tuple[float, ...] = ()
 
 
 # --- goals -----------------------------------------------------------------------------------

@@ -35,6 +35,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "recover": ("rtee.cli.stop:recover", "Bring devices out of a fault."),
     "state": ("rtee.cli.state:state", "Show the hand's state, live."),
     "status": ("rtee.cli.status:status", "Show the loop and the devices."),
+    "info": ("rtee.cli.info:info", "Describe the hand, as a grasp planner needs it."),
+    "gains": ("rtee.cli.gains:gains", "Show or set the gains of the devices."),
     "gui": ("rtee.cli.gui:gui", "Open the hand in the browser."),
     "log": ("rtee.cli.log:app", "Inspect, replay and repair recordings."),
     # devices

@@ -95,11 +95,14 @@ class HandConfig(BaseModel):
     limits: LimitsSection = LimitsSection()
     """Limits that tighten or complete the URDF's."""
     dynamics: DynamicsSection = DynamicsSection()
-    """What the actuators are like inside: gains, inertia, friction, how joints follow them; only
-    the simulation uses it."""
+    """What the actuators are like inside: gains, inertia, friction, how joints follow them; for
+    the simulation, and for planners that ask for the hand's description."""
+    tip_friction: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default={})
+    """Coefficient of friction of the fingertips' surfaces by finger, ``defaults``: of all others;
+    for planners that ask for the hand's description. Unless given, the URDF's ``mu1``, if any."""
     openings: dict[str, list[MeasuredOpening]] = Field(default={})
     """Openings measured on the real hand, by action and elements, such as ``PinchTight index
-    thumb``: pairs of intensity and opening [m]. ``rtee calibrate --opening`` takes them."""
+    thumb``: pairs of intensity and opening [m]."""
     clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE
     """Distance that clear poses and the ways to them keep from all links that they are not to touch
     [m]; links that have hardly more at rest keep four fifths of what they have there."""

@@ -191,7 +191,7 @@ class GraspSettings(Section):
     grip_after: NotNegative = 2.0
     """Time after the grasp until the effort is lowered to ``grip_effort`` [s]."""
     touch: NotNegative = 0.1
-    """Force at a fingertip above which it touches [N], where a device measures it."""
+    """Force on a finger above which it touches [N], where a device measures it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,7 @@ class Overrides:
         default_limits: Limits of actuators that have none of their own there.
         dynamics: What the actuators are like inside, by actuator.
         default_dynamics: What holds for all actuators where they say nothing else.
+        tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
         clearance: Distance that clear poses keep from other links [m].
         openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
         ignore: Actuators that stay fixed at rest and take no part.
@@ -60,6 +61,7 @@ class Overrides:
     default_limits: DefaultLimits = field(default_factory=DefaultLimits)
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
     default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
+    tip_friction: Mapping[str, float] = field(default_factory=dict)
     clearance: float = CLEARANCE
     openings: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     ignore: tuple[str, ...] = ()

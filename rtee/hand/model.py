@@ -97,6 +97,7 @@ class Hand:
         clearance: Distance that clear poses and their ways keep from all other links [m].
         dynamics: What the actuators are like inside, by name; nothing of one that is missing.
         openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
+        tip_friction: Coefficient of friction of the fingertips, by finger, where it is known.
     """
 
     name: str
@@ -116,6 +117,7 @@ class Hand:
     openings: Mapping[str, tuple[tuple[float, float], ...]] = field(
         default_factory=dict, kw_only=True
     )
+    tip_friction: Mapping[str, float] = field(default_factory=dict, kw_only=True)
 
     @cached_property
     def lower(self) -> FloatArray:

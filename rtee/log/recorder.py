@@ -24,6 +24,7 @@ from rtee.log.sink import reason
 from rtee.log.writer import ITSELF, Item, LogWriter
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
+from rtee.object_description import ObjectDescription
 from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
@@ -97,6 +98,8 @@ class Recorder:
         self._limit = max(_LEAST_QUEUE, int(settings.queue_time * rate))
         self._period = 1.0 / rate
         self._stamp: float | None = 0.0 if simulated else None
+        # Simulated time runs ahead of the disk, and nothing waits for the end of a simulation.
+        self._closing = None if simulated else _CLOSING
         self._dropped = 0
         self._failed = 0
         self._failure = ""
@@ -128,7 +131,7 @@ class Recorder:
         thread, self._thread = self._thread, None
         if thread is not None:
             self._queue.put(None)
-            thread.join(_CLOSING)
+            thread.join(self._closing)
 
     def __enter__(self) -> Self:
         self.open()
@@ -186,6 +189,10 @@ class Recorder:
     def on_plan(self, plan: Plan, stamp: float) -> None:
         """Record what a goal comes to."""
         self._put(plan, stamp)
+
+    def on_object(self, thing: ObjectDescription, stamp: float) -> None:
+        """Record what a simulated device grasps."""
+        self._put(thing, stamp)
 
     def on_command(self, record: CommandRecord) -> None:
         """Record a command."""

@@ -23,10 +23,21 @@ from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
 from rtee.messages.codec import Codec, channel_fields, header
 from rtee.messages.schema import message_type
+from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
-Item = Goal | Plan | CommandRecord | Feedback | Result | Event | DeviceStatus | LoopStatistics
+Item = (
+    Goal
+    | Plan
+    | CommandRecord
+    | Feedback
+    | Result
+    | Event
+    | DeviceStatus
+    | LoopStatistics
+    | ObjectDescription
+)
 """What is recorded besides ticks."""
 
 ITSELF = "recorder"
@@ -43,6 +54,7 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
     Event: (topics.EVENTS, convert.EVENT),
     DeviceStatus: (topics.DEVICE_STATUS, convert.DEVICE_STATUS),
     LoopStatistics: (topics.LOOP_STATISTICS, convert.LOOP_STATISTICS),
+    ObjectDescription: (topics.OBJECT, convert.OBJECT),
 }
 """What is recorded besides ticks and plans: its topic, and what encodes it."""
 
@@ -87,6 +99,7 @@ class LogWriter:
         simulated: bool = False,
     ) -> None:
         hand = contents.hand
+        self._contents = contents
         self._actuators = hand.actuator_names
         self._settings = settings
         self._notify = notify
@@ -167,11 +180,13 @@ class LogWriter:
         self._begun()
 
     def _add_extras(self, record: TickRecord, wall: int) -> None:
-        """Record further channels when a value has changed."""
-        if all(self._extras.get(name) is values for name, values in record.channels.items()):
+        """Record those of the further channels that have changed."""
+        known = self._extras
+        new = {name: each for name, each in record.channels.items() if known.get(name) is not each}
+        if not new:
             return
-        self._extras = dict(record.channels)
-        names, lengths, values = channel_fields(record.channels)
+        known |= new
+        names, lengths, values = channel_fields(new)
         fields = {
             "header": header(wall),
             "tick": record.tick,
@@ -198,6 +213,8 @@ class LogWriter:
 
     def item(self, item: Item, stamp: float) -> None:
         """Take anything else that came at ``stamp``, CLOCK_MONOTONIC [s]."""
+        if isinstance(item, ObjectDescription):  # also for files that are begun later
+            self._contents.latched[topics.OBJECT] = convert.OBJECT.encode(item)
         if self.idle:
             return
         wall = self.wall_of(stamp)
@@ -227,6 +244,7 @@ class LogWriter:
             return
         self.flush()
         self._compared = False
+        self._extras = {}
         try:
             self.sink.start(self._wall())
         except OSError:
@@ -283,6 +301,7 @@ class LogWriter:
             self._tell("log_resumed", f"recording goes on after {lost} ticks were lost: {before}")
         if self.sink.path != path:
             self._compared = False
+            self._extras = {}  # every file has all channels
 
     def _tell(self, kind: str, text: str) -> None:
         now = self._stamp if self._simulated else self._monotonic()

@@ -17,6 +17,7 @@ from rtee.loop.opening_plan import DeviceForces
 from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
+from rtee.object_description import ObjectDescription
 from rtee.sample import TickRecord
 from rtee.types import Event, FloatArray, Lifecycle, Reference, readonly
 
@@ -251,6 +252,11 @@ class Devices:
                 group.start_soon(one, device)
         if errors:
             raise errors[0]
+
+    @property
+    def object_description(self) -> ObjectDescription | None:
+        """What a simulated device of the hand grasps, if one does."""
+        return next(filter(None, (device.driver.object_description for device in self._all)), None)
 
     async def set_gains(self, gains: Mapping[str, float], name: str | None) -> None:
         """Change gains of a device, or of all that have them.

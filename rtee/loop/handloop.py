@@ -199,6 +199,7 @@ class HandLoop:
         if self.controller.outbox:
             self._deliver()
         if record.stamp >= self._status_at:
+            self._observers.describe_object(self._devices.object_description, record.stamp)
             window = self.settings.statistics_window
             if self._status_at > 0.0:
                 self._status_at = record.stamp + window

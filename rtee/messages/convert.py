@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
 
 from rtee.commands import (
     Abort,
@@ -20,6 +23,7 @@ from rtee.commands import (
 from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
+from rtee.object_description import ObjectDescription, ObjectPart
 from rtee.types import DeviceStatus, Event, Feedback, Goal, Lifecycle, LoopStatistics, Result, Stage
 
 _STRING = message_type("std_msgs/msg/String")
@@ -69,8 +73,41 @@ DEVICE_STATUS = Codec(
     identity=mapping("identity_name", "identity_value"),
     counters=mapping("counter_name", "counter_value"),
     gains=field("gain", tuple),
+    gain_values=field("gain_value", tuple),
 )
 LOOP_STATISTICS = Codec("rtee_msgs/msg/LoopStatistics", LoopStatistics)
+
+
+def _part_fields(parts: Sequence[ObjectPart]) -> list[dict[str, Any]]:
+    return [
+        {
+            "kind": part.kind,
+            "size": list(part.size),
+            "pose": part.pose,
+            "vertex": part.vertices.ravel(),
+            "face": part.faces.ravel(),
+        }
+        for part in parts
+    ]
+
+
+def _parts(entries: Sequence[Mapping[str, Any]]) -> tuple[ObjectPart, ...]:
+    try:
+        return tuple(
+            ObjectPart(
+                entry["kind"],
+                tuple(float(value) for value in entry["size"]),
+                np.asarray(entry["pose"], np.float64),
+                np.asarray(entry["vertex"], np.float32).reshape(-1, 3),
+                np.asarray(entry["face"], np.uint32).reshape(-1, 3),
+            )
+            for entry in entries
+        )
+    except ValueError as error:
+        raise MessageError(f"an object cannot be drawn: {error}") from None
+
+
+OBJECT = Codec("rtee_msgs/msg/Object", ObjectDescription, parts=As({"parts": _part_fields}, _parts))
 
 Plain = tuple[str, str, Mapping[str, float]]
 """Kind of a command, text and numbers by name."""

@@ -94,6 +94,7 @@ _ALL = (
     _request(ASK, "stream", "StreamRequest", "Reply", "Have states published at a rate."),
     _request(ASK, "state", "Empty", "State", "The newest state."),
     _request(ASK, "status", "Empty", "Status", "The loop and its devices."),
+    _request(ASK, "object_description", "Empty", "Object", "What a simulated hand grasps."),
     _request(ASK, "info", "PostureRequest", "HandInfo", "The hand, for a grasp planner."),
     _request(ASK, "robot_description", "Empty", "String", "The URDF."),
     _request(ASK, "actions", "ActionFilter", "ActionList", "The actions that pass a filter."),

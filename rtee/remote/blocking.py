@@ -168,6 +168,7 @@ class BlockingHand:
     status = _waiting(RemoteHand.status)
     ready = _waiting(RemoteHand.ready)
     info = _waiting(RemoteHand.info)
+    object_description = _waiting(RemoteHand.object_description)
     robot_description = _waiting(RemoteHand.robot_description)
 
     actions = _waiting(RemoteHand.actions)

@@ -138,6 +138,7 @@ class RemoteHand:
     status = _part("_monitoring", Monitoring.status)
     ready = _part("_monitoring", Monitoring.ready)
     info = _part("_monitoring", Monitoring.info)
+    object_description = _part("_monitoring", Monitoring.object_description)
     robot_description = _part("_monitoring", Monitoring.robot_description)
 
     actions = _part("_actions", ActionClient.actions)

@@ -15,8 +15,9 @@ import anyio
 
 from rtee.errors import MessageError, NoHand, NotReady
 from rtee.messages import decode_event, topics
-from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
+from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
+from rtee.object_description import ObjectDescription
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
 from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics
@@ -236,6 +237,18 @@ class Monitoring:
         values = posture or {}
         fields = {"name": list(values), "position": list(values.values())}
         return info_of(await self._link.ask("info", fields))
+
+    async def object_description(self) -> ObjectDescription | None:
+        """Return what a simulated device of the hand grasps, as it looks; ``None`` if none does.
+
+        Where it is, and what presses on what, comes with the states, in channels; see
+        `rtee.object_description`.
+
+        Raises:
+            MessageError: if it cannot be drawn.
+        """
+        found = OBJECT.of(await self._link.ask("object_description"))
+        return found if found.parts else None
 
     async def robot_description(self) -> str:
         """Return the URDF."""

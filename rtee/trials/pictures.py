@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import TABLE
-from rtee.hand.files import write_atomically
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
@@ -22,14 +18,12 @@ from rtee.render.image import encode, linear_rgb
 from rtee.render.mesh import HandMesh, Mesh, smooth_normals
 from rtee.render.raycast import RayCaster, check_pictures
 from rtee.render.renderer import Renderer, Shading
+from rtee.render.strip import SIZE
+from rtee.render.strip import write_strip as write_strip
 from rtee.trials.headless import HeadlessHand
 from rtee.types import FloatArray
 
-SIZE = (360, 400)
-"""Width and height of a picture [pixels]."""
-
 _TABLE_COLOUR = "#c9ccd1"
-_CAPTION = 26  # height of a caption [pixels]
 _REACH = np.array([[0.0, 0.0, -0.03], [0.0, 0.0, 0.04]])
 """Ways of the hand in a trial, from where it starts."""
 
@@ -45,7 +39,12 @@ class SimulationRenderer:
     """
 
     def __init__(
-        self, simulation: Simulation, hand: Hand, reach: FloatArray, size: tuple[int, int] = SIZE
+        self,
+        simulation: Simulation,
+        hand: Hand,
+        reach: FloatArray,
+        size: tuple[int, int] = SIZE,
+        back: FloatArray | None = None,
     ) -> None:
         """Set the camera up.
 
@@ -55,6 +54,8 @@ class SimulationRenderer:
             reach: Ways ``(k, 3)`` [m] from its present place that the hand will go and that must
                 fit into the picture.
             size: Width and height [pixels].
+            back: Vector ``(3,)`` in the world from what is seen towards the camera; where the
+                hand's closing is seen well, from above, unless given.
 
         Raises:
             MissingExtra: The extra ``plot`` is not installed.
@@ -64,11 +65,11 @@ class SimulationRenderer:
         self._hand = hand
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
         self._extras = self._find_extras()
-        back = choose_view(self._mesh.geometry)[0]
-        turn = simulation.surroundings.base_pose[:3, :3]
         self._up = np.array([0.0, 0.0, 1.0])
-        back = turn @ back
-        back[2] = abs(back[2])
+        if back is None:
+            turn = simulation.surroundings.base_pose[:3, :3]
+            back = turn @ choose_view(self._mesh.geometry)[0]
+            back[2] = abs(back[2])
         table = [i for i, (geom, *_) in enumerate(self._extras) if self._is_table(geom)]
         mesh = self._posed(leave_out=table)
         points = mesh.corners.reshape(-1, 3)
@@ -136,37 +137,6 @@ def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
     return vertices, np.asarray(model.mesh_face[first : first + count], dtype=np.int64)
 
 
-def write_strip(
-    path: Path, pictures: Sequence[tuple[str, bytes]], columns: int | None = None
-) -> None:
-    """Write pictures side by side, each with its caption below, as one PNG file.
-
-    Args:
-        path: The file.
-        pictures: Captions and PNG files of the same size.
-        columns: Pictures in a row; all of them unless given.
-
-    Raises:
-        ConfigError: if it cannot be written.
-    """
-    from PIL import Image, ImageDraw
-
-    images = [Image.open(io.BytesIO(data)).convert("RGB") for _, data in pictures]
-    width, height = images[0].size
-    across = min(columns or len(images), len(images))
-    down = -(-len(images) // across)
-    size = (width * across, (height + _CAPTION) * down)
-    strip: Any = Image.new("RGB", size, "#ffffff")
-    draw = ImageDraw.Draw(strip)
-    for index, ((caption, _), image) in enumerate(zip(pictures, images, strict=True)):
-        x, y = width * (index % across), (height + _CAPTION) * (index // across)
-        strip.paste(image, (x, y))
-        draw.text((x + width // 2, y + height + 4), caption, fill="#222222", anchor="ma")
-    out = io.BytesIO()
-    strip.save(out, "PNG", optimize=True)
-    write_atomically(path, out.getvalue())
-
-
 class Stills:
     """Pictures of the moments of a trial or a transfer; give it as what watches.
 
@@ -176,22 +146,23 @@ class Stills:
         taken: The moments' names and PNG pictures.
     """
 
-    def __init__(self, hand: Hand, reach: FloatArray) -> None:
+    def __init__(self, hand: Hand, reach: FloatArray, back: FloatArray | None = None) -> None:
         """Start without pictures.
 
         Args:
             hand: The hand.
             reach: Ways ``(k, 3)`` [m] from its first place that the hand will go.
+            back: Vector ``(3,)`` in the world towards the camera; see `SimulationRenderer`.
         """
         self.taken: list[tuple[str, bytes]] = []
         self._hand = hand
-        self._reach = reach
+        self._reach, self._back = reach, back
         self._renderer: SimulationRenderer | None = None
 
     @classmethod
-    def of_trial(cls, hand: Hand) -> Stills:
+    def of_trial(cls, hand: Hand, back: FloatArray | None = None) -> Stills:
         """Return what takes the pictures of a trial."""
-        return cls(hand, _REACH)
+        return cls(hand, _REACH, back)
 
     @classmethod
     def of_transfer(cls, hand: Hand) -> Stills:
@@ -204,5 +175,7 @@ class Stills:
             self.taken.clear()
         simulation = headless.simulation
         if self._renderer is None or self._renderer.simulation is not simulation:
-            self._renderer = SimulationRenderer(simulation, self._hand, self._reach)
+            self._renderer = SimulationRenderer(
+                simulation, self._hand, self._reach, back=self._back
+            )
         self.taken.append((moment, self._renderer.picture()))

@@ -27,6 +27,9 @@ from rtee.types import Goal
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a trial: ``start``, ``approach``, ``grasp``, ``lift``, ``shake``."""
 
+Progress = Callable[[int, int], None]
+"""Told how many of how many variations were tried."""
+
 _ENOUGH = 0.9
 """Share of the variations that a place must survive for no other one to be tried."""
 
@@ -49,6 +52,7 @@ def run_trial(
     observers: Sequence[LoopObserver] = (),
     watch: Watch | None = None,
     skip: int = 0,
+    progress: Progress | None = None,
 ) -> TrialResult:
     """Try an action on an object at one place after the other until one is held.
 
@@ -60,6 +64,7 @@ def run_trial(
         observers: Told of every tick, as in the loop.
         watch: Told of the moments of the trial.
         skip: Places to leave out, because they are known to fail.
+        progress: Called with how many variations of a place were tried, and of how many.
 
     Returns:
         The result at the first place where it was held, in 9 of 10 variations if there are any; or
@@ -84,7 +89,7 @@ def run_trial(
         result = _Run(headless, trial, place, number, watch).result()
         ticks = headless.ticks
         if result.held and trial.variations:
-            survived = _survived(hand, library, settings, trial, place)
+            survived = _survived(hand, library, settings, trial, place, progress)
             result = replace(result, survived=survived)
         if result.held and result.survived >= _ENOUGH * trial.variations:
             return result
@@ -115,7 +120,12 @@ def _simulation(
 
 
 def _survived(
-    hand: Hand, library: ActionLibrary, settings: LoopSettings, trial: Trial, place: Place
+    hand: Hand,
+    library: ActionLibrary,
+    settings: LoopSettings,
+    trial: Trial,
+    place: Place,
+    progress: Progress | None,
 ) -> int:
     """Return in how many variations of a trial an object is held at a place."""
     count = 0
@@ -127,6 +137,8 @@ def _survived(
         around.place(around.base_pose @ moved.pose)
         headless = HeadlessHand(hand, library, settings, simulation)
         count += _Run(headless, trial, moved, number, None).result().held
+        if progress is not None:
+            progress(number + 1, trial.variations)
     return count
 
 
