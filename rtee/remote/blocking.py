@@ -193,6 +193,8 @@ class BlockingHand:
         with self._portal.wrap_async_context_manager(self._hand.held()):
             yield
 
+    move_opening = _waiting(RemoteHand.move_opening)
+    grasp = _waiting(RemoteHand.grasp)
     cancel = _waiting(RemoteHand.cancel)
     effort_limits = _waiting(RemoteHand.effort_limits)
     hold = _waiting(RemoteHand.hold)
