@@ -22,22 +22,13 @@ from rtee.commands import (
     SetActive,
     SetGripEffort,
     StreamSample,
+    StreamTargets,
 )
 from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
 from rtee.object_description import ObjectDescription, ObjectPart
-from rtee.types import (
-    DeviceStatus,
-    Event,
-    Feedback,
-    Goal,
-    Lifecycle,
-    LoopStatistics,
-    Result,
-    Stage,
-    StreamTargets,
-)
+from rtee.types import DeviceStatus, Event, Feedback, Goal, Lifecycle, LoopStatistics, Result, Stage
 
 _STRING = message_type("std_msgs/msg/String")
 

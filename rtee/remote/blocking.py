@@ -25,10 +25,11 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
 import anyio
 from anyio.from_thread import BlockingPortal
 
+from rtee.commands import StreamStatus
 from rtee.remote.client import RemoteHand, connect
 from rtee.remote.goal import GoalOptions, RunningGoal
 from rtee.remote.stream import Stream
-from rtee.types import Feedback, Result, StreamStatus
+from rtee.types import Feedback, Result
 
 P = ParamSpec("P")
 T = TypeVar("T")
