@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +21,9 @@ LONGEST: Final = 60_000
 
 _PATIENCE: Final = 60.0
 """A plan takes a second or two; a computer that is busy has this long [s]."""
+
+_MOST_CONTACTS: Final = 10
+"""Most contacts of a grasp: hands have five fingers."""
 
 _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 
@@ -68,6 +71,57 @@ class Question:
         if not 0 < len(self.object) <= 500:
             raise ConfigError("which object? write its shape, such as sphere:0.03")
 
+    def words(self) -> dict[str, Any]:
+        """Return it as plain data, ready for JSON."""
+        return asdict(self) | {"mesh": base64.b64encode(self.mesh).decode("ascii")}
+
+
+@dataclass(frozen=True, slots=True)
+class ReachQuestion:
+    """Which grasp of a planner the hand is to reach: contacts, or a gripper's pose and width.
+
+    Attributes:
+        points: Points of the contacts, three numbers each [m]; none for a gripper's pose.
+        normals: Their normals into the object, three numbers each; or none.
+        fingers: The finger for each contact, or none; for a pose, the fingers to grasp with.
+        width: Width of the object, for a pose [m].
+        pose: 16 numbers, row by row: of the gripper, or of the palm for contacts; or none.
+        approach: Direction in which the palm comes; or none.
+        retreat: How far back along it the palm is before [m].
+        tolerance: Farthest that a fingertip may be from its contact [m].
+    """
+
+    points: tuple[float, ...] = ()
+    normals: tuple[float, ...] = ()
+    fingers: tuple[str, ...] = ()
+    width: float = 0.0
+    pose: tuple[float, ...] = ()
+    approach: tuple[float, ...] = ()
+    retreat: float = 0.1
+    tolerance: float = 0.003
+
+    def check(self) -> None:
+        """Raise `ConfigError` unless it can be asked; what only the hand tells is left out."""
+        numbers = (*self.points, *self.normals, *self.pose, *self.approach)
+        if not all(map(math.isfinite, (*numbers, self.width, self.retreat, self.tolerance))):
+            raise ConfigError("a grasp to reach consists of finite numbers")
+        if len(self.points) % 3 or len(self.points) > 3 * _MOST_CONTACTS:
+            raise ConfigError(f"a grasp has at most {_MOST_CONTACTS} contacts of three numbers")
+        if self.normals and len(self.normals) != len(self.points):
+            raise ConfigError("each contact has a normal, or none has one")
+        if len(self.fingers) > _MOST_CONTACTS or (
+            self.points and self.fingers and 3 * len(self.fingers) != len(self.points)
+        ):
+            raise ConfigError("each contact has a finger, or none has one")
+        if len(self.pose) not in (0, 16) or len(self.approach) not in (0, 3):
+            raise ConfigError("a pose is 4 by 4 numbers, an approach three")
+        if not self.points and not self.pose:
+            raise ConfigError("give contacts, or a gripper's pose and a width")
+
+    def words(self) -> dict[str, Any]:
+        """Return it as plain data, ready for JSON."""
+        return {"reach": asdict(self)}
+
 
 def question_about(thing: str, **options: Any) -> Question:
     """Return the question about an object, with the content of a mesh.
@@ -93,9 +147,11 @@ def question_about(thing: str, **options: Any) -> Question:
 
 
 def ask(
-    folder: Path, question: Question, started: Callable[[subprocess.Popen[str]], object]
+    folder: Path,
+    question: Question | ReachQuestion,
+    started: Callable[[subprocess.Popen[str]], object],
 ) -> str:
-    """Return a ranking as JSON; `rtee.planning.result.from_document` reads it.
+    """Return the answer as JSON; the ``from_document`` of `result` or `reached` reads it.
 
     Args:
         folder: The hand's folder.
@@ -107,11 +163,7 @@ def ask(
         RequestRejected: if there is no answer, with the reason.
     """
     question.check()
-    words = {
-        **{name: getattr(question, name) for name in Question.__dataclass_fields__},
-        "mesh": base64.b64encode(question.mesh).decode("ascii"),
-        "hand": str(folder),
-    }
+    words = {**question.words(), "hand": str(folder)}
     paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "rtee.planning"],
@@ -135,4 +187,4 @@ def ask(
         ) from None
     if "error" in found:
         raise RequestRejected(found["error"])
-    return json.dumps(found["ranking"])
+    return json.dumps(found["answer"])
