@@ -19,8 +19,9 @@ from rtee.log import read
 from rtee.log.recording import outcome_of
 from rtee.loop.plan import OPEN
 from rtee.trials.pictures import Stills
+from rtee.trials.stance import Stance, standing
 from rtee.trials.sweep import bench
-from rtee.trials.transfer import OFF, SLIDE, TILT, Stance, Transfer, run_transfer, standing
+from rtee.trials.transfer import OFF, SLIDE, TILT, Transfer, run_transfer
 from rtee.trials.variation import interval
 from rtee.types import Goal
 

@@ -10,8 +10,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from rtee.drivers.mujoco.objects import OBJECT
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.drivers.mujoco.surroundings import TABLE
+from rtee.drivers.mujoco.surroundings import CONTAINER, TABLE
 from rtee.hand.files import write_atomically
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
@@ -90,7 +91,7 @@ class SimulationRenderer:
         found = []
         for geom in range(model.ngeom):
             name = model.geom(geom).name
-            if name == TABLE or name.startswith("object"):
+            if name == TABLE or name.startswith((OBJECT, CONTAINER)):
                 vertices, faces = _triangles(model, geom)
                 found.append((geom, vertices[faces], smooth_normals(vertices, faces)))
         return found

@@ -14,7 +14,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action
 from rtee.drivers.mujoco.objects import parse_object
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.scene import approach, downward, make_simulation
+from rtee.drivers.mujoco.scene import CONTAINER_SIZE, approach, downward, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
 from rtee.log.recording import outcome_of
@@ -24,6 +24,7 @@ from rtee.loop.settings import LoopSettings
 from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.stance import Stance
 from rtee.trials.variation import Variation, draw
 from rtee.types import FloatArray, Goal
 
@@ -74,6 +75,8 @@ class Transfer:
         places: How many places in the hand are tried at most.
         variations: How often it is tried with variations of the object, of its place and friction.
         seed: Seed of the variations.
+        container: An open container is at its target, into which it is put. Then it may lie there
+            as it likes.
     """
 
     action: str
@@ -86,43 +89,7 @@ class Transfer:
     places: int = 6
     variations: int = 0
     seed: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Stance:
-    """How the hand comes to the object that stands on the table.
-
-    Attributes:
-        place: Pose ``(4, 4)`` in the hand's base frame where the object would be after the approach
-            if nothing touched it; the palm pushes one that would be inside it.
-        mount: How the hand is turned in the world ``(3, 3)``.
-        way: The unit vector ``(3,)`` in the base frame along which the hand comes.
-        lands: Where the object is left ``(3,)`` [m], in the base frame of the hand that opens; at
-            its place unless given.
-    """
-
-    place: FloatArray
-    mount: FloatArray
-    way: FloatArray
-    lands: FloatArray | None = None
-
-
-def standing(position: FloatArray, up: FloatArray, way: FloatArray) -> Stance:
-    """Return the stance in which an upright object is somewhere in the hand.
-
-    Args:
-        position: Where it is in the hand's base frame ``(3,)`` [m].
-        up: Its upward axis ``(3,)`` in the base frame.
-        way: About where the hand moves ``(3,)`` in the base frame as it comes; only what is
-            horizontal of it counts.
-    """
-    up = up / np.linalg.norm(up)
-    along = way - (way @ up) * up
-    along = along / np.linalg.norm(along)
-    place = np.eye(4)
-    place[:3, :3] = np.stack([along, np.cross(up, along), up], axis=1)
-    place[:3, 3] = position
-    return Stance(place, np.array(place[:3, :3].T), along)
+    container: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +114,7 @@ class TransferResult:
         held: Pose ``(4, 4)`` in the hand's base frame in which it was carried.
         lands: Where it was left ``(3,)`` [m], in the base frame of the hand that opens.
         varied: The results of the variations.
+        ticks: Ticks since the recording's start.
     """
 
     transfer: Transfer
@@ -165,6 +133,7 @@ class TransferResult:
     held: FloatArray | None = field(default=None, compare=False)
     lands: FloatArray | None = field(default=None, compare=False)
     varied: tuple[TransferResult, ...] = ()
+    ticks: int = 0
 
 
 def run_transfer(
@@ -177,6 +146,7 @@ def run_transfer(
     watch: Watch | None = None,
     stances: Iterable[Stance] = (),
     teach: bool = True,
+    ticks: int = 0,
 ) -> TransferResult:
     """Pick an object up and place it elsewhere, from one place in the hand or another.
 
@@ -192,6 +162,7 @@ def run_transfer(
         watch: Told of the moments of the transfer.
         stances: How the hand comes to the object; searched unless given.
         teach: Learn from each of them; switch it off for the stance of an earlier result.
+        ticks: Ticks that went before, so that one recording may hold several transfers.
 
     Returns:
         The first result that was placed, in 9 of 10 variations if there are any; else the one with
@@ -203,7 +174,7 @@ def run_transfer(
         ModelError: if the hand cannot be simulated.
     """
     action = library.find(transfer.action, transfer.elements)
-    bench = _Bench(hand, library, settings, transfer, observers, watch)
+    bench = _Bench(hand, library, settings, transfer, observers, watch, ticks)
     ways = stances or _stances(hand, action, settings, transfer)
     tried: list[TransferResult] = []
     for number, first in enumerate(islice(ways, transfer.places), 1):
@@ -229,11 +200,12 @@ class _Bench:
         transfer: Transfer,
         observers: Sequence[LoopObserver],
         watch: Watch | None,
+        ticks: int,
     ) -> None:
         self._hand, self._library, self._settings = hand, library, settings
         self._transfer, self._observers, self._watch = transfer, observers, watch
         self._shape = parse_object(transfer.object)
-        self._ticks = 0
+        self._ticks = ticks
 
     def taught(self, first: Stance, number: int) -> TransferResult:
         """Learn from how the object was held: turn the hand so that it is carried upright."""
@@ -276,8 +248,16 @@ class _Bench:
                 }
             )
             place, mount = self._moved(place, mount, variation)
+        lands = stance.place[:3, 3] if stance.lands is None else stance.lands
+        x, y, _ = _turned(transfer.turn) @ mount @ lands + np.array([*transfer.by, 0.0])
         simulation = make_simulation(
-            hand, options, hand.actuator_names, self._settings.period, place=place, mount=mount
+            hand,
+            options,
+            hand.actuator_names,
+            self._settings.period,
+            place=place,
+            mount=mount,
+            container=(float(x), float(y)) if transfer.container else None,
         )
         # Before the first step: a varied object may be inside the hand at the end of the way.
         way = _AWAY * mount @ stance.way
@@ -292,12 +272,11 @@ class _Bench:
             ticks=self._ticks,
         )
         watch = None if quiet else self._watch
-        lands = stance.place[:3, 3] if stance.lands is None else stance.lands
         run = _Run(headless, transfer, mount @ lands, way, watch)
         result = run.result()
         if not quiet:
             self._ticks = headless.ticks
-        return replace(result, places=number, stance=stance)
+        return replace(result, places=number, stance=stance, ticks=headless.ticks)
 
     def _moved(
         self, place: FloatArray, mount: FloatArray, variation: Variation
@@ -449,8 +428,13 @@ class _Run:
         up = target[:3, :3].T[:, 2]  # of the object, in its own frame
         tilt = float(np.arccos(np.clip((now[:3, :3] @ up)[2], -1.0, 1.0)))
         reason = ""
+        inside = bool(
+            (np.abs(now[:2, 3] - target[:2, 3]) < 0.5 * np.array(CONTAINER_SIZE[:2])).all()
+        )
         if self._around.touching():
             reason = "the hand did not let go of it"
+        elif self._transfer.container:
+            reason = "" if inside else "it is not in the container"
         elif self._slide > SLIDE:
             reason = f"it slid {self._slide * 1e3:.0f} mm in the hand"
         elif tilt > TILT:
