@@ -1,18 +1,27 @@
 """HERI II on an arm: three objects from the table into a container, on one timeline.
 
 Each object is taken with another action: a pinch, Trigs below 100 %, and another composed one.
-Motor positions and currents are plotted as one picture, with the actions' spans.
+Motor positions and efforts (a simulated motor has no current) are plotted as one picture, with the
+spans from the start of each action to the end of holding.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from experiments.common import Outcome, main, recording, strip
+from rtee.log import read
+from rtee.log.figure import By, figure
+from rtee.log.labels import Band, bands_of
+from rtee.log.playback import fingers
+from rtee.log.plot_png import write_png
+from rtee.log.recording import Recording
+from rtee.loop.plan import OPEN
 from rtee.trials.pictures import Stills
 from rtee.trials.sweep import bench
-from rtee.trials.transfer import Transfer, run_transfer
+from rtee.trials.transfer import LOST, Transfer, run_transfer
 
 HAND = "heri_ii"
 
@@ -30,6 +39,23 @@ TRANSFERS = (
     _into("3f_grasp", (), "cylinder:0.025x0.12"),
     _into("Grasp", (), "sphere:0.035"),
 )
+
+
+def held_spans(found: Recording) -> tuple[Band, ...]:
+    """Return the spans of the actions, each until the hand begins to open, as in the paper."""
+    bands = bands_of(found.spans, 0.0, found.duration)
+    ends = [band.span.start for band in bands[1:]] + [found.duration]
+    return tuple(
+        band if band.span.name == OPEN else replace(band, span=replace(band.span, end=end))
+        for band, end in zip(bands, ends, strict=True)
+    )
+
+
+def plot(path: Path) -> None:
+    """Plot the recording again, with the spans to the end of holding."""
+    found = read(path)
+    shown = figure(found, by=By.ACTUATOR, fingers=fingers(found))
+    write_png(replace(shown, bands=held_spans(found)), path.with_suffix(".png"))
 
 
 def run(
@@ -62,9 +88,13 @@ def run(
                 ticks=ticks,
             )
             ticks = result.ticks
+            outcome.below(f"{what}: moves in the hand", result.slide * 1e3, LOST * 1e3, "mm")
             outcome.check(result.placed, f"{what}: in the container", result.reason or "yes")
             if stills is not None and stills.taken:
                 strip(folder / f"{HAND}_{transfer.action}.png", stills.taken, outcome, columns=4)
+    for path in outcome.files:
+        if path.suffix == ".mcap":
+            plot(path)
     return outcome
 
 

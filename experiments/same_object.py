@@ -40,7 +40,7 @@ ENOUGH = 18
 """In how many of them the object has to stand at its target."""
 
 PALM = standing(
-    np.array([0.001, 0.035, 0.142]), np.array([-1.0, -0.04, 0.0]), np.array([0.0, 1.0, 0.0])
+    np.array([0.003, 0.036, 0.143]), np.array([-1.0, -0.03, 0.0]), np.array([0.0, 1.0, 0.0])
 )
 """How the SoftHand comes to the can: palm ahead, so far that the palm pushes the can by some
 millimetres and finds it wherever it stood, and so high that no finger touches the table."""

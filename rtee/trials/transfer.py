@@ -34,6 +34,9 @@ MOMENTS = ("start", "approach", "grasp", "lift", "carry", "set down", "open", "r
 SLIDE = 0.01
 """How far the object may slide in the hand between lift and set-down [m]."""
 
+LOST = 0.06
+"""How far it may move in the hand before it counts as fallen [m]."""
+
 OFF = 0.015
 """How far from its target it may stand [m]."""
 
@@ -52,7 +55,6 @@ _AWAY = 0.12
 _ALONG = 0.9
 _TURNS = 3
 _HOLD = 2.0
-_LOST = 0.06
 _SLOW = 0.06
 _DEEPER = 0.03
 
@@ -420,7 +422,7 @@ class _Run:
             self._slide = max(self._slide, float(np.linalg.norm(now - self._start)))
 
     def _lost(self) -> bool:
-        return not self._around.touching() or self._slide > _LOST or self._around.on_table
+        return not self._around.touching() or self._slide > LOST or self._around.on_table
 
     def _judge(self, target: FloatArray) -> TransferResult:
         now, speed = self._around.object_frame, self._around.speed

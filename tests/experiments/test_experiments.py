@@ -50,10 +50,13 @@ def test_the_trigger_is_pressed_and_let_go(tmp_path: Path) -> None:
     assert [inner.name for inner in span.inner] == ["GRASP3f", "TrigOn", "TrigOff"]
 
 
-def test_heri_ii_holds_an_object(tmp_path: Path) -> None:
-    outcome = Outcome("held")
-    hold("heri_ii", heri_objects.TRIALS[0], tmp_path, outcome, pictures=False)
+def test_heri_ii_puts_an_object_into_the_container(tmp_path: Path) -> None:
+    outcome = heri_objects.run(tmp_path, pictures=False, transfers=heri_objects.TRANSFERS[:1])
     assert passed(outcome)
+    found = read(next(tmp_path.glob("*.mcap")))
+    grasp, release = heri_objects.held_spans(found)
+    assert grasp.span.name.startswith("PinchTight")
+    assert grasp.span.end == release.span.start
 
 
 def test_an_experiment_that_fails_says_so(tmp_path: Path) -> None:
@@ -96,7 +99,7 @@ def test_the_variants_have_the_stated_primitives(variant: int, tmp_path: Path) -
 @pytest.mark.parametrize("gripper", same_object.GRIPPERS, ids=lambda gripper: gripper.name)
 def test_the_same_object_is_picked_and_placed(gripper: same_object.Gripper, tmp_path: Path) -> None:
     outcome = Outcome("placed")
-    same_object.in_dynamics(gripper, tmp_path, outcome, pictures=False)
+    same_object.in_dynamics(gripper, tmp_path, outcome, pictures=False, variations=1)
     assert passed(outcome)
     names = [span.name for span in read(next(tmp_path.glob("*.mcap"))).spans]
     assert names[-1] == "open"
