@@ -119,7 +119,7 @@ async def powered(session: Session, case: DeviceCase) -> Outcome:
         try:
             await session.driver.recover()
             await session.driver.activate()
-        except NotConnected:  # it started anew and has to be connected to again
+        except NotConnected:  # it restarted and has to be connected to again
             await session.driver.close()
             await session.start()
     return await _returned(session, case, name, good=name != "nothing" or not case.homes)

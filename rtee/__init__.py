@@ -1,7 +1,8 @@
 """rtee: command any robotic hand or gripper by grasping actions.
 
-async with rtee.connect("schunk_svh") as hand:
-result = await hand.do("pinch_tight", "index", "thumb", intensity=0.6)
+Example:
+    async with rtee.connect("schunk_svh") as hand:
+        result = await hand.do("pinch_tight", "index", "thumb", intensity=0.6)
 """
 
 from __future__ import annotations

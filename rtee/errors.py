@@ -69,7 +69,7 @@ class UserError(RteeError):
 
     Attributes:
         message: What is wrong and what would be right, in one line.
-        path: The file it stands in, if any.
+        path: The file it is in, if any.
         line: The line in that file, counted from 1, if known.
     """
 
@@ -115,7 +115,7 @@ class MissingExtra(ConfigError):
     """Something was asked for that needs an extra of rtee that is not installed.
 
     Attributes:
-        extra: The extra, as it stands in brackets after the package's name.
+        extra: The extra, as written in brackets after the package's name.
     """
 
     def __init__(self, what: str, extra: str) -> None:

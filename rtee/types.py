@@ -31,7 +31,7 @@ FORMER_NAMES: Mapping[str, str] = MappingProxyType(
     }
 )
 """Keys and values of hand.yaml that were renamed: recordings made before are read by their new
-names, and people are told what to change."""
+names, and the message says what to change."""
 
 
 def _nothing() -> Mapping[str, Any]:
@@ -152,7 +152,7 @@ class Capabilities:
         watchdog: It stops by itself when the host falls silent, and the driver has armed that.
         recoverable: ``recover()`` can clear faults.
         gains: Names of gains that can be tuned while it runs.
-        identity: Model, firmware, serial number and the like, as the device told.
+        identity: Model, firmware, serial number and the like, as the device reports them.
     """
 
     measures: frozenset[str] = frozenset({"position"})
@@ -229,7 +229,7 @@ class DeviceStatus:
         name: The device's name within the hand.
         driver: The driver's name.
         lifecycle: Its state.
-        identity: What it told about itself.
+        identity: What it reports about itself.
         rate: Measured rate of exchanges [Hz].
         every: It is exchanged every n ticks.
         age: Age of the newest measurement [s].

@@ -29,7 +29,7 @@ def read_use(word: str) -> ActionReference:
     elements = tuple(rest.split(",")) if colon else ()
     if not name or not all(elements):
         raise ActionError(
-            f"'{word}' is no action; it is written ACTION, ACTION:ELEMENT or "
+            f"'{word}' is not an action; write ACTION, ACTION:ELEMENT or "
             "ACTION:ELEMENT,ELEMENT*SCALE"
         )
     return ActionReference(name, elements, scale)
@@ -54,7 +54,7 @@ def read_step(word: str) -> StepPlan:
             margins[key] = _number(value, key, word)
         else:
             raise ActionError(
-                f"'{option}' in '{word}' is no margin; there are before=SECONDS, after=SECONDS "
+                f"'{option}' in '{word}' is not a margin; there are before=SECONDS, after=SECONDS "
                 "and alias=NAME"
             )
     return StepPlan(read_use(body + star + factor), alias, **margins)
@@ -70,7 +70,7 @@ def read_set_points(words: Sequence[str]) -> dict[str, float]:
     for word in words:
         name, equals, value = word.rpartition("=")
         if not equals or not name:
-            raise ActionError(f"'{word}' is no set-point; it is written ACTUATOR=VALUE")
+            raise ActionError(f"'{word}' is not a set-point; write ACTUATOR=VALUE")
         if name in found:
             raise ActionError(f"the actuator '{name}' is given twice")
         found[name] = _number(value, f"set-point of '{name}'", word)
@@ -106,7 +106,7 @@ def read_efforts(words: Sequence[str]) -> Efforts:
         percent = value.endswith("%")
         if bool(name) != bool(equals) or not (name or percent):
             raise ActionError(
-                f"'{word}' is no effort limit; it is written PERCENT% for all actuators, "
+                f"'{word}' is not an effort limit; write PERCENT% for all actuators, "
                 "ACTUATOR=PERCENT% or ACTUATOR=VALUE for one"
             )
         if name in shares or name in limits:

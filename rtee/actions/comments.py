@@ -18,7 +18,7 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
 
     Args:
         text: The file as it is.
-        data: What it shall hold, as for `emit`.
+        data: What it is to hold, as for `emit`.
 
     Returns:
         The new text; ``None`` if the old one cannot be kept.

@@ -45,7 +45,7 @@ def find_parts(
 
     Args:
         hand: The hand.
-        choices: What each part may be; parts with the same choices stand in sequence.
+        choices: What each part may be; parts with the same choices are adjacent.
         set_points: Positions by actuator [rad | m].
         fingers: The fingers that primitives among them may be done with; any if empty.
     """

@@ -82,7 +82,7 @@ class Builder:
             names = " > ".join(self.definitions[k].name for k in chain)
             raise ActionError(f"the action would contain itself: {names}")
         if elements:
-            raise ActionError(f"'{name}' is no primitive and takes no elements")
+            raise ActionError(f"'{name}' is not a primitive and takes no elements")
         return self._made(key)
 
     def _make(self, definition: Definition) -> Action:

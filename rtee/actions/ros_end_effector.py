@@ -1,7 +1,7 @@
 """Reading the action files of ROS End-Effector.
 
 Its files hold, per action, a posture of all actuators (``JointPos``, a list per joint) and a count
-per actuator that tells which are involved. Primitives are keyed by their fingers (``[index,
+per actuator that says which are involved. Primitives are keyed by their fingers (``[index,
 thumb]``) or their joint and keep several ``ActionState_N``; composed ones name their parts without
 elements and scales; timed ones hold the postures of their inner actions. What a custom action was
 made of is therefore found again by comparing postures; where that fails, set-points stay.

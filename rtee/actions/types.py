@@ -19,7 +19,7 @@ class ActionKind(StrEnum):
 
 
 class PrimitiveKind(StrEnum):
-    """The seven kinds of primitives; all that tells them apart, but how they are found.
+    """The seven kinds of primitives; all that distinguishes them, except how they are found.
 
     Attributes:
         label: What one does, in a few words.

@@ -65,7 +65,7 @@ def split_address(url: str, default_port: int | None = None) -> tuple[str, int]:
     host = host.strip("[]")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ConfigError(
-            f"'{url}' is no address; it looks like '{url.partition('://')[0]}://host:port'"
+            f"'{url}' is not an address; one looks like '{url.partition('://')[0]}://host:port'"
         )
     return host, int(port)
 
@@ -165,7 +165,7 @@ def explained(name: str, error: OSError | ValueError) -> BusError:
     if code == errno.ECONNREFUSED:
         return BusBroken(name, "connection refused; nothing listens there")
     if code == errno.ENOTTY:
-        return BusBroken(name, "is no serial port; `rtee scan` lists the ports")
+        return BusBroken(name, "is not a serial port; `rtee scan` lists the ports")
     if isinstance(error, socket.gaierror):
         return BusBroken(name, "nobody knows this name; use the IP address")
     return BusBroken(name, f"cannot be opened: {error}")

@@ -15,7 +15,7 @@ from pymodbus.pdu import ModbusPDU
 _MOST = 260
 """Longest frame [byte]: a PDU of 253 and the 7 of the TCP header."""
 
-READ_HOLDING = 0x03
+READ_HOLDING = 0x03  # function codes (Modbus application protocol 1.1b3, section 6)
 READ_INPUT = 0x04
 WRITE_ONE = 0x06
 WRITE_MANY = 0x10

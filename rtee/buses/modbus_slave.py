@@ -20,7 +20,7 @@ from rtee.buses.modbus_frames import (
 )
 from rtee.buses.timing import silence
 
-ILLEGAL_FUNCTION = 1
+ILLEGAL_FUNCTION = 1  # Modbus exception codes (application protocol 1.1b3, section 7)
 ILLEGAL_ADDRESS = 2
 ILLEGAL_VALUE = 3
 _KEPT = 64

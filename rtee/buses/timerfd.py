@@ -13,7 +13,7 @@ import struct
 import sys
 import time
 
-_TFD_TIMER_ABSTIME = 1
+_TFD_TIMER_ABSTIME = 1  # timerfd_settime: the time given is absolute (sys/timerfd.h)
 _NANOSECONDS = 1_000_000_000
 _COUNT = struct.Struct("=Q")
 _SETTING = struct.Struct("@4l")  # struct itimerspec: seconds and nanoseconds, interval and value

@@ -197,7 +197,9 @@ def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:
     if kind.on_frame is not Emulator.on_frame and not can:
         raise ConfigError(f"'{name}' is a device on a CAN bus: give --can CHANNEL")
     if kind.feed is not Emulator.feed and can:
-        raise ConfigError(f"'{name}' is no device on a CAN bus: give --link or --tcp, or neither")
+        raise ConfigError(
+            f"'{name}' is not a device on a CAN bus: give --link or --tcp, or neither"
+        )
     if kind.on_frame is Emulator.on_frame and kind.feed is Emulator.feed:
         raise ConfigError(
             f"'{name}' is emulated without its wire, at the level of process data, so no other "

@@ -64,7 +64,7 @@ def find_driver(name: str, *, source: str = "") -> type[Driver]:
 
     Args:
         name: A name in `DRIVERS`, an entry point's name, or ``module:Class``.
-        source: ``file:line`` where the name stands, for the message.
+        source: ``file:line`` of the name, for the message.
 
     Raises:
         ConfigError: if there is none, it cannot be imported, or it is no `Driver`.

@@ -116,7 +116,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         """Open the line and check that such a gripper answers; moves nothing."""
         settings = self._settings
         output, source, function = self._places()
-        # Where both blocks begin at the same place, function 23 cannot tell them apart.
+        # Where both blocks begin at the same place, function 23 cannot distinguish them.
         mixed = output == source and settings.exchange == "auto"
         # Emulated, it is found active, as after an earlier run, unless it is to be homed.
         found = {"activated": settings.home == "on_demand", **settings.emulator}

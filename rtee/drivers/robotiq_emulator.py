@@ -28,7 +28,7 @@ BLOCK = 8
 """Registers of either block that are served; published programs read six of a two-finger one."""
 
 _RELEASING, _RELEASED = 0x0B, 0x0F
-_ACTIVATION_FAILED = 0x0D
+_ACTIVATION_FAILED = 0x0D  # gFLT: activation fault
 
 _SELF_TEST = 800.0
 """Way of a motor in the time of an activation, at most [counts]: there and back, and some more."""

@@ -261,7 +261,7 @@ class ClearSearch:
     def _improve_recalibrated(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose, possibly far from a clear one.
 
-        The gaps at the pose tell how much more the convex parts may overlap; with these allowances
+        The gaps at the pose show how much more the convex parts may overlap; with these allowances
         the goal is improved, and the pose moves on as far as it stays clear.
         """
         best = self._function.value(y)

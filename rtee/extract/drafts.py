@@ -143,7 +143,7 @@ def least_width(shape: Shape, draft: coal.ShapeBase) -> float:
 
     Args:
         shape: The shape.
-        draft: Its draft, which is no wider.
+        draft: Its draft, which is not wider.
     """
     if not shape.is_mesh:
         low, high = shape.box

@@ -108,7 +108,7 @@ def clip_jaws(
     """Return the parts of two joined tips whose contact shows a pinch.
 
     Tips that a joint joins may touch near it at every configuration, which shows nothing. The least
-    distance from the joint's axis beyond which they do not touch at rest tells how far that
+    distance from the joint's axis beyond which they do not touch at rest shows how far that
     reaches. What counts are the outer parts of the tips: those farther from the axis than the
     middle between that reach and the end of the shorter tip.
 

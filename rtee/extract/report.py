@@ -27,7 +27,7 @@ from rtee.actions.types import (
     PrimitiveKind,
     Timed,
 )
-from rtee.errors import MissingExtra
+from rtee.errors import needing_extra
 from rtee.extract.jobs import parallel_map, processors
 from rtee.hand.colours import finger_colours
 from rtee.hand.model import Hand, JointRole
@@ -290,10 +290,8 @@ def _moved(hand: Hand, posture: Posture) -> tuple[str, ...]:
 
 def _load_template() -> Template:
     """Return the template that `_page` fills in; raises `MissingExtra` without Jinja."""
-    try:
+    with needing_extra("a report", "plot"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    except ImportError:
-        raise MissingExtra("a report", "plot") from None
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATE.parent),
         autoescape=True,

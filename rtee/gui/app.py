@@ -20,7 +20,7 @@ from rtee.remote.client import connect
 from rtee.remote.find import hands_running
 
 _POLL_PERIOD = 0.5
-"""Time between two searches for running hands [s]: soon enough for whoever just started one."""
+"""Time between two searches for running hands [s]: a person who starts one sees it at once."""
 
 # Keeps the group that contains the banner in sight when the panel is scrolled.
 _STICKY: Final = """<style>

@@ -83,7 +83,7 @@ class HandConfig(BaseModel):
     """Rest positions by actuator [rad | m]; unless given, the SRDF's group_state ``rest``,
     ``open`` or ``home``, or 0 clamped into the limits."""
     ignore: list[str] = Field(default=[])
-    """Actuators that take no part, such as those of a wrist: they stand fixed at ``rest``, move in
+    """Actuators that take no part, such as those of a wrist: they stay fixed at ``rest``, move in
     no action and need no device."""
     limits: LimitsSection = LimitsSection()
     """Limits that tighten or complete the URDF's."""
@@ -135,7 +135,7 @@ def read_config(path: Path | str) -> HandConfig:
     """Read a hand.yaml.
 
     Args:
-        path: The file, or the folder it stands in.
+        path: The file, or its folder.
 
     Raises:
         ConfigError: The file cannot be read or a value is wrong; the message names file, line and
@@ -159,7 +159,7 @@ def read_document(path: Path | str) -> tuple[HandConfig, YamlDocument]:
 
 
 def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError:
-    """Return the error that stands first in the file."""
+    """Return the error that comes first in the file."""
     found = document.located(errors.errors())
     location, error = found[0]
     reasons = [e["msg"] for place, e in found if place == location]  # several for a union
@@ -201,7 +201,7 @@ def _keys(location: Sequence[str | int]) -> list[str]:
 
 
 def _fields(kind: Any) -> dict[str, Any]:
-    """Return the fields of a section with their types; none if it is no section."""
+    """Return the fields of a section with their types; none if it is not a section."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return {name: field.annotation for name, field in kind.model_fields.items()}
     if dataclasses.is_dataclass(kind):

@@ -287,7 +287,7 @@ class LogSection(Section):
     """This much is kept in memory, recording or not, and written when something fails [s];
     0: nothing."""
     decimation: Annotated[int, Ge(1)] = 1
-    """Record every n-th tick; only recordings of every tick can be computed anew."""
+    """Record every n-th tick; only recordings of every tick can be recomputed."""
     tf_rate: NotNegative = 50.0
     """Rate of the links' transforms on ``/tf``, from which Foxglove and RViz show the moving hand
     [Hz]; 0: none."""

@@ -188,7 +188,7 @@ def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
 
 
 def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
-    """Name fingers by what people call them in links and joints, or by what tells the ends apart.
+    """Name fingers by what people call them in links and joints, or by what distinguishes the ends.
 
     People write the usual word (``index``), the prefix of the Shadow Hand (``ff``), or a number
     (``finger_1``, ``f1``). These count only where every finger has one, and each another one.

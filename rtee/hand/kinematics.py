@@ -46,7 +46,7 @@ class Kinematics:
                 added = self.model.addJoint(parent, _joint_model(joint), placement, joint.name)
                 if added != index[joint.name] + 1:
                     raise ModelError(
-                        f"joint '{joint.name}' does not stand in the order of the tree",
+                        f"joint '{joint.name}' is not in the order of the tree",
                         path=hand.urdf.path,
                         line=joint.line,
                     )

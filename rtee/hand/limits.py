@@ -46,7 +46,7 @@ class Overrides:
         dynamics: What the actuators are like inside, by actuator.
         default_dynamics: What holds for all actuators where they say nothing else.
         clearance: Distance that clear poses keep from other links [m].
-        ignore: Actuators that stand fixed at rest and take no part.
+        ignore: Actuators that stay fixed at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
         error: Makes the error for a value of the configuration, from its place and a message.
     """
@@ -205,10 +205,10 @@ class _Reader:
 def standing_position(
     joint: UrdfJoint, urdf: Urdf, state: Mapping[str, float], overrides: Overrides
 ) -> float:
-    """Return where a joint stands that no actuator moves [rad | m].
+    """Return the position of a joint that no actuator moves [rad | m].
 
     Raises:
-        UserError: It is configured to stand outside its limits.
+        UserError: It is configured to be outside its limits.
     """
     if joint.name in overrides.ignore:
         rest = _Reader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)

@@ -135,7 +135,7 @@ def hand_folder(
     path = Path(name_or_path)
     file = path / FILE_NAME if path.is_dir() else path
     if not file.is_file():
-        raise ConfigError(f"is no folder of a hand: it holds no {FILE_NAME}", path=path)
+        raise ConfigError(f"is not a hand's folder: it has no {FILE_NAME}", path=path)
     return file.parent, file
 
 
@@ -255,7 +255,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
 def _refused(
     place: tuple[str | int, ...], what: str, overrides: Overrides, urdf: Urdf
 ) -> UserError:
-    """Return the error for a configured value, with its line where it stands in a file."""
+    """Return the error for a configured value, with its line if it is in a file."""
     if overrides.error is not None:
         return overrides.error(place, what)
     return ModelError(f"{'.'.join(map(str, place))}: {what}", path=urdf.path)

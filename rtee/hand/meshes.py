@@ -34,7 +34,7 @@ def resolve_mesh(
         line: Line of the address in the URDF, for messages.
 
     Raises:
-        ModelError: There is no such file; the message says where it was looked for.
+        ModelError: There is no such file; the message says where it was searched.
     """
     folder = Path(urdf).absolute().parent
     match = _SCHEME.match(uri)
@@ -108,7 +108,7 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
 
 
 def why_no_mesh(data: bytes, suffix: str) -> str | None:
-    """Return why the content of a file is no mesh of a format, or ``None`` if it may be one.
+    """Return why the content of a file is not a mesh of a format, or ``None`` if it may be one.
 
     Args:
         data: The file's content.

@@ -124,7 +124,7 @@ def copy_hand(folder: Path, target: Path) -> None:
 
     Raises:
         ConfigError: The name is not allowed or taken, or the folder cannot be written.
-        ModelError: What was copied is no hand, because files outside of its folder belong to it.
+        ModelError: What was copied is not a hand, because files outside of its folder belong to it.
     """
     name = check_name(target.name, "hand")
     if target.exists():

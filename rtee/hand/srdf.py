@@ -134,7 +134,7 @@ def _named(element: Element, tag: str) -> Mapping[str, int]:
     for child in element.all(tag):
         name = child.required("name")
         if name in found:
-            raise child.error(f"<{tag}> '{name}' stands twice, first in line {found[name]}")
+            raise child.error(f"<{tag}> '{name}' occurs twice, first in line {found[name]}")
         found[name] = child.line
     return MappingProxyType(found)
 
@@ -159,7 +159,7 @@ def _state(element: Element) -> SrdfState:
     for joint in element.all("joint"):
         name = joint.required("name")
         if name in values:
-            raise joint.error(f"joint '{name}' stands twice in this group_state")
+            raise joint.error(f"joint '{name}' occurs twice in this group_state")
         values[name] = joint.number("value")
     return SrdfState(
         name=element.required("name"),

@@ -59,7 +59,7 @@ class Element:
         """Return an attribute as a finite number.
 
         Raises:
-            ModelError: It is no finite number, larger than ``most``, or missing without a default.
+            ModelError: It is not finite, is larger than ``most``, or is missing without a default.
         """
         text = self.attributes.get(attribute)
         if text is None and default is not None:
@@ -79,7 +79,7 @@ class Element:
         """Return an attribute as finite numbers separated by blanks.
 
         Raises:
-            ModelError: There are not ``count`` of them, one is no finite number or larger than
+            ModelError: There are not ``count`` of them, one is not finite or is larger than
                 ``most``, or the attribute is missing without a default.
         """
         text = self.attributes.get(attribute)
@@ -149,7 +149,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
         The root element and the file's text.
 
     Raises:
-        ModelError: The file does not exist or cannot be read, is no well-formed XML, or declares a
+        ModelError: The file does not exist or cannot be read, is not well-formed XML, or declares a
             document type or entities.
     """
     file = Path(path)

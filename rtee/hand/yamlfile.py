@@ -177,7 +177,7 @@ def parse_yaml(
         path: The file, for messages.
         what: What it should be, for messages.
         raised: The error to raise.
-        foreign: Whether a root that is no mapping, aliases, NaN and keys that are lists are
+        foreign: Whether a root that is not a mapping, aliases, NaN and keys that are lists are
             allowed, as other programs write them; such a key becomes a tuple of strings.
 
     Raises:
@@ -326,7 +326,7 @@ class _Reader:
                 raise self._error(line, "a key should be a word")
             if key in data:
                 first = self.lines[(*location, key)]
-                raise self._error(line, f"'{str(key)[:80]}' stands twice, first in line {first}")
+                raise self._error(line, f"'{str(key)[:80]}' occurs twice, first in line {first}")
             self.lines[(*location, key)] = line
             data[key] = self.value(value_node, (*location, key))
         return data

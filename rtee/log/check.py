@@ -1,4 +1,4 @@
-"""Computing the references of a recording anew and comparing them bit for bit."""
+"""Recompute the references of a recording and compare them bit for bit."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def check(recording: Recording) -> Check:
     except (ValueError, ArithmeticError, LookupError, TypeError) as error:
         if isinstance(error, RteeError):
             raise
-        raise LogError(f"cannot be computed anew: {error}", path=recording.paths[0]) from error
+        raise LogError(f"cannot be recomputed: {error}", path=recording.paths[0]) from error
 
 
 def _check(recording: Recording, replayable: Replayable) -> Check:
@@ -155,16 +155,16 @@ def _replayable(recording: Recording) -> Replayable:
     path = recording.paths[0]
     attached = recording.attachments.get(REPLAY)
     if attached is None:
-        raise LogError("holds no settings of the loop: it cannot be computed anew", path=path)
+        raise LogError("holds no settings of the loop: it cannot be recomputed", path=path)
     states = recording.actuator_states
     if recording.metadata.get("decimation", "1") != "1":
-        raise LogError("holds not every tick: it cannot be computed anew", path=path)
+        raise LogError("does not hold every tick: it cannot be recomputed", path=path)
     if not len(states) or len(states) != len(recording.reference):
         raise LogError("holds no states and references of the same ticks", path=path)
     if states.tick[0] != 0:
         raise LogError(
             f"begins at tick {states.tick[0]} of the loop; only what was recorded from the loop's "
-            "start can be computed anew (with rotated files: give --series)",
+            "start can be recomputed (with rotated files: give --series)",
             path=path,
         )
     return from_json(attached, Replayable)

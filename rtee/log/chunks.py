@@ -23,9 +23,9 @@ INDEX = struct.Struct("<BQHI")
 INDEX_ENTRY = 16
 """Bytes of an entry of a message index: log time and offset."""
 
-_AFTER_LENGTH = MESSAGE.size - 9
-_INDEX_AFTER_LENGTH = INDEX.size - 9
-_LEAST_ROOM = 65536
+_AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
+_INDEX_AFTER_LENGTH = INDEX.size - 9  # the same of a message index
+_LEAST_ROOM = 65536  # first size of a chunk's buffer [byte]: a second of a small hand
 
 
 Entries = Mapping[int, tuple[NDArray[np.uint64], NDArray[np.uint64]]]

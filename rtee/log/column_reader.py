@@ -18,10 +18,10 @@ from rtee.messages.layout import places
 from rtee.messages.schema import MessageType
 
 _LENGTH = struct.Struct("<Q")
-_AFTER_LENGTH = MESSAGE.size - 9
-_SEQUENCE = 11
-_LOG_TIME = 15
-_LEAST_ROOM = 16
+_AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
+_SEQUENCE = 11  # offset of the sequence number in a record: opcode, length, channel
+_LOG_TIME = 15  # offset of the log time, behind the sequence number
+_LEAST_ROOM = 16  # rows for which columns are made at least: fewer would be grown at once
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]
@@ -68,7 +68,7 @@ def sequences(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
 
 
 def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
-    """Whether an index tells the truth: messages of the channel begin at all starts."""
+    """Whether an index is right: messages of the channel begin at all starts."""
     if not starts.size:
         return True
     if starts.min() < 0 or starts.max() + MESSAGE.size > data.size:

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from rtee.errors import LogError, MissingExtra
+from rtee.errors import LogError, needing_extra
 from rtee.log.recording import Recording
 from rtee.log.sink import reason
 from rtee.log.tables import Table, tables
 
-_ROWS = 10_000
+_ROWS = 10_000  # rows converted to Python numbers at a time: some megabytes
 
 
 class Format(StrEnum):
@@ -96,11 +96,9 @@ def _write_csv(path: Path, table: Table) -> None:
 
 
 def _parquet() -> Any:
-    try:
+    with needing_extra("export to Parquet", "plot"):
         import pyarrow
         import pyarrow.parquet
-    except ImportError:
-        raise MissingExtra("export to Parquet", "plot") from None
     return pyarrow
 
 

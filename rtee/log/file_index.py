@@ -32,7 +32,7 @@ _CHUNK_TIMES = struct.Struct("<QQ")
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where a chunk stands.
+    """Where a chunk is.
 
     Attributes:
         record: Its record.

@@ -11,8 +11,8 @@ SPAN_COLOURS = ("#4c78a8", "#f58518", "#54a24b", "#b279a2", "#b8860b", "#439894"
 MARK_COLOUR = "#444444"
 _CHARACTER = 0.0098
 """Width of a character of a label, as a share of the left panels'."""
-_LONGEST = 40
-_LANES = 3
+_LONGEST = 40  # characters of a label; longer ones end in an ellipsis
+_LANES = 3  # rows of labels above the panels; what fits into none is not labelled
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def labels_of(
 ) -> Iterator[Label]:
     """Lay out the names: inner actions below, actions above them, marks on top.
 
-    Each kind has a few lanes; a name for which there is no room in any of them is left out.
+    Each kind has a few lanes; a name that fits into none of them is left out.
     """
     duration = max(end - start, 1e-9)
     kinds = (

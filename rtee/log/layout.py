@@ -1,4 +1,4 @@
-"""What a recording consists of: its channels, and what stands before the first message."""
+"""What a recording consists of: its channels, and what precedes the first message."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES,
 """Name of a topic to the identifier of its channel."""
 
 REPLAY = "replay.json"
-"""Name of the attachment with what the references can be computed anew from."""
+"""Name of the attachment from which the references can be recomputed."""
 
 MESHES = "meshes"
-"""Name of the metadata record that tells which attachment is the mesh of which address."""
+"""Name of the metadata record that says which attachment is the mesh of which address."""
 
 _LATCHED = (
     "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline: {sec: 0, nsec: 0}\n"
@@ -51,7 +51,7 @@ _MEDIA_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class Replayable:
-    """What the references of a recording can be computed anew from, besides its messages.
+    """What is needed, besides its messages, to recompute the references of a recording.
 
     Attributes:
         settings: The loop's settings.
@@ -122,7 +122,7 @@ class Contents:
         }
 
     def preamble(self, wall_ns: int, **more: str) -> Preamble:
-        """Return what stands before the first chunk of a file.
+        """Return what precedes the first chunk of a file.
 
         Args:
             wall_ns: The time [ns since 1970].

@@ -1,6 +1,6 @@
 """Writing an MCAP file so that at any moment everything before the last chunk can be read.
 
-Whatever a reader needs (metadata, attachments, schemas, channels) stands before the first chunk.
+Whatever a reader needs (metadata, attachments, schemas, channels) precedes the first chunk.
 A chunk is written whole or not at all: after a failed write the file is cut back to the end of the
 chunk before. What `mcap.writer` offers cannot do that, so the file is laid out here, with the
 records of `mcap.records`.
@@ -43,7 +43,7 @@ PROFILE = "ros2"
 
 @dataclass(frozen=True, slots=True)
 class Preamble:
-    """What stands in a file before its first chunk.
+    """What precedes the first chunk of a file.
 
     Attributes:
         library: Name and version of the software that writes it.
@@ -89,7 +89,7 @@ class McapFile:
 
     Args:
         path: The file; it must not exist.
-        preamble: What stands before its first chunk.
+        preamble: What precedes its first chunk.
         sync: Flush every chunk to the disk, so that it also survives a power cut.
 
     Raises:
@@ -100,7 +100,7 @@ class McapFile:
         self.path = path
         self._sync = sync
         self._preamble = preamble
-        # One record after the other, as they will stand in the summary: a file may have 100,000.
+        # One record after the other, as they will be in the summary: a file may have 100,000.
         self._chunks = bytearray()
         self._chunk_count = 0
         self._counts: dict[int, int] = {}

@@ -19,7 +19,7 @@ from rtee.sample import TickRecord
 
 
 def states(recording: Recording) -> Iterator[TickRecord]:
-    """Yield what was known at every tick, as the loop told it.
+    """Yield what was known at every tick, as the loop reported it.
 
     References that are not in the recording are ``NaN``.
     """

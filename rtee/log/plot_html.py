@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from rtee.errors import MissingExtra
+from rtee.errors import needing_extra
 from rtee.log.export import replacing
 from rtee.log.figure import Figure, Line
 from rtee.log.labels import MARK_COLOUR
 
-_ROW_HEIGHT = 210
-_LANE_HEIGHT = 18
-_HEAD = 90
+_ROW_HEIGHT = 210  # of a panel [pixels]
+_LANE_HEIGHT = 18  # of a row of labels [pixels]
+_HEAD = 90  # room for title and legend [pixels]
 
 
 def write_html(figure: Figure, path: Path) -> None:
@@ -25,11 +25,9 @@ def write_html(figure: Figure, path: Path) -> None:
         MissingExtra: if Plotly is missing.
         LogError: if the file cannot be written.
     """
-    try:
+    with needing_extra("a plot as page", "plot"):
         import plotly.graph_objects as go
         from plotly.subplots import make_subplots
-    except ImportError:
-        raise MissingExtra("a plot as page", "plot") from None
     count = len(figure.rows)
     drawing = make_subplots(
         rows=count,

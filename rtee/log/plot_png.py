@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rtee.errors import MissingExtra
+from rtee.errors import needing_extra
 from rtee.log.export import replacing
 from rtee.log.figure import Figure, Row
 from rtee.log.labels import MARK_COLOUR
 
-_WIDTH = 14.0
-_ROW_HEIGHT = 1.9
-_LANE_HEIGHT = 0.22
-_DPI = 110
+_WIDTH = 14.0  # of the drawing [inch]: two panels beside each other
+_ROW_HEIGHT = 1.9  # of a panel [inch]
+_LANE_HEIGHT = 0.22  # of a row of labels [inch]
+_DPI = 110  # dots per inch: 1540 pixels, a screen's width
 
 
 def write_png(figure: Figure, path: Path) -> None:
@@ -23,11 +23,9 @@ def write_png(figure: Figure, path: Path) -> None:
         MissingExtra: if Matplotlib is missing.
         LogError: if the file cannot be written.
     """
-    try:
+    with needing_extra("a plot as PNG", "plot"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure as Drawing
-    except ImportError:
-        raise MissingExtra("a plot as PNG", "plot") from None
     head = 0.8 + _LANE_HEIGHT * figure.lanes
     height = head + _ROW_HEIGHT * len(figure.rows) + 0.5
     drawing = Drawing(figsize=(_WIDTH, height), dpi=_DPI)

@@ -262,7 +262,7 @@ class _Collector:
         return recording
 
     def _urdf(self, attachments: Mapping[str, bytes]) -> str:
-        """Return the URDF: the one attached, since the one told may have its meshes inside."""
+        """Return the URDF: the one attached, since the published one may have its meshes inside."""
         attached = attachments.get(f"{self._hand}.urdf")
         if attached is not None:
             return attached.decode("utf-8", "replace")

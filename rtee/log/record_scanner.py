@@ -31,7 +31,7 @@ class DamagedRecordError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Where a record stands.
+    """Where a record is.
 
     Attributes:
         opcode: Its kind.

@@ -29,12 +29,13 @@ from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Resu
 
 log = logging.getLogger(__name__)
 
+# Pause between two items while the queue is long [s]: the loop gets the interpreter.
 _YIELD: Final = 50e-6
-_LEAST_QUEUE: Final = 200
-_CLOSING: Final = 10.0
+_LEAST_QUEUE: Final = 200  # items that the queue holds at least, at slow rates, too
+_CLOSING: Final = 10.0  # longest wait for the thread to write what is queued [s]: a slow disk
 
 _GATHER: Final = 4e-3
-"""What the loop tells is worked off this often [s]; to be woken at every tick would disturb it."""
+"""What the loop reports is written this often [s]; to wake the thread at every tick disturbs it."""
 
 _LONGEST_NAP: Final = 20e-3
 """Loops of a longer period than this [s] wake the writer."""
@@ -51,7 +52,7 @@ Work = TickRecord | tuple[Item, float] | Callable[[], None] | None
 class Recorder:
     """Records a hand: an observer of its loop with a writer of its own.
 
-    What the loop tells goes into a bounded queue and is worked off item by item in a thread that
+    What the loop reports goes into a bounded queue and is written item by item by a thread that
     wakes up by itself, between the loop's ticks, so that neither waits for the other. When the
     queue is full, ticks are dropped and counted.
 
@@ -59,12 +60,12 @@ class Recorder:
         hand: The hand.
         settings: How to record.
         rate: Rate of the loop [Hz].
-        loop: The loop's settings; with them references can be computed anew from a recording.
+        loop: The loop's settings; with them references can be recomputed from a recording.
         attachments: Files to attach by name: ``hand.yaml``, SRDF, actions; the URDF always is.
         metadata: Further metadata: name to value.
         notify: Told of lost and resumed recording and of written flight files, as events; called
             in the writer's thread.
-        simulated: What it is told is stamped by a simulation that begins now, not by
+        simulated: Stamps are those of a simulation that begins now, not of
             CLOCK_MONOTONIC.
     """
 
@@ -107,7 +108,7 @@ class Recorder:
         """Begin to record.
 
         Raises:
-            LogError: if it shall record to the disk and the folder cannot be written.
+            LogError: if it is to record to the disk and the folder cannot be written.
         """
         if self._thread is not None:
             return

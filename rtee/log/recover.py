@@ -22,7 +22,7 @@ from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.sink import reason
 
 _SECOND = 1e9
-_RECORD_HEAD = 9
+_RECORD_HEAD = 9  # bytes of a record's opcode and length
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,11 +21,11 @@ FLIGHT = "flight"
 
 _STAMP = r"\d{8}T\d{9}Z"
 _NAME = re.compile(rf"(?P<hand>.+)_(?P<session>{_STAMP})_(?P<part>\d{{3,}}|{FLIGHT})\.mcap")
-_FEW_RECORDS = 3
+_FEW_RECORDS = 3  # records read to recognise a recording: header and metadata are the first
 
 
 def session_name(wall_ns: int) -> str:
-    """Return the part of a file's name that tells when its recording began, in UTC."""
+    """Return the part of a file's name that says when its recording began, in UTC."""
     moment = datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC)
     return f"{moment:%Y%m%dT%H%M%S}{wall_ns // 1_000_000 % 1000:03d}Z"
 
@@ -60,7 +60,7 @@ class RecordingFile:
 
 
 def parse_name(path: Path) -> RecordingFile | None:
-    """Return what a file's name tells, ``None`` if it is no recording's or the file is gone."""
+    """Return what a file's name says, ``None`` if it is not a recording's or the file is gone."""
     found = _NAME.fullmatch(path.name)
     if found is None:
         return None

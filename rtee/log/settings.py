@@ -1,4 +1,4 @@
-"""What the recorder is told and what it tells: plain data without pydantic."""
+"""Settings and status of the recorder: plain data without pydantic."""
 
 from __future__ import annotations
 

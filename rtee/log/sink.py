@@ -14,9 +14,9 @@ from rtee.log.mcapfile import McapFile, being_written
 from rtee.log.rotation import FLIGHT, Retention, flight_path, part_path, session_name
 from rtee.log.settings import RecorderSettings
 
-_NAME_TRIES = 50
+_NAME_TRIES = 50  # parts that may exist already in the folder, by runs of the same millisecond
 _PARTIAL = ".partial"
-_LOOK_EVERY = 60.0
+_LOOK_EVERY = 60.0  # the folder's size and free space are looked at this often [s]
 
 
 def reason(error: OSError) -> str:
@@ -27,7 +27,7 @@ def reason(error: OSError) -> str:
 class DiskSink:
     """Writes chunks to the parts of a recording.
 
-    While the disk takes nothing the chunks are lost, and the next one is tried anew: recording goes
+    While the disk takes nothing the chunks are lost, and each next one is tried: recording goes
     on as soon as there is room.
 
     Args:

@@ -39,9 +39,9 @@ last digits would only fill the files."""
 class TickEncoder:
     """Encodes what was known at a tick into message records.
 
-    In the joint states the actuators stand first, so that their values repeat those of the actuator
+    In the joint states the actuators come first, so that their values repeat those of the actuator
     states in one piece, and the positions and velocities of the joints that follow them are rounded
-    to single precision: both make recordings smaller, and they can be computed anew exactly.
+    to single precision: both make recordings smaller, and they can be recomputed exactly.
 
     Args:
         joints: Names of all moving joints.
@@ -125,7 +125,7 @@ def _rounded(values: FloatArray) -> bytes:
 
 
 class LinkTransforms:
-    """Encodes where the links of the moving joints stand.
+    """Encodes the poses of the links of moving joints.
 
     Args:
         hand: The hand.

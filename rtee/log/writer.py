@@ -1,4 +1,4 @@
-"""The writer's side of the recorder: from what the loop told to chunks and files."""
+"""The writer's side of the recorder: from what the loop reported to chunks and files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Item = Goal | Plan | CommandRecord | Feedback | Result | Event | DeviceStatus | 
 """What is recorded besides ticks."""
 
 ITSELF = "recorder"
-"""Source of the events that the recorder itself tells."""
+"""Source of the recorder's own events."""
 
 FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
 """Kinds of events that make the flight recorder write; so does every event of severity error."""
@@ -47,7 +47,7 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
 
 _CHANNELS = message_type("rtee_msgs/msg/Channels")
 _SECOND = 1_000_000_000
-_FLIGHT_FILES = 20
+_FLIGHT_FILES = 20  # names that are kept of files that the flight recorder wrote, newest last
 
 
 class LogWriter:
@@ -187,7 +187,7 @@ class LogWriter:
         self._begun()
 
     def _add(self, topic: str, wall: int, data: bytes) -> None:
-        # One counter for all these topics: it tells their order when times are the same.
+        # One counter for all these topics: it keeps their order when times are the same.
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self._builder.add(CHANNELS[topic], self._sequence, wall, data)
 
@@ -265,7 +265,7 @@ class LogWriter:
         wall = self.wall_of(event.stamp)
         self._add(topics.EVENTS, wall, convert.EVENT.encode(event, wall=wall))
         if self._notify is not None:
-            with contextlib.suppress(RuntimeError):  # the loop that would be told has ended
+            with contextlib.suppress(RuntimeError):  # the loop that would be notified has ended
                 self._notify(event)
 
     def _write_flight(self) -> None:

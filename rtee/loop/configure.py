@@ -72,7 +72,7 @@ class DeviceChoice:
         emulated: Talk to emulators instead of the real devices.
         options: Options of the driver, before those that hand.yaml has for its device.
         source: The hand.yaml, for messages.
-        lines: Where in it each device stands.
+        lines: Where in it each device is.
         folder: The hand's folder.
     """
 

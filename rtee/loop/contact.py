@@ -121,14 +121,14 @@ class ContactWatch:
     """Watches the actuators of the last goal.
 
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
-    or its device says that it holds something. Time in which its device is silent is no time in
-    which it stands still. A blocked one *grasps* when its effort is above a threshold, or by its
+    or its device says that it holds something. Time in which its device is silent does not count as
+    time at rest. A blocked one *grasps* when its effort is above a threshold, or by its
     device's own word. Where the forces at its fingertips are measured, they decide instead: it
     grasps with those fingers whose tips touch, and without any it does not.
 
     That word doesn't count at the end of the range, where devices report the mechanical stop. It
     counts only for the motion it belongs to: one that comes before the device can have begun this
-    motion, because it stands since before or is about an older set-point, counts only once the
+    motion, because it is older than the motion or about an older set-point, counts only once the
     actuator has stalled. Where the motion leads away from what is held, nothing counts as a grasp
     until the actuator has left it.
 
@@ -262,7 +262,7 @@ class ContactWatch:
             tolerance = watched.tolerance
             behind = (reference[i] - position) * ahead > tolerance
             watched.led = watched.led + 1 if behind else 0
-            # A device that has a word of its own says it when its target stands still.
+            # A device that reports grasping itself does so once its target is at rest.
             arriving = word == 0 and abs(reference[i] - watched.target) > tolerance
             if not abs(position - watched.anchor) <= self._slow[i] or not behind or arriving:
                 watched.anchor, watched.since = position, stamp

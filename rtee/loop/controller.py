@@ -319,7 +319,7 @@ class Controller:
                     profile.go({i: position})
 
     def _ease_off(self, stamp: float, measured: Measured) -> None:
-        """Reduce the effort of blocked actuators after a time; tell when a grasp is lost."""
+        """Reduce the effort of blocked actuators after a time; report when a grasp is lost."""
         grasp = self._grasp
         for i in self._contact.blocked_longer_than(grasp.grip_after, stamp):
             if i in self._holding:

@@ -7,7 +7,7 @@ from itertools import accumulate
 
 from rtee.types import LoopStatistics
 
-_FIRST = 5
+_FIRST = 5  # bits that a bucket keeps of a duration: 1/32, so buckets are 3 % wide
 _SUB = 1 << _FIRST
 
 

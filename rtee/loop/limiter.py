@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rtee.loop.motion import Limits, approach, bounded
 
-_SLACK = 1e-6
+_SLACK = 1e-6  # part of a limit, and rad | m, that rounding may exceed
 
 
 class Limiter:

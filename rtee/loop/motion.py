@@ -106,7 +106,7 @@ def bounded(
 ) -> float:
     """Return the velocity nearest to the wanted one that keeps all limits, now and ever after.
 
-    If the state came from this function (or stands still), then slowing down by ``acceleration`` is
+    If the state came from this function (or is at rest), then slowing down by ``acceleration`` is
     always enough to stop before a position limit. Outside of the position limits one may stand or
     come back, not go further out. Where limits contradict each other, position goes before
     acceleration and acceleration before velocity.

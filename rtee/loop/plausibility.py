@@ -29,7 +29,7 @@ _CALM = 0.5
 
 _PERSISTENT = 5
 """So many such steps with less than `_CALM` between them are no glitch. Standing outside of the
-limits is no step: from there an actuator may come back."""
+limits is not a step: from there an actuator may come back."""
 
 
 @dataclass(slots=True)
@@ -48,7 +48,7 @@ class Plausibility:
 
     Args:
         actuators: The hand's actuators.
-        tell: Called with events.
+        report: Called with events.
     """
 
     def __init__(self, actuators: Sequence[ActuatorSpec], tell: Callable[[Event], object]) -> None:

@@ -1,4 +1,4 @@
-"""Watch temperatures: warn, derate, disable; and tell a broken sensor from a hot motor."""
+"""Watch temperatures: warn, derate, disable; and distinguish a broken sensor from a hot motor."""
 
 from __future__ import annotations
 

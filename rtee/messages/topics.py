@@ -47,7 +47,7 @@ FOR_VIEWERS = frozenset({URDF, TF, TF_STATIC})
 """Topics that follow from others and are recorded for other software alone."""
 
 LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC})
-"""Topics whose last message holds until the next one: it is kept for whoever comes later."""
+"""Topics whose last message holds until the next one: it is kept for later subscribers."""
 
 PUBLISHED = frozenset(
     {
@@ -73,7 +73,7 @@ _FIXED = frozenset({ROBOT_DESCRIPTION, TF, TF_STATIC})
 def log_topic(hand: str, name: str) -> str:
     """Return a topic's full name in a recording.
 
-    The robot's description and the transforms stand where viewers look for them, whatever the hand:
+    The robot's description and the transforms are where viewers look for them, whatever the hand:
     ``/robot_description``, ``/tf`` and ``/tf_static``.
     """
     return f"/{name}" if name in _FIXED else f"/{hand}/{name}"

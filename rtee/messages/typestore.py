@@ -1,4 +1,4 @@
-"""The messages as a type store of `rosbags`, for whoever reads recordings with that library."""
+"""The messages as a type store of `rosbags`, for readers of recordings who use that library."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class NumpyScene:
         while leaves * _LEAF < len(order):
             leaves *= 2
         self._depth = leaves.bit_length() - 1
-        # The last triangle stands in for those that are missing in the last leaves.
+        # The last triangle replaces those that are missing in the last leaves.
         self._faces = np.concatenate(
             [order, np.full(leaves * _LEAF - len(order), order[-1])]
         ).astype(np.int64)

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.errors import MissingExtra
+from rtee.errors import needing_extra
 from rtee.render.bvh import ClosestHits, NumpyScene
 from rtee.render.mesh import Mesh
 from rtee.render.sampling import normalised
@@ -82,10 +82,8 @@ def check_pictures() -> None:
     Raises:
         MissingExtra: The extra ``plot`` is not installed.
     """
-    try:
+    with needing_extra("a picture", "plot"):
         import PIL.Image  # noqa: F401
-    except ImportError:
-        raise MissingExtra("a picture", "plot") from None
     if not has_embree():
         warn_once()
 

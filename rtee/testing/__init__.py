@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rtee.errors import MissingExtra
+from rtee.errors import needing_extra
 from rtee.testing.case import DeviceCase, actuator, cycles
 from rtee.testing.session import Session, open_files
 
@@ -31,11 +31,7 @@ __all__ = ["DeviceCase", "DriverContract", "Session", "actuator", "cycles", "ope
 def __getattr__(name: str) -> Any:
     # Imported when first used: it needs pytest, which writing a skeleton and fuzzing do not.
     if name == "DriverContract":
-        try:
+        with needing_extra("the contract suite", "test"):
             from rtee.testing.contract import DriverContract
-        except ModuleNotFoundError as error:
-            if error.name != "pytest":
-                raise
-            raise MissingExtra("the contract suite", "test") from None
         return DriverContract
     raise AttributeError(f"module 'rtee.testing' has no attribute '{name}'")

@@ -79,7 +79,7 @@ def running_hand(
         folder: Where its recordings go, and what the process says.
         object: What is between the fingers, as ``rtee run --object`` takes it.
         driver: As ``rtee run --driver`` takes it; ``None``: the hand's devices, emulated; the
-            kinematic stand-in for a hand without devices.
+            kinematic driver for a hand without devices.
         timeout: Time until all devices are active, homing included [s].
 
     Yields:

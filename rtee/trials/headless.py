@@ -20,7 +20,7 @@ from rtee.loop.settings import LoopSettings
 from rtee.sample import TickRecord, measured_arrays
 from rtee.types import ActuatorState, BoolArray, Feedback, FloatArray, Goal, Result
 
-_PATIENCE = 120.0
+_PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action takes some ten
 
 
 class Play(Protocol):

@@ -30,7 +30,7 @@ SIZE = (360, 400)
 """Width and height of a picture [pixels]."""
 
 _TABLE_COLOUR = "#c9ccd1"
-_CAPTION = 26
+_CAPTION = 26  # height of a caption [pixels]
 _REACH = np.array([[0.0, 0.0, -0.03], [0.0, 0.0, 0.04]])
 """Ways of the hand in a trial, from where it starts."""
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError, MissingExtra, RteeError
+from rtee.errors import ConfigError, RteeError, needing_extra
 from rtee.hand.config import HandConfig
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
@@ -43,8 +43,8 @@ OBJECTS = (
 )
 """The standard objects: spheres of 20 to 100 mm, cylinders, boxes, and a drill-like body."""
 
-_MASS = 0.1
-_DRILL_MASS = 0.4
+_MASS = 0.1  # mass of a standard object [kg]: a full yoghurt pot
+_DRILL_MASS = 0.4  # mass of the drill-like body [kg]: half of a small cordless one
 
 
 @dataclass(frozen=True)
@@ -177,10 +177,8 @@ def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Genera
         MissingExtra: if Dask is missing.
         ConfigError: if the scheduler does not answer.
     """
-    try:
+    with needing_extra("a sweep on a cluster", "sweep"):
         distributed: Any = importlib.import_module("distributed")
-    except ImportError:
-        raise MissingExtra("a sweep on a cluster", "sweep") from None
     try:
         client = distributed.Client(address, timeout=10)
     except (OSError, ValueError) as error:

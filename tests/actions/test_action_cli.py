@@ -120,11 +120,11 @@ def test_generic(home: Path) -> None:
 @pytest.mark.parametrize(
     ("module", "words", "message"),
     [
-        (compose, ["x", "trig:"], "is no action"),
+        (compose, ["x", "trig:"], "is not an action"),
         (compose, ["x", "trig:index*much"], "must be a number"),
         (compose, ["a/b", "trig:index"], "not allowed"),
         (compose, ["x", "trig:index", "trig:index", "--independent"], "twice"),
-        (time, ["x", "schunkGrasp:while=2"], "no margin"),
+        (time, ["x", "schunkGrasp:while=2"], "not a margin"),
         (time, ["x", "schunkGrasp:after=-2"], "margin after"),
         (generic, ["x", "middle_joint"], "ACTUATOR=VALUE"),
         (generic, ["x", "spread=0.01", "spread=0.02"], "given twice"),
@@ -163,7 +163,7 @@ def test_hand_by_name_or_path(home: Path) -> None:
     assert hand_folder("small").resolve() == home
     assert hand_folder(str(home)) == home
     assert hand_folder(str(home / "hand.yaml")) == home
-    with pytest.raises(ConfigError, match="holds no hand"):
+    with pytest.raises(ConfigError, match="has no hand"):
         hand_folder("./none")
     with pytest.raises(ConfigError, match="unknown hand 'smal'"):
         hand_folder("smal")

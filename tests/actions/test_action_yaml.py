@@ -176,7 +176,7 @@ BAD = {
     "another name": (GENERIC.replace(": point", ": pointer"), 1, "differ"),
     "name of a primitive": (GENERIC.replace(": point", ": trig"), 1, "primitive"),
     "no name": (GENERIC.replace("name: point\n", ""), 1, "lacks the key 'name'"),
-    "twice the same key": (GENERIC + "name: point\n", 4, "'name' stands twice, first in line 1"),
+    "twice the same key": (GENERIC + "name: point\n", 4, "'name' occurs twice, first in line 1"),
     "empty set-points": ("name: point\nset_points: {}\n", 2, "is empty"),
     "list for a mapping": ("- a\n- b\n", 1, "must be a mapping"),
     "broken": ("name: [point\n", 2, "is not YAML"),

@@ -87,7 +87,7 @@ def test_mistakes_are_named() -> None:
         Player("xbot2", {"rate": 0})
     with pytest.raises(ConfigError, match="'allegro' is a device on a CAN bus"):
         Player("allegro")
-    with pytest.raises(ConfigError, match="'qb_softhand' is no device on a CAN bus"):
+    with pytest.raises(ConfigError, match="'qb_softhand' is not a device on a CAN bus"):
         Player("qb_softhand", can="x")
     with pytest.raises(ConfigError, match="its own driver can"):
         Player("heri_ethercat")

@@ -51,7 +51,7 @@ def test_a_hand_where_one_works_comes_last(
 @pytest.mark.parametrize("name", ["gripper/", "./gripper", "gripper.yaml", ".", ".."])
 def test_a_path_without_a_hand(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=r"is no folder of a hand: it holds no hand\.yaml"):
+    with pytest.raises(ConfigError, match=r"is not a hand.s folder: it has no hand\.yaml"):
         hand_folder(name)
 
 

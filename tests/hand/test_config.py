@@ -57,7 +57,7 @@ WRONG = [
     ("rest: {left: 0.1}", "rest: {left: 2}", "rest.left: rest position 2 lies outside", "rest"),
     ("rest: {left: 0.1}", "rest: {left: yes}", "rest.left: should be a valid number", "rest"),
     ("rest: {left: 0.1}", "rest:\n\tleft: 0.1", "a tab in the indentation; use blanks", "\tleft"),
-    ("rest: {left: 0.1}", "name: twice", "'name' stands twice, first in line 1", "name: twice"),
+    ("rest: {left: 0.1}", "name: twice", "'name' occurs twice, first in line 1", "name: twice"),
     ("rest: {left: 0.1}", "rest: &a {left: 0}", "anchors and aliases are refused", "&a"),
     ("rest: {left: 0.1}", "rest: !!python/tuple [1]", "the tag 'python/tuple' is refused", "!!"),
     ("rest: {left: 0.1}", "rest: {left: !x 1}", "the tag '!x' is refused", "!x"),
@@ -152,5 +152,5 @@ def test_not_a_mapping(tmp_path: Path, content: bytes, message: str) -> None:
 def test_missing(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"hand\.yaml does not exist"):
         read_config(tmp_path)
-    with pytest.raises(ConfigError, match=r"is no folder of a hand: it holds no hand\.yaml"):
+    with pytest.raises(ConfigError, match=r"is not a hand.s folder: it has no hand\.yaml"):
         load_hand(tmp_path)

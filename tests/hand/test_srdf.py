@@ -143,7 +143,7 @@ WRONG = [
     (
         "</robot>",
         '<passive_joint name="left"/><passive_joint name="left"/></robot>',
-        "<passive_joint> 'left' stands twice",
+        "<passive_joint> 'left' occurs twice",
         None,
     ),
     (

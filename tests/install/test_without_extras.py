@@ -260,7 +260,7 @@ def test_a_hand_moves_and_replays_without_ruckig(tmp_path: Path, home: Path) -> 
         shell.check([replay])
         info = json.loads(shell.run(["log", "info", "logs", "--json"])[1])
         assert info["metadata"]["profile"] == "s_curve"
-    # Where ruckig is there, the recording is computed anew by the profile that it names.
+    # Where ruckig is there, the recording is recomputed by the profile that it names.
     with Shell(NOTHING, tmp_path, home) as shell:
         shell.check([replay])
 

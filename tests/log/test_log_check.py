@@ -175,10 +175,10 @@ async def test_a_goal_that_ended_otherwise_is_found(moved: Recording) -> None:
     assert not check(replace(moved, results=[other])).same
 
 
-async def test_what_cannot_be_computed_anew_is_said(moved: Recording) -> None:
+async def test_what_cannot_be_recomputed_is_said(moved: Recording) -> None:
     with pytest.raises(LogError, match="no settings of the loop"):
         check(replace(moved, attachments={}))
-    with pytest.raises(LogError, match="not every tick"):
+    with pytest.raises(LogError, match="does not hold every tick"):
         check(replace(moved, metadata={"decimation": "10"}))
     with pytest.raises(LogError, match="no states and references"):
         check(replace(moved, reference=replace(moved.reference, t=moved.reference.t[:3])))
@@ -193,7 +193,7 @@ async def test_nonsense_in_a_recording_is_said(moved: Recording) -> None:
         entry = Entry(0.0, 0, record.stamp, record)
         return replace(moved, commands=[*moved.commands, entry])
 
-    with pytest.raises(LogError, match="cannot be computed anew: '<' not supported"):
+    with pytest.raises(LogError, match="cannot be recomputed: '<' not supported"):
         check(with_command(Jog({"index_tip": 0.3}, "fast")))  # type: ignore[arg-type]
     with pytest.raises(UnknownActuator):
         check(with_command(SetAcceptsEffort({"third_thumb": True})))

@@ -394,7 +394,7 @@ def test_two_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
 
 
 def test_the_model_of_a_recording_is_the_one_that_was_read(shared: Path, tmp_path: Path) -> None:
-    """References are computed anew with the URDF as it was, not with the one with data in it."""
+    """References are recomputed with the URDF as it was, not with the one with data in it."""
     folder = shared / "hands" / "robotiq_2f_85"
     hand = load_model(folder / "robotiq_2f_85.urdf")
     recording = read(record(hand, tmp_path, postures(hand, 2)))

@@ -147,9 +147,9 @@ def test_a_share_in_python(served: Served) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("near", "'near' is no effort limit; it is written PERCENT% for all actuators, ACTUATOR="),
-        ("40", "'40' is no effort limit"),
-        ("=3", "'=3' is no effort limit"),
+        ("near", "'near' is not an effort limit; write PERCENT% for all actuators, ACTUATOR="),
+        ("40", "'40' is not an effort limit"),
+        ("=3", "'=3' is not an effort limit"),
         ("near=much", "the effort limit in 'near=much' must be a number, not 'much'"),
         ("140%", "must be above 0 % and at most 100 %"),
         ("near=0%", "must be above 0 % and at most 100 %"),

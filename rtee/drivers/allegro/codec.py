@@ -12,7 +12,7 @@ from typing import ClassVar, Self
 from rtee.buses.emulator import CanFrame
 
 BITRATE = 1_000_000  # of the bus [bit/s]; the hand has no other
-FINGERS = 4
+FINGERS = 4  # of the hand, four joints each
 PER_FINGER = 4  # joints of each finger
 JOINTS = FINGERS * PER_FINGER
 

@@ -160,7 +160,7 @@ class AllegroDriver(Driver):
         end = time.monotonic() + PATIENCE * self.options.deadline
         while not self.control.sets:
             if time.monotonic() > end:
-                raise NotConnected(self.spec.name, "the hand does not tell its positions")
+                raise NotConnected(self.spec.name, "the hand does not report its positions")
             await asyncio.sleep(0.002)
 
     async def activate(self) -> None:

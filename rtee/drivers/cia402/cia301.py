@@ -11,7 +11,7 @@ from rtee.buses.emulator import CanFrame
 
 # The predefined connection set: identifiers, to which the node id is added.
 SYNC = 0x080
-EMERGENCY = 0x080
+EMERGENCY = 0x080  # function codes of the pre-defined connection set (CiA 301, section 7.3.3)
 NMT = 0x000
 HEARTBEAT = 0x700
 SDO_ANSWER = 0x580
@@ -60,7 +60,7 @@ def read_heartbeat(data: bytes) -> NmtState:
     try:
         return NmtState(data[0] & 0x7F)
     except (IndexError, ValueError) as error:
-        raise CanopenFrameError("this is no heartbeat") from error
+        raise CanopenFrameError("this is not a heartbeat") from error
 
 
 @dataclass(frozen=True, slots=True)

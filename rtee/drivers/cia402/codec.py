@@ -111,7 +111,7 @@ class Control(IntEnum):
 
 # Bits of the controlword beside those that change the state; 4 to 6 depend on the mode.
 NEW_SET_POINT = 0x10
-CHANGE_NOW = 0x20
+CHANGE_NOW = 0x20  # bits of the controlword in the modes of operation (CiA 402-2)
 RELATIVE = 0x40
 HALT = 0x100
 HOMING_START = 0x10

@@ -91,7 +91,7 @@ class DriveCycle:
             restarted = [d for d in self.drives if d.booted]
             if restarted:
                 raise NotConnected(
-                    self._device, f"node {restarted[0].id} has started anew; was its supply cut?"
+                    self._device, f"node {restarted[0].id} has restarted; was its supply cut?"
                 )
             if not late:
                 return
@@ -156,7 +156,7 @@ class DriveCycle:
 
     def _fault(self, drive: DriveLink) -> DeviceFault:
         code = drive.motion.error or (drive.emergency.code if drive.emergency else 0)
-        name = emergency_name(code) if code else "no reason told"
+        name = emergency_name(code) if code else "no reason given"
         return DeviceFault(
             self._device,
             code,

@@ -313,5 +313,5 @@ def _check_prismatic(spec: DeviceSpec, options: Cia402Options) -> None:
         if prismatic and options.nodes[actuator.name].counts is None:
             raise ConfigError(
                 f"device '{spec.name}': '{actuator.name}' is prismatic, so its node needs "
-                "'counts' per m: drives do not tell the unit of their feed"
+                "'counts' per m: drives do not report the unit of their feed"
             )

@@ -152,7 +152,7 @@ async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
 def _identity(driver: Driver) -> Check:
     told = driver.capabilities.identity
     if not told:
-        return ok("identity", "it tells nothing about itself")
+        return ok("identity", "it reports nothing about itself")
     return ok("identity", ", ".join(f"{name} {value}" for name, value in told.items()))
 
 
@@ -194,7 +194,7 @@ def _rate(driver: Driver) -> Check:
 def _watchdog(driver: Driver) -> Check:
     if driver.capabilities.watchdog:
         return ok("watchdog", "armed: it stops by itself when this program falls silent")
-    return ok("watchdog", "none armed; its page tells what it does when this program falls silent")
+    return ok("watchdog", "none armed; its page says what it does when this program falls silent")
 
 
 def _wire(driver: Driver) -> Check:

@@ -69,7 +69,9 @@ def _exists(path: Path) -> Check:
             "port", f"there is no {path}", "plug it in, then `rtee scan` lists the ports there are"
         )
     if not stat.S_ISCHR(path.stat().st_mode):
-        return wrong("port", f"{path} is no serial port", "`rtee scan` lists the ports there are")
+        return wrong(
+            "port", f"{path} is not a serial port", "`rtee scan` lists the ports there are"
+        )
     target = path.resolve()
     text = str(path) if target == path else f"{path} ({target})"
     if path.is_relative_to("/dev") and path.name.startswith(("ttyUSB", "ttyACM")):

@@ -20,7 +20,7 @@ _HAND_INFO = 7
 """Bytes in which an Allegro Hand reports what it is."""
 
 _NOBODYS_UNIT = 213
-"""A Modbus number that is no device's of those known: what answers to it answers to all."""
+"""A Modbus number that no known device has: what answers to it answers to all."""
 _OWNER = "scan"
 _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 

@@ -45,7 +45,7 @@ def read_calibration(path: Path, device: str) -> dict[str, Calibrated]:
             device, f"there is no calibration at {path}; `rtee calibrate` makes one"
         ) from None
     except (OSError, ValueError, TypeError, KeyError) as error:
-        raise CalibrationError(device, f"{path} is no calibration of servos: {error}") from error
+        raise CalibrationError(device, f"{path} is not a calibration of servos: {error}") from error
     return {servo.actuator: servo for servo in servos}
 
 

@@ -15,7 +15,7 @@ from rtee.buses.parser import FramedParser
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE  # the id that all servos listen to
-STATUS = 0x55  # stands where a request has its instruction
+STATUS = 0x55  # in an answer, where a request has its instruction
 LONGEST = 1024
 """Largest length field that is taken for one."""
 _STUFFED = b"\xff\xff\xfd"

@@ -64,7 +64,7 @@ class DynamixelOptions(DeviceOptions):
         return_delay: Return delay written to servos that have another one [2 µs]; ``null``: leave.
         watchdog: Servos stop after so long a silence on the line [s]; 0: they hold.
         health_every: Temperature, voltage and torque are read every so many exchanges.
-        outside: How far a joint may stand outside its limits before its zero is doubted [rad].
+        outside: How far a joint may be outside its limits before its zero is doubted [rad].
         reboot_time: Longest time a reboot may take [s].
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.

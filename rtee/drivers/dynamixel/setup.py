@@ -22,7 +22,7 @@ TORQUE_LOST = 0x100
 WATCHDOG_TRIPPED = 0x101
 """Codes of the driver's own faults, above the eight bits of the hardware error status."""
 
-_EEPROM = 64  # bytes of the table that survive a power cycle; they tell what a servo is
+_EEPROM = 64  # bytes of the table that survive a power cycle; they say what a servo is
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ def prepare(
 
     Args:
         link: The line.
-        options: How they shall be.
+        options: How they are to be set.
         found: The servos without torque, by id.
         positions: Where they are [pulse].
         currents: Their current limits [counts].

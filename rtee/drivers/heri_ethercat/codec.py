@@ -27,7 +27,7 @@ ACKNOWLEDGE_OBJECT = (0x8001, 4)
 FIRMWARE_OBJECT = (0x8001, 1)
 # The high byte of an acknowledgement; the low one repeats the command.
 _DONE = 0x7800
-_REFUSED = 0xAA00
+_REFUSED = 0xAA00  # the board did not accept the command
 
 
 class HeriFrameError(ValueError):

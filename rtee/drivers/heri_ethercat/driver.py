@@ -394,7 +394,7 @@ def _firmware_of(position: int, ring: Ring) -> str:
     try:
         return ring.read(position, *FIRMWARE_OBJECT).decode("ascii", "replace").strip("\x00 ")
     except OSError:
-        return "not told"
+        return "unknown"
 
 
 def _motors_of(spec: DeviceSpec, options: HeriEthercatOptions) -> list[int]:

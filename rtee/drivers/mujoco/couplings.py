@@ -35,7 +35,8 @@ and little enough to pinch without bending back."""
 _LINEAR_GIVE = 0.01
 """The same in m, for one in rad."""
 
-_SAMPLES = 201
+_SAMPLES = 201  # places at which a coupling is fitted and compared: 1/200 of its range
+# Range that is fitted for an actuator without limits, to both sides [rad].
 _CONTINUOUS_SPAN = math.pi
 
 _SOLREF = [0.005, 1.0]
@@ -217,7 +218,7 @@ def _add_equality(
 
 
 def add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Hold the ignored joints where they stand."""
+    """Hold the ignored joints where they are."""
     for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True):
         if joint.role is JointRole.IGNORED:
             _add_equality(spec, joint.name, None, (coupling.value(0.0), 0.0, 0.0, 0.0, 0.0))

@@ -13,7 +13,7 @@ import anyio.to_thread
 from rtee.drivers.base import Driver
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.options import read_options
-from rtee.errors import CommandRejected, MissingExtra, NotConnected
+from rtee.errors import CommandRejected, NotConnected, needing_extra
 from rtee.hand.load import load_hand
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
@@ -71,10 +71,8 @@ class MujocoDriver(Driver):
 
     async def configure(self) -> None:
         """Build the model; takes a moment, so it does not run in the loop's thread."""
-        try:
+        with needing_extra("the driver 'mujoco'", "sim"):
             from rtee.drivers.mujoco.scene import make_simulation
-        except ImportError as error:
-            raise MissingExtra("the driver 'mujoco'", "sim") from error
         hand = await anyio.to_thread.run_sync(load_hand, self.spec.folder or self.spec.hand)
         period = (self.spec.every or 1) / self.spec.rate
         names = [actuator.name for actuator in self.spec.actuators]
@@ -85,7 +83,7 @@ class MujocoDriver(Driver):
             log.info("%s: %s", self.spec.name, note)
 
     async def activate(self) -> None:
-        """Power the actuators where they stand."""
+        """Power the actuators where they are."""
         self.simulation.hold()
         self.simulation.power(True)
 

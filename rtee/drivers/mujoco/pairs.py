@@ -16,8 +16,8 @@ from rtee.types import FloatArray
 LINK = "link/"
 """What the name of a link's body begins with; a link may well be called ``world``."""
 
-_INTERPENETRATING = 5e-3
-_OUTER = 0.6
+_INTERPENETRATING = 5e-3  # depth of two fingers in each other at rest that no model means [m]
+_OUTER = 0.6  # links beyond this part of a finger's reach are its outer ones
 
 
 def leave_pairs_out(

@@ -19,9 +19,9 @@ from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
 from rtee.types import FloatArray, from_rest
 
-_INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)
-_STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)
-_TABLE = (0.6, 0.6, 0.02)
+_INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)  # of the carrier's axes [kg, kg·m²]: a small arm's
+_STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)  # of its servos [N/m, N·m/rad]: 100 N bend it by 0.5 mm
+_TABLE = (0.6, 0.6, 0.02)  # half sizes of the table's top [m]
 
 CONTAINER_SIZE = (0.34, 0.34, 0.04)
 """Length, width and height of an open container [m]: an open hand fits between its walls."""

@@ -30,16 +30,16 @@ LIMITS = 0x0201
 SETTINGS = 0x0401
 """Settable finger length, an unnamed register, finger position, fingertip offset."""
 
-PRODUCT = 0x0600
-FIRMWARE = 0x0604
-SERIAL = 0x0609
-SERIAL_COUNT = 16
+PRODUCT = 0x0600  # register of the product code
+FIRMWARE = 0x0604  # register of the firmware's version
+SERIAL = 0x0609  # first register of the serial number
+SERIAL_COUNT = 16  # its registers, two characters each
 
-STATUS_COUNT = 4
+STATUS_COUNT = 4  # registers of the status: bits, raw diameter, diameter with offset, force
 
-_RESERVED = 0xFFF0
-_TENTH_MM = 1e-4
-_HUNDREDTH_MM = 1e-5
+_RESERVED = 0xFFF0  # bits of the status that the guide leaves 0
+_TENTH_MM = 1e-4  # m in a register's unit of diameters
+_HUNDREDTH_MM = 1e-5  # m in a register's unit of offsets
 
 
 class Control(IntEnum):
@@ -184,7 +184,7 @@ class Fingers:
         return raw_diameter + grip_type.sign * 2.0 * self.offset
 
 
-_PIVOT = 0.037
+_PIVOT = 0.037  # radius on which the fingers turn [m], of published geometry; no manual gives it
 
 
 class Scale:

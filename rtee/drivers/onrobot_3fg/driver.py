@@ -79,7 +79,7 @@ class OnRobot3FGOptions(DeviceOptions):
         0.0346, gt=0.0, description="raw diameter at the actuator's upper limit [m]"
     )
     largest: float | None = Field(
-        None, gt=0.0, description="raw diameter at its lower limit [m]; by default as it tells"
+        None, gt=0.0, description="raw diameter at its lower limit [m]; by default as it reports"
     )
     target: Literal["raw", "tips"] = Field(
         "raw",

@@ -22,7 +22,7 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.onrobot_3fg.codec import Control, Fingers, GripType, Status
 from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 
-_GATEWAY_NO_TARGET = 0x0B
+_GATEWAY_NO_TARGET = 0x0B  # Modbus exception: the target device does not answer the gateway
 _APPROACH_FORCE = 50.0
 """Force until the contact [N]; the connectivity guide says about 50."""
 _FLEXIBLE_FORCE = 140.0

@@ -155,7 +155,7 @@ class QbSoftHandDriver(Driver):
             identity={
                 "model": "qb SoftHand" if options.motors == 1 else "qb SoftHand 2",
                 "number": str(options.device),
-                "parameters": str(len(parameters)) if parameters else "not told",
+                "parameters": str(len(parameters)) if parameters else "unknown",
             },
         )
 

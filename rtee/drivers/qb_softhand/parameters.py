@@ -59,7 +59,7 @@ class Parameter:
         """Read a slot.
 
         Raises:
-            QbFrameError: if it is no slot.
+            QbFrameError: if it is not a slot.
         """
         if len(slot) != SLOT or slot[0] not in _FORMS:
             raise QbFrameError("a parameter has fifty bytes and begins with its type")

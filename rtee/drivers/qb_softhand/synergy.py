@@ -46,7 +46,7 @@ class OneMotor:
 class TwoMotors:
     """A SoftHand 2: synergy 0 (open) to 1 (closed), manipulation -1 to 1.
 
-    The motors stand at ``(1 + m) s R - m L`` and ``(1 - m) s R + m L`` for the synergy s and the
+    The motors are at ``(1 + m) s R - m L`` and ``(1 - m) s R + m L`` for the synergy s and the
     manipulation m, with R half the sum of their limits and L their (negative) lower limit. The
     first and the third measured position are the motors' own encoders.
 

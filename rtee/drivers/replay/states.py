@@ -64,7 +64,7 @@ class RecordedStates:
             self._columns = self._find(actuators)
         except (McapError, MessageError, ValueError) as error:
             self._file.close()
-            raise LogError(f"is no recording: {error}", path=path) from error
+            raise LogError(f"is not a recording: {error}", path=path) from error
         except LogError:
             self._file.close()
             raise

@@ -15,7 +15,7 @@ _LEAST_RANGE = 100
 
 @dataclass(frozen=True, slots=True)
 class EndStops:
-    """A calibration. The gripper has no serial number, so model and unit stand for it.
+    """A calibration. The gripper has no serial number, so model and unit identify it.
 
     Attributes:
         model: The model it was made with.
@@ -62,7 +62,7 @@ def read_end_stops(path: Path, device: str, model: str, unit: int) -> EndStops:
             device, f"there is no calibration at {path}; `rtee calibrate` makes one"
         ) from None
     except (OSError, ValueError, TypeError) as error:
-        raise CalibrationError(device, f"{path} is no calibration: {error}") from error
+        raise CalibrationError(device, f"{path} is not a calibration: {error}") from error
     if (stops.model, stops.unit) != (model, unit):
         raise CalibrationError(
             device,

@@ -19,7 +19,7 @@ from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Fault, Progress
 from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties, fitting
 from rtee.drivers.scale import LinearScale
 
-_SILENT = 0x09
+_SILENT = 0x09  # gFLT: no communication for at least a second
 _HOTTEST = 85.0
 """Temperature of the motor above which it reports over temperature [°C]; no manual states it."""
 

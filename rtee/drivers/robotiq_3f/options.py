@@ -17,7 +17,7 @@ class Robotiq3FOptions(RobotiqOptions):
     """Options of Robotiq's three-finger gripper."""
 
     mode: Literal["basic", "pinch", "wide", "scissor"] = Field(
-        "basic", description="how the fingers stand; changing it moves the scissor"
+        "basic", description="arrangement of the fingers; changing it moves the scissor"
     )
     roles: dict[str, Role] = Field(
         default_factory=dict,

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 from rtee.buses.parser import FramedParser
 
 BAUDRATE = 921_600  # [baud]; the hand has no other
-CHANNELS = 9
+CHANNELS = 9  # motors of the hand
 SYNC = b"\x4c\xaa"
 PAYLOAD = 64
 """Bytes of data in every packet of the host, padded with zeros."""

@@ -50,8 +50,8 @@ async def home(
         The position of the stop [ticks].
 
     Raises:
-        DeviceFault: if it stands still for ``timeout`` [s] without meeting a stop, or does not come
-            back from it.
+        DeviceFault: if it does not move for ``timeout`` [s] without meeting a stop, or does not
+            come back from it.
         BusError: if an exchange fails.
     """
     slow = replace(position, max_rate=position.max_rate * HOMING_RATE)

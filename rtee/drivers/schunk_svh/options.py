@@ -52,7 +52,7 @@ class SchunkSvhOptions(DeviceOptions):
             first activation, ``on_demand`` only after `recover`.
         stops_file: Where the stops found are kept, so that a later program can attach to a hand
             that has stayed enabled; empty: nowhere.
-        home_timeout: Longest time in which a channel may stand still while homing [s].
+        home_timeout: Longest time in which a channel may not move while homing [s].
         settings: Controllers: ``library`` writes the table for firmware 1.x, ``device`` keeps what
             the hand has, ``auto`` decides by firmware.
         channels: What differs from the table, by channel.

@@ -163,7 +163,7 @@ def read_yaml(raw: bytes) -> Mapping[str, Any]:
     except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise XBot2FrameError("this is no YAML") from error
     if not isinstance(found, dict):
-        raise XBot2FrameError("this is no mapping")
+        raise XBot2FrameError("this is not a mapping")
     return found
 
 

@@ -18,7 +18,7 @@ from rtee.loop.motion import Limits
 from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.stepwise import Step
 
-_SLACK = 1e-9
+_SLACK = 1e-9  # what rounding puts an extremum beyond a limit [rad | m]
 
 
 class JerkLimited(Profile):

@@ -248,7 +248,7 @@ class Approach:
                 high, left_high = middle, left
                 left_low *= 0.5 if side < 0 else 1.0
                 side = -1
-        if low == 0.0:  # the target is nearer to the nearest stop than can be told apart
+        if low == 0.0:  # the target is too near to the nearest stop to be distinguished from it
             low = high
         return low
 

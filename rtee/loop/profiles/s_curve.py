@@ -17,7 +17,7 @@ class SCurve(Profile):
 
     Actuators that start together arrive together: the slowest takes the time it needs, the others
     are drawn out. A new target continues position, velocity and acceleration. An actuator that goes
-    on is not planned anew.
+    on is not planned again.
 
     The position limits need no look: wherever a motion is interrupted, it can still stop before its
     target, and no way to another target goes further out than that stop.

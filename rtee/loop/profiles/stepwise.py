@@ -89,7 +89,7 @@ class Step(Stepwise):
 _AHEAD = 5.0
 """The target is smoothed this many times faster than the filter answers."""
 
-_NEAR = 1e-6
+_NEAR = 1e-6  # the filter snaps to a target this near [rad | m]; it would creep for ever
 
 
 class Filter(Stepwise):

@@ -84,7 +84,7 @@ async def test_a_port_that_is_not_there() -> None:
 async def test_a_file_that_is_no_port(tmp_path: Path) -> None:
     file = tmp_path / "port"
     file.write_text("")
-    assert wrong(await check_address(str(file))).text == f"{file} is no serial port"
+    assert wrong(await check_address(str(file))).text == f"{file} is not a serial port"
 
 
 async def test_a_port_that_one_may_not_open(monkeypatch: pytest.MonkeyPatch) -> None:

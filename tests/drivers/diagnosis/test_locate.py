@@ -74,7 +74,7 @@ async def test_end_stops_are_found_stored_and_used(tmp_path: Path) -> None:
     ("content", "message"),
     [
         (None, "there is no calibration at"),
-        ("{", "is no calibration"),
+        ("{", "is not a calibration"),
         (
             '{"model": "2f_140", "unit": 9, "open_count": 3, "closed_count": 230}',
             "made with a 2f_140",

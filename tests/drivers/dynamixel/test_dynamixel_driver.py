@@ -16,7 +16,7 @@ import pytest
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.drivers.dynamixel import table
-from rtee.drivers.dynamixel.codec import BROADCAST, STATUS, Hardware, Instruction
+from rtee.drivers.dynamixel.codec import BROADCAST, STATUS, Hardware, Instruction, crc16
 from rtee.drivers.dynamixel.driver import DynamixelDriver
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator
 from rtee.drivers.dynamixel.table import Mode
@@ -331,6 +331,34 @@ async def test_lost_and_damaged_packets_are_retried() -> None:
         assert made.counters()["retries"] > 0
         simulation.faults = Faults()
         assert np.isfinite((await made.sense()).position).all()
+
+
+class AnswersForAnother(Faults):
+    """Has the second servo give the first one's id in its answers, which are valid otherwise."""
+
+    def apply(self, data: bytes) -> list[tuple[float, bytes]]:
+        changed = bytearray(data)
+        if len(data) > 8 and data[7] == STATUS:
+            if data[4] == BROADCAST:  # the one answer to a fast read: a part for each servo
+                changed[8 + (len(data) - 8) // 2 + 1] = 0
+            elif data[4] == 1:
+                changed[4] = 0
+            changed[-2:] = crc16(changed[:-2]).to_bytes(2, "little")
+        return [(0.0, bytes(changed))]
+
+
+@pytest.mark.parametrize("fast", ["auto", "never"])
+async def test_a_group_in_which_a_servo_answers_for_another_is_refused(fast: str) -> None:
+    spec = device(fast=fast, retries=1, deadline=0.1)
+    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+        await made.activate()
+        before = await made.sense()
+        simulation = pool.simulation("leap_hand/line")
+        simulation.faults = AnswersForAnother()
+        with pytest.raises(BusError, match=r"damaged|no answer"):
+            await made.sense()
+        simulation.faults = Faults()
+        assert (await made.sense()).position == pytest.approx(before.position, abs=2e-3)
 
 
 class DamagesRequests(Faults):
