@@ -11,7 +11,7 @@ from pathlib import Path
 from PIL import Image
 
 NAMES = {
-    "svh": ("schunk_svh.png",),
+    "svh": ("schunk_svh.png", "schunk_svh_composed.png"),
     "wide_grasp": ("robotiq_3f_timed_wide_grasp.png", "robotiq_2f_140_Grasp.png"),
     "dagana_gui": ("dagana_gui.png",),
     "same_object": (
@@ -24,8 +24,13 @@ NAMES = {
 }
 """The picture strips by experiment."""
 
-PLOTTED = ("wide_grasp", "dagana_gui", "heri_objects", "drill")
-"""Experiments whose (first) plot is shown, too."""
+PLOTTED = {
+    "wide_grasp": "robotiq_3f",
+    "dagana_gui": "dagana",
+    "heri_objects": "heri_ii",
+    "drill": "heri_ii",
+}
+"""Experiments of which a plot is shown, too, and the hand whose newest one it is."""
 
 WIDTH = 1200
 COLOURS = 128
@@ -52,8 +57,9 @@ def main() -> None:
         for name in names:
             small(source / experiment / name, target / name)
         if experiment in PLOTTED:
-            plots = [path.with_suffix(".png") for path in (source / experiment).glob("*.mcap")]
-            small(min(plots), target / f"{experiment}_plot.png")
+            found = (source / experiment).glob(f"{PLOTTED[experiment]}_*.mcap")
+            newest = max(found, key=lambda path: path.stat().st_mtime)
+            small(newest.with_suffix(".png"), target / f"{experiment}_plot.png")
 
 
 if __name__ == "__main__":

@@ -9,19 +9,26 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import UserError
 from rtee.hand.files import make_folder
 from rtee.log import Recorder, read
 from rtee.log.figure import By, figure
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
+from rtee.loop.observer import Observer
+from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
 from rtee.trials.recorded import recorder_for
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, TrialResult, run_trial
+from rtee.types import Feedback, FloatArray
 
 SLIP = 0.06
 """How far an object may move in the hand before it counts as fallen [m], as in `rtee try`."""
+
+_ROW = 5
+"""Pictures beside one another that can still be made out on a page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +104,55 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, pad: bool = T
     )
 
 
+class Steps(Observer):
+    """Tells when a step of a timed action begins, by its name."""
+
+    def __init__(self, call: Callable[[str], None]) -> None:
+        """Start before the first step.
+
+        Args:
+            call: Told the name of each step as it begins.
+        """
+        self._call = call
+        self._now = ""
+
+    def on_feedback(self, feedback: Feedback) -> None:
+        """Notice another step."""
+        if feedback.inner != self._now:
+            self._now = feedback.inner
+            self._call(self._now)
+
+
+class TrialStills:
+    """Takes the pictures of a trial, those of the ends of a timed action's steps among them.
+
+    Attributes:
+        stills: The pictures.
+        steps: Observer of the trial.
+    """
+
+    def __init__(self, stills: Stills) -> None:
+        """Start without pictures.
+
+        Args:
+            stills: What takes them.
+        """
+        self.stills = stills
+        self.steps = Steps(self._step)
+        self._headless: HeadlessHand[Simulation] | None = None
+        self._before = ""
+
+    def __call__(self, moment: str, headless: HeadlessHand[Simulation]) -> None:
+        """Take a picture at a moment of the trial."""
+        self._headless, self._before = headless, ""
+        self.stills(moment, headless)
+
+    def _step(self, name: str) -> None:
+        if self._before and self._headless is not None:
+            self.stills(self._before, self._headless)
+        self._before = name
+
+
 @contextmanager
 def recording(ready: Bench, folder: Path, outcome: Outcome) -> Iterator[Recorder]:
     """Record into a folder; afterwards plot what was recorded beside it."""
@@ -126,6 +182,7 @@ def hold(
     *,
     slip: float = SLIP,
     pictures: bool = True,
+    view: FloatArray | None = None,
 ) -> TrialResult:
     """Try a grasp, with recording, plot and pictures, and note whether the object was held.
 
@@ -136,9 +193,10 @@ def hold(
         outcome: What notes the conditions.
         slip: How far the object may move in the hand from the grasp to the end [m].
         pictures: Take pictures.
+        view: Vector ``(3,)`` in the world towards the camera; chosen for the hand unless given.
     """
     ready = bench(name)
-    stills = Stills.of_trial(ready.hand) if pictures else None
+    stills = TrialStills(Stills.of_trial(ready.hand, view)) if pictures else None
     # Once to find the place that holds, and again from there, to record nothing else.
     first = run_trial(ready.hand, ready.library, ready.settings, trial)
     with recording(ready, folder, outcome) as recorder:
@@ -147,7 +205,7 @@ def hold(
             ready.library,
             ready.settings,
             trial,
-            observers=[recorder],
+            observers=[recorder] if stills is None else [recorder, stills.steps],
             watch=stills,
             skip=max(0, first.places - 1),
         )
@@ -155,8 +213,10 @@ def hold(
     outcome.check(result.held, f"{what} is lifted, held and shaken", result.reason or "held")
     if result.held:
         outcome.below(f"{what} slips in the hand", 1e3 * result.slip, 1e3 * slip, "mm")
-    if stills is not None and stills.taken:
-        strip(folder / f"{name}_{trial.action}.png", stills.taken, outcome)
+    if stills is not None and stills.stills.taken:
+        taken = stills.stills.taken
+        columns = -(-len(taken) // 2) if len(taken) > _ROW else None
+        strip(folder / f"{name}_{trial.action}.png", taken, outcome, columns)
     return result
 
 

@@ -97,6 +97,8 @@ class Recorder:
         self._limit = max(_LEAST_QUEUE, int(settings.queue_time * rate))
         self._period = 1.0 / rate
         self._stamp: float | None = 0.0 if simulated else None
+        # Simulated time runs ahead of the disk, and nothing waits for the end of a simulation.
+        self._closing = None if simulated else _CLOSING
         self._dropped = 0
         self._failed = 0
         self._failure = ""
@@ -128,7 +130,7 @@ class Recorder:
         thread, self._thread = self._thread, None
         if thread is not None:
             self._queue.put(None)
-            thread.join(_CLOSING)
+            thread.join(self._closing)
 
     def __enter__(self) -> Self:
         self.open()

@@ -46,7 +46,12 @@ class SimulationRenderer:
     """
 
     def __init__(
-        self, simulation: Simulation, hand: Hand, reach: FloatArray, size: tuple[int, int] = SIZE
+        self,
+        simulation: Simulation,
+        hand: Hand,
+        reach: FloatArray,
+        size: tuple[int, int] = SIZE,
+        back: FloatArray | None = None,
     ) -> None:
         """Set the camera up.
 
@@ -56,6 +61,8 @@ class SimulationRenderer:
             reach: Ways ``(k, 3)`` [m] from its present place that the hand will go and that must
                 fit into the picture.
             size: Width and height [pixels].
+            back: Vector ``(3,)`` in the world from what is seen towards the camera; where the
+                hand's closing is seen well, from above, unless given.
 
         Raises:
             MissingExtra: The extra ``plot`` is not installed.
@@ -65,11 +72,11 @@ class SimulationRenderer:
         self._hand = hand
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
         self._extras = self._find_extras()
-        back = choose_view(self._mesh.geometry)[0]
-        turn = simulation.surroundings.base_pose[:3, :3]
         self._up = np.array([0.0, 0.0, 1.0])
-        back = turn @ back
-        back[2] = abs(back[2])
+        if back is None:
+            turn = simulation.surroundings.base_pose[:3, :3]
+            back = turn @ choose_view(self._mesh.geometry)[0]
+            back[2] = abs(back[2])
         table = [i for i, (geom, *_) in enumerate(self._extras) if self._is_table(geom)]
         mesh = self._posed(leave_out=table)
         points = mesh.corners.reshape(-1, 3)
@@ -177,22 +184,23 @@ class Stills:
         taken: The moments' names and PNG pictures.
     """
 
-    def __init__(self, hand: Hand, reach: FloatArray) -> None:
+    def __init__(self, hand: Hand, reach: FloatArray, back: FloatArray | None = None) -> None:
         """Start without pictures.
 
         Args:
             hand: The hand.
             reach: Ways ``(k, 3)`` [m] from its first place that the hand will go.
+            back: Vector ``(3,)`` in the world towards the camera; see `SimulationRenderer`.
         """
         self.taken: list[tuple[str, bytes]] = []
         self._hand = hand
-        self._reach = reach
+        self._reach, self._back = reach, back
         self._renderer: SimulationRenderer | None = None
 
     @classmethod
-    def of_trial(cls, hand: Hand) -> Stills:
+    def of_trial(cls, hand: Hand, back: FloatArray | None = None) -> Stills:
         """Return what takes the pictures of a trial."""
-        return cls(hand, _REACH)
+        return cls(hand, _REACH, back)
 
     @classmethod
     def of_transfer(cls, hand: Hand) -> Stills:
@@ -205,5 +213,7 @@ class Stills:
             self.taken.clear()
         simulation = headless.simulation
         if self._renderer is None or self._renderer.simulation is not simulation:
-            self._renderer = SimulationRenderer(simulation, self._hand, self._reach)
+            self._renderer = SimulationRenderer(
+                simulation, self._hand, self._reach, back=self._back
+            )
         self.taken.append((moment, self._renderer.picture()))

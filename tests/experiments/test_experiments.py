@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
@@ -20,10 +21,13 @@ from experiments import (
     variants,
     wide_grasp,
 )
-from experiments.common import Outcome, cells, hold
+from experiments.common import Outcome, TrialStills, cells, hold
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.log import read
 from rtee.testing.browser import find_browser
+from rtee.trials.pictures import Stills
 from rtee.trials.recorded import recorder_for
 from rtee.trials.sweep import bench
 from rtee.trials.trial import Trial, run_trial
@@ -40,14 +44,28 @@ def test_svh_reaches_its_postures(tmp_path: Path) -> None:
     assert passed(outcome)
     assert {path.suffix for path in outcome.files} == {".mcap", ".png"}
     names = [span.name for span in read(next(tmp_path.glob("*.mcap"))).spans]
-    assert names[-1] == "schunkGrasp"
+    assert names[1::2] == ["open"] * len(names[::2])
+    assert names[-4::2] == [svh.FIGURE_4, "schunkGrasp"]
 
 
 def test_the_trigger_is_pressed_and_let_go(tmp_path: Path) -> None:
-    outcome = drill.run(tmp_path, pictures=False)
+    outcome = drill.run(tmp_path, pictures=False, variations=3)
     assert passed(outcome)
+    assert outcome.conditions[-1].measured.startswith("3 of 3")
     (span,) = read(next(tmp_path.glob("*.mcap"))).spans
     assert [inner.name for inner in span.inner] == ["GRASP3f", "TrigOn", "TrigOff"]
+
+
+def test_a_drill_on_the_palm_is_given_farther_out() -> None:
+    ready = bench("heri_ii")
+    options = SimOptions(object="drill", carrier="arm")
+    names, period = ready.hand.actuator_names, ready.settings.period
+    simulation = make_simulation(ready.hand, options, names, period, mount=drill.REACH)
+    inside = np.array(drill.PLACE)
+    inside[2, 3] -= 0.005
+    start = drill.given(simulation, inside)
+    assert 0.003 < start[2, 3] - inside[2, 3] < 0.007
+    assert simulation.surroundings.position_in_hand == pytest.approx(start[:3, 3])
 
 
 def test_heri_ii_puts_an_object_into_the_container(tmp_path: Path) -> None:
@@ -115,10 +133,24 @@ def test_the_same_object_is_grasped_on_all_wires(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "trial"), wide_grasp.TRIALS)
 def test_a_wide_grasp_holds(name: str, trial: Trial, tmp_path: Path) -> None:
     outcome = Outcome("held")
-    hold(name, trial, tmp_path, outcome, pictures=False)
+    hold(name, trial, tmp_path, outcome, slip=wide_grasp.SLIP, pictures=False)
+    if name == "robotiq_3f":
+        wide_grasp.check_spread(outcome)
     assert passed(outcome)
     (span,) = read(sorted(tmp_path.glob("*.mcap"))[-1]).spans
     assert span.name == trial.action
+
+
+def test_the_steps_of_a_timed_action_get_their_pictures(tmp_path: Path) -> None:
+    pytest.importorskip("PIL")
+    ready = bench("robotiq_3f")
+    stills = TrialStills(Stills.of_trial(ready.hand))
+    trial = wide_grasp.TRIALS[0][1]
+    run_trial(
+        ready.hand, ready.library, ready.settings, trial, observers=[stills.steps], watch=stills
+    )
+    names = [name for name, _ in stills.stills.taken]
+    assert names == ["start", "approach", wide_grasp.WIDE, "grasp", "lift", "shake"]
 
 
 def test_two_runs_of_an_experiment_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:

@@ -28,11 +28,20 @@ _FORMS = (
 _NUMBERS = {"box": 3, "cylinder": 2, "sphere": 1}
 _LARGEST = 2.0
 _MESHES = (".stl", ".obj")
-_HANDLE = (0.026, 0.032, 0.130)
-_BODY = (0.050, 0.140, 0.050)
-_PLATE = (0.024, 0.006, 0.026)
-_SPRING = 250.0
-_PRELOAD = 0.004
+_HANDLE = (0.044, 0.048, 0.130)
+"""Width, depth and length of a drill's handle [m]; its back and its front are round."""
+
+_MOTOR = (0.050, 0.140, 0.050)
+"""Width, length and height of the housing above the handle, flush with its back [m]."""
+
+_PLATE = (0.022, 0.008, 0.034)
+"""Width, thickness and height of the trigger [m]."""
+
+_SPRING = 350.0
+"""Stiffness of the trigger's spring [N/m]."""
+
+_PRELOAD = 0.008
+"""How far the trigger's spring is pressed when nothing presses the trigger [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,15 +182,22 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     0, not pressed, to `TRIGGER_TRAVEL`.
     """
     grip, top, button = (
-        tuple(scale * value for value in part) for part in (_HANDLE, _BODY, _PLATE)
+        tuple(scale * value for value in part) for part in (_HANDLE, _MOTOR, _PLATE)
     )
-    handle = _geom(body, OBJECT, 0.5 * mass)
-    handle.type = mujoco.mjtGeom.mjGEOM_BOX
-    handle.size = [0.5 * value for value in grip]
+    radius = 0.5 * grip[0]
+    flat = 0.5 * grip[1] - radius
+    core = _geom(body, OBJECT, 0.2 * mass)
+    core.type = mujoco.mjtGeom.mjGEOM_BOX
+    core.size = [radius, flat, 0.5 * grip[2]]
+    for name, side in (("back", -1.0), ("front", 1.0)):
+        edge = _geom(body, f"{OBJECT}/{name}", 0.15 * mass)
+        edge.type = mujoco.mjtGeom.mjGEOM_CYLINDER
+        edge.size = [radius, 0.5 * grip[2], 0.0]
+        edge.pos = [0.0, side * flat, 0.0]
     motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass)
     motor.type = mujoco.mjtGeom.mjGEOM_BOX
     motor.size = [0.5 * value for value in top]
-    motor.pos = [0.0, 0.03 * scale, 0.5 * (grip[2] + top[2])]
+    motor.pos = [0.0, 0.5 * (top[1] - grip[1]), 0.5 * (grip[2] + top[2])]
     front = 0.5 * grip[1] + TRIGGER_TRAVEL + 0.5 * button[1]
     trigger = body.add_body(name=TRIGGER, pos=[0.0, front, 0.5 * grip[2] - 0.5 * button[2] - 0.002])
     joint = trigger.add_joint(

@@ -233,7 +233,11 @@ def test_files_that_cannot_be_played_are_refused(tmp_path: Path) -> None:
         (junk, ("thumb",), "is not a recording"),
         (write(tmp_path / "empty.mcap", count=0), ("thumb",), "holds no states"),
         (write(tmp_path / "short.mcap", count=2), ("ring",), "no states of the actuator 'ring'"),
-        (write(tmp_path / "cut.mcap", count=5, finish=False), ("thumb",), "recover|not a recording"),
+        (
+            write(tmp_path / "cut.mcap", count=5, finish=False),
+            ("thumb",),
+            "recover|not a recording",
+        ),
     ]
     for path, actuators, reason in cases:
         with pytest.raises(LogError, match=reason):
