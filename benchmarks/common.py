@@ -15,6 +15,7 @@ HELP = {
     "hands": "names of hands, or their URDFs",
     "hogs": "programs that keep CPUs busy",
     "jobs": "processes at a time",
+    "live": "also over the network",
     "kills": "recordings that are killed",
     "minutes": "length of the recording that is read [min]",
     "nice": "priority of Chromium, 0 (as all others) to 19 (lowest)",

@@ -1,8 +1,8 @@
 """Make the pictures of the GUI: ``python docs/screenshots.py [FOLDER]``.
 
-Runs each hand with its kinematic driver, opens the GUI in a headless browser, has it do something
-and takes pictures at 1280×800 and in a tablet's size. Needs Chromium; takes some minutes where the
-browser has no graphics card.
+Runs each hand with its kinematic driver, one also in simulation, opens the GUI in a headless
+browser, has it do something and takes pictures at 1280×800 and in a tablet's size. Needs Chromium;
+takes some minutes where the browser has no graphics card.
 """
 
 from __future__ import annotations
@@ -98,12 +98,48 @@ def picture_of(hand: str, action: str, folder: Path) -> None:
                 take(page, folder / f"gui_{hand}{suffix}.png")
 
 
+def choose(page: Page, label: str, option: str) -> None:
+    """Choose an option of a dropdown."""
+    row = page.locator("label:visible", has_text=label).first.locator(
+        "xpath=ancestor::div[contains(@class, 'mantine-Flex-root')][1]"
+    )
+    row.locator("input:not([type=hidden])").last.click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def picture_of_a_plan(folder: Path) -> None:
+    """Picture a grasp that was planned for a simulated box, and done."""
+    hand, thing = "robotiq_2f_85", "box:0.04x0.04x0.1"
+    simulated = ("--driver", "mujoco", "--object", thing, "--rate", "100", "--no-log")
+    with (
+        tempfile.TemporaryDirectory(prefix="rtee-") as name,
+        program(Path(name), hand, "run", hand, *simulated),
+        program(Path(name), r"GUI at (\S+)", "gui", hand, "--port", "0") as gui,
+        browser(*SIZES[""]) as context,
+    ):
+        page = context.pages[0]
+        page.goto(gui[1])
+        page.get_by_text("Primitives", exact=True).wait_for()
+        page.wait_for_timeout(3000)
+        page.locator(".mantine-Notification-closeButton").first.click()
+        page.get_by_role("tab", name="Try").click()
+        choose(page, "Object", thing)
+        page.get_by_role("button", name="Plan", exact=True).click()
+        page.get_by_text(re.compile("^best: ")).first.wait_for()
+        page.get_by_role("button", name="Grasp", exact=True).first.click()
+        page.get_by_text(re.compile("^(reached|grasped.*|stalled)$")).first.wait_for()
+        page.mouse.move(640, 20)
+        page.wait_for_timeout(3000)
+        take(page, folder / "gui_try.png")
+
+
 def main() -> None:
     """Make all pictures."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parent / "assets")
     folder.mkdir(parents=True, exist_ok=True)
     for hand, action in HANDS.items():
         picture_of(hand, action, folder.resolve())
+    picture_of_a_plan(folder.resolve())
 
 
 if __name__ == "__main__":

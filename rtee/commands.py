@@ -105,7 +105,76 @@ class Abort:
     actuators: tuple[str, ...] = ()
 
 
-Command = Cancel | Hold | Freeze | Jog | SetGripEffort | SetActive | SetAcceptsEffort | Abort
+STREAM_ENDED = "stream_ended"
+"""The kind of the event that a stream has ended; its source is the stream."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeginStream:
+    """Be ready for the samples of a stream; nothing moves before the first one.
+
+    Attributes:
+        stream: Its identifier, without spaces.
+        rate: Samples per second that its client means to send [Hz].
+        deadline: Without a sample for this long it brakes and holds [s].
+        max_lag: Longest lag [s]; ``inf``: the default, 1.2 periods and 5 ms.
+    """
+
+    stream: str
+    rate: float
+    deadline: float
+    max_lag: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSample:
+    """A sample of a stream, as it was sent and what that comes to.
+
+    Attributes:
+        stream: The stream.
+        stamp: When it was meant, by the client's clock [s].
+        arrival: When it arrived, CLOCK_MONOTONIC of the hand's computer [s].
+        targets: As sent: actuator or joint [rad | m], action with its elements [intensity].
+        velocity: As sent, by the same names [rad/s | m/s | 1/s].
+        positions: Positions by actuator [rad | m].
+        velocities: Velocities by actuator [rad/s | m/s]; ``NaN``: not given.
+    """
+
+    stream: str
+    stamp: float
+    arrival: float
+    targets: Mapping[str, float]
+    velocity: Mapping[str, float]
+    positions: Mapping[str, float]
+    velocities: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class EndStream:
+    """End a stream: its actuators brake and hold. If another stream runs, nothing happens.
+
+    Attributes:
+        stream: The stream.
+        reason: Why, in words.
+    """
+
+    stream: str
+    reason: str = ""
+
+
+Command = (
+    Cancel
+    | Hold
+    | Freeze
+    | Jog
+    | SetGripEffort
+    | SetActive
+    | SetAcceptsEffort
+    | Abort
+    | BeginStream
+    | StreamSample
+    | EndStream
+)
 """A call that steers the controller, other than a goal."""
 
 

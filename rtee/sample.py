@@ -105,7 +105,8 @@ class ActuatorState(Measurements):
         fresh: ``False`` when it repeats an earlier measurement.
         grasped: The device's own word per actuator: holding something; ``None``: it says nothing.
         extras: Further channels by name, for example ``pressure``. ``contact_force`` is the force
-            at the tip of every finger of the hand, in its order [N]; ``NaN``: not measured there.
+            on every finger of the hand, on whichever of its links, in its order [N]; ``NaN``: not
+            measured there.
         warnings: Conditions the device reports that are no faults.
     """
 

@@ -12,11 +12,12 @@ import typer
 
 from rtee.cli._common import JsonOption
 from rtee.cli._table import Column, Row, Table
-from rtee.errors import LogError
+from rtee.errors import LogError, MissingExtra, needing_extra
 
 if TYPE_CHECKING:
     from rtee.log.check import Check
     from rtee.log.info import Info
+    from rtee.log.recording import Recording
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -146,6 +147,20 @@ def plot(
 
         path = base.with_name(base.name + ".png")
         write_png(drawing, path)
+        print(path)
+        if recording.object_description is not None:
+            _write_pictures(recording, base.with_name(base.name + "_object.png"))
+
+
+def _write_pictures(recording: Recording, path: Path) -> None:
+    """Write what was grasped in simulation, where this computer can draw it."""
+    try:
+        with needing_extra("a picture of the object", "extract"):
+            from rtee.trials.recorded_pictures import write_pictures
+        write_pictures(recording, path)
+    except MissingExtra as error:
+        print(f"note: {error}")
+    else:
         print(path)
 
 

@@ -33,6 +33,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "recover": ("rtee.cli.stop:recover", "Bring devices out of a fault."),
     "state": ("rtee.cli.state:state", "Show the hand's state, live."),
     "status": ("rtee.cli.status:status", "Show the loop and the devices."),
+    "info": ("rtee.cli.info:info", "Describe the hand, as a grasp planner needs it."),
+    "gains": ("rtee.cli.gains:gains", "Show or set the gains of the devices."),
+    "teleop": ("rtee.cli.teleop:teleop", "Move a hand from a gamepad or the keyboard."),
+    "stream": ("rtee.cli.teleop:app", "Play recorded streams of set-points."),
     "gui": ("rtee.cli.gui:gui", "Open the hand in the browser."),
     "log": ("rtee.cli.log:app", "Inspect, replay and repair recordings."),
     # devices

@@ -10,6 +10,7 @@ from rtee.cli._table import Column, Row, Table, on_terminal
 
 if TYPE_CHECKING:
     from rtee.remote.monitoring import HandStatus
+    from rtee.types import StreamStatus
 
 
 def status(
@@ -34,6 +35,8 @@ def _show(found: HandStatus) -> None:
     print(f"lateness: {_times(clock.lateness_p50, clock.lateness_p99, clock.lateness_max)}")
     print(f"busy:     {_times(clock.busy_p50, clock.busy_p99, clock.busy_max)}")
     print(f"goal:     {found.action or 'none'}")
+    if found.stream.stream:
+        print(f"stream:   {_stream(found.stream)}")
     print(f"held by:  {found.holder or 'nobody'}")
     recording = (found.recording, found.recording_trouble)
     print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
@@ -71,6 +74,20 @@ def _show(found: HandStatus) -> None:
     for name, remark in said:
         if remark:
             print(f"{name}: {remark}")
+
+
+def _stream(found: StreamStatus) -> str:
+    dropped = {
+        "duplicate": found.duplicates,
+        "out of order": found.out_of_order,
+        "outlying": found.outliers,
+        "too many": found.thinned,
+        "refused": found.refused,
+    }
+    left_out = ", ".join(f"{count} {why}" for why, count in dropped.items() if count)
+    text = f"{found.rate:.1f} Hz, lag {found.lag * 1e3:.1f} ms, jitter {found.jitter * 1e3:.1f} ms"
+    text += f"; {found.samples} samples, {found.late} late, {found.pauses} pauses"
+    return f"{text}; dropped: {left_out}" if left_out else text
 
 
 def _times(median: float, high: float, worst: float) -> str:

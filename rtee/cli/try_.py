@@ -299,7 +299,7 @@ def _show(results: Sequence[TrialResult], as_json: bool) -> None:
         trial = result.trial
         what = f"{' '.join((trial.action, *trial.elements))} on {trial.object}"
         if not result.held:
-            print(f"{what}: lost; {result.reason}")
+            print(f"{what}: {'lost' if result.fits else 'does not fit'}; {result.reason}")
             continue
         forces = ", ".join(f"{name} {force:.1f} N" for name, force in result.forces if force > 0)
         slip = f"slip {result.slip * 1e3:.1f} mm"
@@ -330,12 +330,12 @@ def _table(results: Sequence[TrialResult]) -> None:
         name = " ".join((result.trial.action, *result.trial.elements))
         tries = result.trial.variations
         word = f"{result.survived}/{tries}" if tries else f"{result.slip * 1e3:.1f}"
-        word = word if result.held else "–"
+        word = word if result.held else "–" if result.fits else "no fit"
         rows.setdefault(name, {})[result.trial.object] = word
-    held = sum(result.held for result in results)
+    held, fitting = sum(r.held for r in results), sum(r.fits for r in results)
     varied = any(result.trial.variations for result in results)
     what = "variations survived by" if varied else "slip [mm] of"
-    table = Table(title=f"{what} what was held: {held} of {len(results)}", box=None)
+    table = Table(title=f"{what} what was held: {held} of {fitting} that fit", box=None)
     table.add_column("action")
     for shape in shapes:
         table.add_column(shape.replace(":", "\n"), justify="right")

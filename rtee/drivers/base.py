@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.connection import Connection
+from rtee.object_description import ObjectDescription
 from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
 
 if TYPE_CHECKING:
@@ -28,11 +29,13 @@ class Driver(ABC):
         capabilities: What the device measures and accepts; may be refined by `configure`.
         doing: What takes a while now, in words such as ``homing the thumb``; else empty; it is
             published while the call is under way.
+        object_description: What a simulated device grasps looks like, once it is configured.
         connection: Its bus from `configure` to `close`, for drivers that have one bus.
     """
 
     Options: ClassVar[type[BaseModel] | None] = None
     doing: str = ""
+    object_description: ObjectDescription | None = None
     connection: Connection[Any] | None = None
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
@@ -113,6 +116,13 @@ class Driver(ABC):
     def counters(self) -> Mapping[str, int]:
         """Return the counters of its bus, for the device's status; must return at once."""
         return {} if self.connection is None else self.connection.counters()
+
+    def gains(self) -> Mapping[str, float]:
+        """Return those of ``capabilities.gains`` that the driver knows, with their present values.
+
+        It must return at once.
+        """
+        return {}
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Change gains while running; only those named in ``capabilities.gains``."""

@@ -21,6 +21,12 @@ PALM: Final = rgb(colours.PALM)
 REFERENCE: Final[Colour] = (120, 120, 130)
 PREVIEW: Final = rgb("#56b4e9")
 CONTACT: Final = rgb("#d55e00")
+OBJECT: Final[Colour] = (189, 153, 112)
+"""What is grasped: the same as in the pictures of trials."""
+
+FORCE: Final = rgb("#a3195b")
+"""Contact forces: unlike any other colour of the scene."""
+
 STRAINED: Final[Colour] = (75, 0, 20)
 """A finger at its effort limit: dark, to be visible with any colour vision."""
 

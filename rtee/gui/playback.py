@@ -13,6 +13,7 @@ from rtee.gui.history import JOINT_QUANTITIES, POINTS
 from rtee.hand.model import Hand
 from rtee.log import Recording, Span, read
 from rtee.messages.state import ACTUATOR_COLUMNS, State
+from rtee.object_description import ObjectDescription
 from rtee.types import FloatArray
 
 _OUTCOMES = {"reached": "#009e73", "grasped": "#009e73", "aborted": "#d55e00"}
@@ -52,6 +53,11 @@ class Playback:
             if name in recording.joint_states.names
         ]
         self.time = 0.0
+
+    @property
+    def object_description(self) -> ObjectDescription | None:
+        """What was grasped, in a simulation."""
+        return self.recording.object_description
 
     @property
     def duration(self) -> float:

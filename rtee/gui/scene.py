@@ -19,6 +19,7 @@ from rtee.gui.colours import (
     link_colours,
     ramp,
 )
+from rtee.gui.seen import ObjectView
 from rtee.gui.shapes import link_triangles
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
@@ -36,6 +37,7 @@ class HandScene:
 
     Attributes:
         hand: The hand shown.
+        seen: The object and the contact forces in it.
     """
 
     def __init__(self, server: viser.ViserServer, hand: Hand) -> None:
@@ -64,6 +66,7 @@ class HandScene:
         self._pressures: dict[str, viser.IcosphereHandle] = {}
         self._strained: dict[str, float] = {}
         self._size = self._aim()
+        self.seen = ObjectView(scene, self._size)
 
     def _aim(self) -> float:
         """Aim the camera at the hand, and return the hand's size [m]."""
@@ -181,6 +184,7 @@ class HandScene:
     def remove(self) -> None:
         """Remove everything of this hand from the scene."""
         self.show_contacts(())
+        self.seen.remove()
         for handle in self._pressures.values():
             handle.remove()
         for body in (self._body, self._reference, self._preview):

@@ -8,6 +8,7 @@ import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from functools import partial
+from html import escape
 
 import anyio
 import anyio.to_thread
@@ -16,21 +17,26 @@ import viser
 
 from rtee.actions.sideways import sideways_words
 from rtee.actions.types import Action, ActionKind, Evidence, Posture
-from rtee.errors import ConfigError, RequestRejected
+from rtee.errors import ConfigError, RequestRejected, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import LONGEST
 from rtee.gui.panels.action_editor import MakingPanel
 from rtee.gui.panels.actions import ActionsPanel
 from rtee.gui.panels.cards import Card
+from rtee.gui.panels.execution import last_posture
 from rtee.gui.panels.header import Header
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
+from rtee.gui.panels.trying import TryPanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
-from rtee.gui.trial_results import tried_in
+from rtee.gui.trial_results import key_of, tried_in
+from rtee.gui.wording import small
 from rtee.hand.model import Hand
 from rtee.messages.state import State
+from rtee.object_description import OBJECT_POSE, ObjectDescription
+from rtee.planning.result import GraspPlan
 from rtee.remote.client import RemoteHand
 from rtee.types import Event, FloatArray, from_rest
 
@@ -85,16 +91,20 @@ class Session:
         self._pressed = False
         self._plots_due = self._table_due = 0.0
         self._playback: Playback | None = None
+        self._thing: ObjectDescription | None = None
+        self._known: list[Action] = []
         with top:
             self._header = Header(bridge, remote)
         self._tabs = gui.add_tab_group()
-        with self._tabs.add_tab("Actions", viser.Icon.HAND_GRAB):
+        with self._tabs.add_tab("Actions"):
             self._actions = ActionsPanel(bridge, remote, self._show, partial(sideways_words, hand))
-        with self._tabs.add_tab("Make", viser.Icon.PENCIL):
+        with self._tabs.add_tab("Make"):
             self._making = MakingPanel(bridge, remote, hand, self._refresh)
-        with self._tabs.add_tab("Log", viser.Icon.MOVIE):
+        with self._tabs.add_tab("Try"):
+            self._trying = TryPanel(bridge, remote, hand, self._actions.add_trial, self._show_grasp)
+        with self._tabs.add_tab("Log"):
             self._recordings = RecordingsPanel(bridge, remote, hand, self._look_at)
-        with self._tabs.add_tab("View", viser.Icon.EYE):
+        with self._tabs.add_tab("View"):
             self._ghost = gui.add_checkbox(
                 "Reference", False, hint="Show the set-points sent as a grey ghost"
             )
@@ -107,6 +117,13 @@ class Session:
             self._press = gui.add_checkbox(
                 "Pressure", True, hint="Show the pressure at the tips, where the hand measures it"
             )
+            self._object = gui.add_checkbox(
+                "Object", True, hint="Show the object that a simulated hand grasps"
+            )
+            self._forces = gui.add_checkbox(
+                "Contact forces", True, hint="Show by arrows how hard links press on things"
+            )
+            self._felt = gui.add_html("")
         self._panel = gui.add_panel()
         with self._panel.add_tab("Plots", viser.Icon.CHART_LINE):
             self._plots = PlotsPanel(gui, hand)
@@ -130,6 +147,18 @@ class Session:
             contact.append((evidence.point, evidence.normal))
         self._scene.show_contacts(contact if self._touch.value else ())
 
+    def _show_grasp(self, plan: GraspPlan | None) -> None:
+        """Show a planned grasp as a ghost, with its contacts."""
+        if plan is None:
+            self._show(None, 0.0, None)
+            return
+        found = [a for a in self._known if key_of(a) == (plan.action, plan.elements)]
+        self._scene.show_preview(
+            self._target(last_posture(found[0]), plan.intensity) if found else None
+        )
+        contacts = [(contact.point, contact.normal) for contact in plan.contacts]
+        self._scene.show_contacts(contacts if self._touch.value else ())
+
     def _target(self, posture: Posture, intensity: float) -> FloatArray:
         start = self._hand.rest if self._state is None else self._state.reference_position
         target = np.array(start)
@@ -144,7 +173,9 @@ class Session:
 
     async def _refresh(self) -> list[Action]:
         actions = await self._actions.refresh()
+        self._known = actions
         self._making.show_actions(actions)
+        self._trying.show_actions(actions)
         return actions
 
     async def run(self) -> None:
@@ -161,7 +192,20 @@ class Session:
             tasks.start_soon(self._follow_events, events)
             tasks.start_soon(self._follow_status)
             tasks.start_soon(self._follow_states)
+            tasks.start_soon(self._follow_object)
             await self._ask_trials()
+
+    async def _follow_object(self) -> None:
+        """Ask what is grasped once there is something: a simulation appears after its hand."""
+        with contextlib.suppress(RteeError):  # an older hand cannot tell
+            while self._thing is None:
+                await anyio.sleep(_STATUS_PERIOD)
+                if self._state is not None and self._has_object(self._state):
+                    self._thing = await self._remote.object_description()
+
+    @staticmethod
+    def _has_object(state: State) -> bool:
+        return any(name.endswith(f"/{OBJECT_POSE}") for name in state.channels)
 
     async def _ask_trials(self) -> None:
         with contextlib.suppress(RequestRejected, ConfigError):
@@ -223,6 +267,7 @@ class Session:
         if now >= self._table_due:
             self._table_due = now + _TABLE_PERIOD
             self._table.show_state(state)
+            self._felt.content = small(escape(self._scene.seen.said(tuple(self._hand.urdf.links))))
             if playback is None:
                 self._making.show_state(state)
 
@@ -235,6 +280,9 @@ class Session:
             self._pressed = bool(pressure)
             self._scene.show_pressure(pressure)
             self._scene.place_pressures(state.position)
+        thing = self._thing if self._playback is None else self._playback.object_description
+        self._scene.seen.describe(thing if self._object.value else None)
+        self._scene.seen.show(state.channels, forces=self._forces.value)
 
     def _in_order(self, state: State) -> State:
         by_name, names = state.joints, self._hand.joint_names
@@ -262,6 +310,7 @@ class Session:
 
     def remove(self) -> None:
         """Remove everything of the hand from the browser."""
+        self._trying.remove()
         self._scene.remove()
         self._header.remove()
         self._actions.remove()

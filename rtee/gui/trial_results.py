@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 
 from rtee.actions.types import Action
 from rtee.trials.result import TrialResult
 from rtee.trials.store import FILE_NAME, outdated, parse_results
+from rtee.trials.variation import interval
 
 Key = tuple[str, tuple[str, ...]]
 """Name and elements of an action."""
@@ -24,10 +25,19 @@ class Tried:
     Attributes:
         results: The results by action.
         outdated: Whether the files of the hand have changed since.
+        own: The results of trials of this page, by action; the newest last.
     """
 
     results: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
     outdated: bool = False
+    own: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
+
+    def with_own(self, result: TrialResult) -> Tried:
+        """Return the same with a result of a trial of this page, instead of one of its object."""
+        trial = result.trial
+        key = (trial.action, trial.elements)
+        others = [one for one in self.own.get(key, ()) if one.trial.object != trial.object]
+        return replace(self, own={**self.own, key: [*others, result]})
 
 
 def key_of(action: Action) -> Key:
@@ -48,10 +58,36 @@ def tried_in(text: str) -> Tried:
     return Tried(found, outdated(text, Path(FILE_NAME)))
 
 
+def object_name(text: str) -> str:
+    """Return the name of an object, of a mesh without its folder."""
+    return text.rpartition("/")[2]
+
+
+def rate(result: TrialResult) -> str:
+    """Return in how many variations an object was held; empty if there were none.
+
+    ``18 of 20 variations (95 %: 70 to 97 %)``.
+    """
+    tries = result.trial.variations
+    if not (tries and result.held):
+        return ""
+    low, high = interval(result.survived, tries)
+    return f"{result.survived} of {tries} variations (95 %: {low * 100:.0f} to {high * 100:.0f} %)"
+
+
+def verdict(result: TrialResult) -> str:
+    """Return how a trial ended: held, with the rate of its variations, or why not."""
+    if not result.held:
+        return result.reason or "lost"
+    return ", ".join(filter(None, ("held", rate(result))))
+
+
 def line(results: Sequence[TrialResult], *, outdated: bool = False) -> str:
     """Return the summary of an action's trials: ``held 7 of 12 objects``."""
     held = sum(result.held for result in results)
-    words = f"held {held} of {len(results)} object{'s' if len(results) != 1 else ''}"
+    fitting = sum(result.fits for result in results)
+    words = f"held {held} of {fitting} object{'s' if fitting != 1 else ''}"
+    words += " that fit" if fitting < len(results) else ""
     return f"{words}, with other files of this hand" if outdated else words
 
 
@@ -59,8 +95,8 @@ def table(results: Sequence[TrialResult]) -> str:
     """Return an HTML table of the objects, whether each was held, and why not."""
     rows = "".join(
         f'<tr><td style="{_CELL};white-space:nowrap">{"●" if result.held else "○"} '
-        f'{escape(result.trial.object)}</td><td style="{_CELL}">'
-        f"{escape('held' if result.held else result.reason or 'lost')}</td></tr>"
+        f'{escape(object_name(result.trial.object))}</td><td style="{_CELL}">'
+        f"{escape(verdict(result))}</td></tr>"
         for result in sorted(results, key=lambda each: (not each.held, each.trial.object))
     )
     return f'<table style="border-collapse:collapse">{rows}</table>'

@@ -88,11 +88,17 @@ class HandConfig(BaseModel):
     limits: LimitsSection = LimitsSection()
     """Limits that tighten or complete the URDF's."""
     dynamics: DynamicsSection = DynamicsSection()
-    """What the actuators are like inside: gains, inertia, friction, how joints follow them; only
-    the simulation uses it."""
+    """What the actuators are like inside: gains, inertia, friction, how joints follow them; for
+    the simulation, and for planners that ask for the hand's description."""
+    tip_friction: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default={})
+    """Coefficient of friction of the fingertips' surfaces by finger, ``defaults``: of all others;
+    for planners that ask for the hand's description. Unless given, the URDF's ``mu1``, if any."""
     clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE
     """Distance that clear poses and the ways to them keep from all links that they are not to touch
     [m]; links that have hardly more at rest keep four fifths of what they have there."""
+    payload: Annotated[float, Field(gt=0)] | None = None
+    """Largest mass that its data sheet lets it hold by friction [kg]; trials of heavier objects say
+    that they do not fit."""
     profile: ProfileSettings = ProfileSettings()
     """How references move between set-points."""
     loop: LoopSection = LoopSection()

@@ -188,7 +188,19 @@ class GraspSettings(Section):
     grip_after: NotNegative = 2.0
     """Time after the grasp until the effort is lowered to ``grip_effort`` [s]."""
     touch: NotNegative = 0.1
-    """Force at a fingertip above which it touches [N], where a device measures it."""
+    """Force on a finger above which it touches [N], where a device measures it."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings(Section):
+    """Streams of set-points."""
+
+    deadline: Positive = 0.1
+    """A stream without a sample for this long brakes and holds [s]; a stream may ask for another
+    one."""
+    max_lag: Positive | None = None
+    """Longest lag between a sample's stamp, as it arrives, and its set-point [s]; unless given, 1.2
+    periods of the stream and 5 ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +215,8 @@ class LoopSection(Section):
     """When an actuator counts as stalled."""
     grasp: GraspSettings = GraspSettings()
     """When a finger counts as holding something."""
+    stream: StreamSettings = StreamSettings()
+    """Streams of set-points."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple
+from rtee.object_description import BASE_POSE, OBJECT_POSE
 from rtee.types import FloatArray
 
 
@@ -60,6 +61,40 @@ def turn(axis: FloatArray, angle: float) -> FloatArray:
     """Return the unit quaternion (w, x, y, z) of a turn by ``angle`` [rad] about a unit axis."""
     half = 0.5 * angle
     return np.concatenate(([math.cos(half)], math.sin(half) * axis))
+
+
+def pose_matrix(pose: FloatArray) -> FloatArray:
+    """Return the transform ``(4, 4)`` of a position [m] and a quaternion (w, x, y, z) ``(7,)``."""
+    w, x, y, z = pose[3:] / np.linalg.norm(pose[3:])
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return homogeneous(np.eye(3) + 2.0 * (w * cross + cross @ cross), pose[:3])
+
+
+def seen_from(base: FloatArray, pose: FloatArray) -> FloatArray:
+    """Return a pose in the frame of another one; each as position and quaternion ``(7,)``."""
+    w, x, y, z = base[3:] / np.linalg.norm(base[3:])
+    back = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
+    position = pose_matrix(base)[:3, :3].T @ (pose[:3] - base[:3])
+    return np.concatenate((position, back @ pose[3:]))
+
+
+def pose_in_hand(channels: Mapping[str, FloatArray]) -> FloatArray | None:
+    """Return the pose ``(7,)`` of a simulated object in the hand's base frame, if it is known.
+
+    Args:
+        channels: The further channels of a state, without the device's name in front.
+    """
+    pose, base = channels.get(OBJECT_POSE), channels.get(BASE_POSE)
+    if pose is None or not _is_pose(pose):
+        return None
+    if base is None:
+        return pose
+    return seen_from(base, pose) if _is_pose(base) else None
+
+
+def _is_pose(values: FloatArray) -> bool:
+    """Return whether a channel can be used: it may come from another program, or a file."""
+    return len(values) == 7 and bool(np.isfinite(values).all()) and bool(values[3:].any())
 
 
 def joint_motion(kind: str, axis: Triple, q: float) -> FloatArray:

@@ -45,7 +45,9 @@ class Overrides:
         default_limits: Limits of actuators that have none of their own there.
         dynamics: What the actuators are like inside, by actuator.
         default_dynamics: What holds for all actuators where they say nothing else.
+        tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
         clearance: Distance that clear poses keep from other links [m].
+        payload: Largest mass that it may hold [kg].
         ignore: Actuators that stay fixed at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
         error: Makes the error for a value of the configuration, from its place and a message.
@@ -59,7 +61,9 @@ class Overrides:
     default_limits: DefaultLimits = field(default_factory=DefaultLimits)
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
     default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
+    tip_friction: Mapping[str, float] = field(default_factory=dict)
     clearance: float = CLEARANCE
+    payload: float = math.inf
     ignore: tuple[str, ...] = ()
     passive: frozenset[str] = frozenset()
     error: Callable[[tuple[str | int, ...], str], UserError] | None = None

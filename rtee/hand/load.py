@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from rtee.hand.limits import (
     rest_state,
     standing_position,
 )
-from rtee.hand.model import Hand, Joint, JointRole
+from rtee.hand.model import Finger, Hand, Joint, JointRole
 from rtee.hand.names import check_name, safe_name
 from rtee.hand.srdf import Srdf, read_srdf
 from rtee.hand.transmission import check_mimics, make_transmission
@@ -112,7 +113,9 @@ def load_configured(
         default_limits=config.limits.defaults,
         dynamics=config.dynamics.actuators,
         default_dynamics=config.dynamics.defaults,
+        tip_friction=config.tip_friction,
         clearance=config.clearance,
+        payload=math.inf if config.payload is None else config.payload,
         ignore=tuple(config.ignore),
         error=document.error,
     )
@@ -241,6 +244,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         package_dirs=overrides.package_dirs,
         description=overrides.title,
         clearance=overrides.clearance,
+        payload=overrides.payload,
         dynamics=make_dynamics(
             overrides.dynamics,
             overrides.default_dynamics,
@@ -249,7 +253,23 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
             transmission,
             lambda place, what: _refused(("dynamics", *place), what, overrides, urdf),
         ),
+        tip_friction=_tip_friction(fingers, overrides, urdf),
     )
+
+
+def _tip_friction(fingers: Sequence[Finger], overrides: Overrides, urdf: Urdf) -> dict[str, float]:
+    """Return the friction of the fingertips: as configured, else as in the URDF, if anywhere."""
+    given, names = overrides.tip_friction, [finger.name for finger in fingers]
+    for name in given:
+        if name not in (*names, "defaults"):
+            what = f"unknown finger; {suggestion(name, names)}"
+            raise _refused(("tip_friction", name), what, overrides, urdf)
+    found = {
+        finger.name: given.get(finger.name, given.get("defaults", urdf.links[finger.tip].friction))
+        for finger in fingers
+        if finger.tip is not None
+    }
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _refused(

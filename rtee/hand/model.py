@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -96,6 +97,8 @@ class Hand:
         description: Its name for people.
         clearance: Distance that clear poses and their ways keep from all other links [m].
         dynamics: What the actuators are like inside, by name; nothing of one that is missing.
+        payload: Largest mass that it may hold [kg]; infinite where that is not known.
+        tip_friction: Coefficient of friction of the fingertips, by finger, where it is known.
     """
 
     name: str
@@ -112,6 +115,8 @@ class Hand:
     description: str = field(default="", kw_only=True)
     clearance: float = field(default=CLEARANCE, kw_only=True)
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict, kw_only=True)
+    payload: float = field(default=math.inf, kw_only=True)
+    tip_friction: Mapping[str, float] = field(default_factory=dict, kw_only=True)
 
     @cached_property
     def lower(self) -> FloatArray:

@@ -71,6 +71,8 @@ class UrdfLink:
         has_inertial: Whether it has an ``<inertial>`` element.
         mass: Its mass [kg]; 0 when not given.
         inertia: How the mass is distributed; ``None`` without ``<inertia>``.
+        friction: Coefficient of friction of its surface, as Gazebo (``mu1``) and Bullet
+            (``lateral_friction``) take it; ``None`` when not given.
     """
 
     name: str
@@ -80,6 +82,7 @@ class UrdfLink:
     has_inertial: bool = False
     mass: float = 0.0
     inertia: UrdfInertia | None = None
+    friction: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

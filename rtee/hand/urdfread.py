@@ -73,6 +73,7 @@ def _check_root(root: Element) -> None:
 
 def _links(root: Element) -> dict[str, UrdfLink]:
     links: dict[str, UrdfLink] = {}
+    for_gazebo = {each.attributes.get("reference", ""): each for each in root.all("gazebo")}
     for element in root.all("link"):
         name = element.required("name")
         if name in links:
@@ -87,10 +88,26 @@ def _links(root: Element) -> dict[str, UrdfLink]:
             has_inertial=inertial is not None,
             mass=mass.number("value") if mass else 0.0,
             inertia=None if inertial is None else _inertia(inertial),
+            friction=_friction(element, for_gazebo.get(name)),
         )
     if not links:
         raise root.error("has no links")
     return links
+
+
+def _friction(link: Element, for_gazebo: Element | None) -> float | None:
+    """Return the friction of a link; ``None`` if it is not given, or makes no sense."""
+    contact = link.first("contact")
+    found = contact.first("lateral_friction") if contact is not None else None
+    if for_gazebo is not None:
+        found = for_gazebo.first("mu1") or found
+    if found is None:
+        return None
+    try:
+        value = float(found.attributes.get("value", "") or found.text)
+    except ValueError:  # other programs read this part of the file, and may take more
+        return None
+    return value if 0.0 <= value <= MOST else None
 
 
 def _inertia(inertial: Element) -> UrdfInertia | None:

@@ -26,6 +26,7 @@ class Element:
         line: The line of its start tag, counted from 1.
         path: The file it is in.
         children: The elements inside it, in order.
+        texts: The text inside it but not inside these, in pieces.
     """
 
     tag: str
@@ -33,6 +34,12 @@ class Element:
     line: int
     path: Path
     children: list[Element] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """The text inside it."""
+        return "".join(self.texts).strip()
 
     def all(self, tag: str) -> Iterator[Element]:
         """Yield the children of one name."""
@@ -130,6 +137,10 @@ class _Builder:
     def end(self, _tag: str) -> None:
         self.open.pop()
 
+    def said(self, text: str) -> None:
+        if self.open:
+            self.open[-1].texts.append(text)
+
     def refuse(self, *_: object) -> None:
         raise ModelError(
             "declares a document type or entities, which are refused; remove the <!DOCTYPE …>",
@@ -158,6 +169,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
     builder = _Builder(file, parser)
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.said
     parser.StartDoctypeDeclHandler = builder.refuse
     parser.EntityDeclHandler = builder.refuse
     try:

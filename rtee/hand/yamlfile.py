@@ -320,7 +320,7 @@ class _Reader:
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             key = key_node.value
-            if self.foreign and isinstance(key, list):
+            if self.foreign and key_node.tag == f"{_TAG}seq":
                 key = tuple(str(item.value) for item in key)
             elif not isinstance(key, str):
                 raise self._error(line, "a key should be a word")

@@ -207,7 +207,11 @@ def _tip_forces(recording: Recording) -> Callable[[float], list[float]]:
 
 def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | CommandRecord]]:
     """Return what gives the plans and commands that are due at a tick, in their order."""
-    entries: list[Entry[Plan] | Entry[CommandRecord]] = [*recording.plans, *recording.commands]
+    entries: list[Entry[Plan] | Entry[CommandRecord]] = [
+        *recording.plans,
+        *recording.commands,
+        *recording.stream_samples,
+    ]
     waiting = deque(sorted(entries, key=lambda entry: (entry.stamp, entry.sequence)))
 
     def due(tick: int, stamp: float) -> Iterator[Plan | CommandRecord]:

@@ -80,6 +80,7 @@ class Contents:
         attachments: Files to attach, by name: hand.yaml, SRDF, actions. The URDF is always there.
         metadata: Further metadata.
         meshes: The hand's meshes, to be carried along.
+        latched: Messages by topic that hold until others come: every file begins with them.
     """
 
     hand: Hand
@@ -87,6 +88,7 @@ class Contents:
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
     meshes: EmbeddedMeshes = field(default_factory=lambda: EmbeddedMeshes({}, {}))
+    latched: dict[str, bytes] = field(default_factory=dict)
 
     @cached_property
     def _descriptions(self) -> Mapping[str, bytes]:
@@ -168,8 +170,8 @@ class Contents:
     def description(self, wall_ns: int) -> PackedChunk:
         """Return the chunk with the robot's description, the first one of every file."""
         builder = ChunkBuilder(level=9)
-        for topic, text in self._descriptions.items():
-            builder.add(CHANNELS[topic], 0, wall_ns, text)
+        for topic, data in {**self._descriptions, **self.latched}.items():
+            builder.add(CHANNELS[topic], 0, wall_ns, data)
         frames = JointFrames(self.hand)
         if frames.fixed:
             encoder = TransformsEncoder(*zip(*frames.fixed, strict=True))

@@ -225,6 +225,7 @@ class _Collector:
         def entries(name: str, make: Callable[[Fields], T]) -> list[Entry[T]]:
             return self._entries(name, make, start)
 
+        things = entries(topics.OBJECT, convert.OBJECT.of)
         attachments = {
             name: bytes(attachment.data)
             for each in reversed(self._surveys)
@@ -244,12 +245,14 @@ class _Collector:
             goals=goals,
             plans=entries(topics.PLANS, plan) if names else (),
             commands=entries(topics.COMMANDS, convert.COMMAND.of),
+            stream_samples=entries(topics.STREAM_SAMPLES, convert.STREAM_SAMPLE.of),
             feedback=entries(topics.FEEDBACK, convert.FEEDBACK.of),
             results=entries(topics.RESULTS, convert.RESULT.of),
             events=entries(topics.EVENTS, convert.EVENT.of),
             device_status=entries(topics.DEVICE_STATUS, convert.DEVICE_STATUS.of),
             loop_statistics=entries(topics.LOOP_STATISTICS, convert.LOOP_STATISTICS.of),
             channels=_channels_of(self._messages[topics.CHANNELS], start),
+            object_description=things[-1].value if things else None,
             urdf=self._urdf(attachments),
             meshes=self._surveys[0].metadata.get(MESHES, {}),
         )

@@ -24,6 +24,7 @@ from rtee.log.sink import reason
 from rtee.log.writer import ITSELF, Item, LogWriter
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
+from rtee.object_description import ObjectDescription
 from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
@@ -188,6 +189,10 @@ class Recorder:
     def on_plan(self, plan: Plan, stamp: float) -> None:
         """Record what a goal comes to."""
         self._put(plan, stamp)
+
+    def on_object(self, thing: ObjectDescription, stamp: float) -> None:
+        """Record what a simulated device grasps."""
+        self._put(thing, stamp)
 
     def on_command(self, record: CommandRecord) -> None:
         """Record a command."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtee.commands import CommandRecord
 from rtee.errors import LogError, suggestion
 from rtee.loop.plan import Plan
+from rtee.object_description import ObjectDescription
 from rtee.sample import Measurements
 from rtee.types import (
     BoolArray,
@@ -168,12 +169,14 @@ class Recording:
         goals: Goals that were accepted.
         plans: What the goals come to.
         commands: Calls that steered the hand otherwise.
+        stream_samples: Samples of streams, as commands.
         feedback: Progress of the goals.
         results: How they ended.
         events: Events, marks among them.
         device_status: Device status, about once a second.
         loop_statistics: Loop statistics, about once a second.
         channels: Further measured channels by name.
+        object_description: What a simulated device grasped, if it did.
         urdf: The URDF as it was read.
         meshes: Address of a mesh in the URDF to the name of its attachment.
         notes: What is wrong with the files, one sentence each.
@@ -192,12 +195,14 @@ class Recording:
     goals: Sequence[Entry[Goal]] = ()
     plans: Sequence[Entry[Plan]] = ()
     commands: Sequence[Entry[CommandRecord]] = ()
+    stream_samples: Sequence[Entry[CommandRecord]] = ()
     feedback: Sequence[Entry[Feedback]] = ()
     results: Sequence[Entry[Result]] = ()
     events: Sequence[Entry[Event]] = ()
     device_status: Sequence[Entry[DeviceStatus]] = ()
     loop_statistics: Sequence[Entry[LoopStatistics]] = ()
     channels: Mapping[str, Channel] = field(default_factory=dict)
+    object_description: ObjectDescription | None = None
     urdf: str = ""
     meshes: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

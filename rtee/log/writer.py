@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from rtee.commands import CommandRecord
+from rtee.commands import CommandRecord, StreamSample
 from rtee.log.chunks import ChunkBuilder
 from rtee.log.flight import FlightRecorder
 from rtee.log.layout import CHANNELS, Contents
@@ -22,10 +22,21 @@ from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
 from rtee.messages.codec import Codec, channel_fields, header
 from rtee.messages.schema import message_type
+from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
-Item = Goal | Plan | CommandRecord | Feedback | Result | Event | DeviceStatus | LoopStatistics
+Item = (
+    Goal
+    | Plan
+    | CommandRecord
+    | Feedback
+    | Result
+    | Event
+    | DeviceStatus
+    | LoopStatistics
+    | ObjectDescription
+)
 """What is recorded besides ticks."""
 
 ITSELF = "recorder"
@@ -42,6 +53,7 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
     Event: (topics.EVENTS, convert.EVENT),
     DeviceStatus: (topics.DEVICE_STATUS, convert.DEVICE_STATUS),
     LoopStatistics: (topics.LOOP_STATISTICS, convert.LOOP_STATISTICS),
+    ObjectDescription: (topics.OBJECT, convert.OBJECT),
 }
 """What is recorded besides ticks and plans: its topic, and what encodes it."""
 
@@ -82,6 +94,7 @@ class LogWriter:
         simulated: bool = False,
     ) -> None:
         hand = contents.hand
+        self._contents = contents
         self._actuators = hand.actuator_names
         self._settings = settings
         self._notify = notify
@@ -158,11 +171,13 @@ class LogWriter:
         self._begun()
 
     def _add_extras(self, record: TickRecord, wall: int) -> None:
-        """Record further channels when a value has changed."""
-        if all(self._extras.get(name) is values for name, values in record.channels.items()):
+        """Record those of the further channels that have changed."""
+        known = self._extras
+        new = {name: each for name, each in record.channels.items() if known.get(name) is not each}
+        if not new:
             return
-        self._extras = dict(record.channels)
-        names, lengths, values = channel_fields(record.channels)
+        known |= new
+        names, lengths, values = channel_fields(new)
         fields = {
             "header": header(wall),
             "tick": record.tick,
@@ -174,6 +189,8 @@ class LogWriter:
 
     def item(self, item: Item, stamp: float) -> None:
         """Take anything else that came at ``stamp``, CLOCK_MONOTONIC [s]."""
+        if isinstance(item, ObjectDescription):  # also for files that are begun later
+            self._contents.latched[topics.OBJECT] = convert.OBJECT.encode(item)
         if self.idle:
             return
         wall = self.wall_of(stamp)
@@ -181,6 +198,8 @@ class LogWriter:
             self._add(topics.PLANS, wall, encode_plan(item, self._actuators, time=stamp, wall=wall))
         else:
             topic, codec = _CODECS[type(item)]
+            if isinstance(item, CommandRecord) and isinstance(item.command, StreamSample):
+                topic, codec = topics.STREAM_SAMPLES, convert.STREAM_SAMPLE
             self._add(topic, wall, codec.encode(item, time=stamp, wall=wall))
         if isinstance(item, Event) and (item.severity == "error" or item.kind in FAULTS):
             self.fault(f"{item.kind}: {item.text}")
@@ -202,6 +221,7 @@ class LogWriter:
             return
         self.flush()
         self._compared = False
+        self._extras = {}
         try:
             self.sink.start(self._wall())
         except OSError:
@@ -258,6 +278,7 @@ class LogWriter:
             self._tell("log_resumed", f"recording goes on after {lost} ticks were lost: {before}")
         if self.sink.path != path:
             self._compared = False
+            self._extras = {}  # every file has all channels
 
     def _tell(self, kind: str, text: str) -> None:
         now = self._stamp if self._simulated else self._monotonic()

@@ -19,7 +19,8 @@ _LOST_MOVE = 0.02
 """… and the actuator closed further by this fraction of its range."""
 
 TIP_FORCE = "contact_force"
-"""The channel of a device's state that holds the force at every fingertip of the hand."""
+"""The channel of a device's state that holds the contact force on every finger of the hand, on
+whichever of its links."""
 
 _FELT = 0.1
 """A fingertip that touched at least this recently touches: contacts chatter [s]."""
@@ -47,7 +48,7 @@ class Measured:
         fresh: Whether the measurement is newer than at the tick before.
         grasped: The device's own word: 1 holding, 0 not, -1 none.
         current: Measured currents [A]; empty: none at all.
-        touch: Measured forces at the fingertips [N], in the hand's order of fingers; ``NaN``: not
+        touch: Measured contact forces on the fingers [N], in the hand's order; ``NaN``: not
             measured; empty: none at all.
     """
 
@@ -77,7 +78,7 @@ class Measured:
 
 
 def tip_forces(measured: Sequence[FloatArray]) -> list[float]:
-    """Return the forces at the fingertips [N] from what some devices measured, for `Measured`.
+    """Return the forces on the fingers [N] from what some devices measured, for `Measured`.
 
     Args:
         measured: The channel `TIP_FORCE` of each; what is not measured is ``NaN``.

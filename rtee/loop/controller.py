@@ -12,15 +12,19 @@ from dataclasses import dataclass, field, replace
 from typing import assert_never
 
 from rtee.commands import (
+    STREAM_ENDED,
     Abort,
+    BeginStream,
     Cancel,
     Command,
+    EndStream,
     Freeze,
     Hold,
     Jog,
     SetAcceptsEffort,
     SetActive,
     SetGripEffort,
+    StreamSample,
 )
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
@@ -31,6 +35,7 @@ from rtee.loop.plan import Plan
 from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import make_profile
 from rtee.loop.settings import LoopSettings
+from rtee.loop.streams.player import StreamPlayer
 from rtee.loop.thermal import Level, Thermal
 from rtee.loop.thermal_model import CurrentHeat
 from rtee.types import Event, Feedback, Result
@@ -75,13 +80,17 @@ class Controller:
         max_velocity: Velocity limits to be sent [rad/s | m/s].
         active: Whether an actuator's device may be moved.
         outbox: What is to be reported; the caller empties it.
+        stream: The stream that may move the hand, if there is one.
+        ended_stream: The last one that has ended.
     """
 
     def __init__(self, hand: Hand, settings: LoopSettings) -> None:
         self.hand = hand
         self.settings = settings
         self._grasp = settings.grasp
-        limits = Limits.of(hand.actuators)
+        self.stream: StreamPlayer | None = None
+        self.ended_stream = ""
+        self._limits = limits = Limits.of(hand.actuators)
         n = len(hand.actuators)
         self._profile = make_profile(settings.profile, limits, settings.period)
         self._limiter = Limiter(limits, settings.period, settings.safety.max_step)
@@ -131,7 +140,8 @@ class Controller:
     @property
     def moving(self) -> bool:
         """Whether the reference is on its way or a goal is running."""
-        return self._profile.moving or self.running is not None
+        streams = self.stream is not None and self.stream.playing
+        return self._profile.moving or self.running is not None or streams
 
     @property
     def idle(self) -> bool:
@@ -156,7 +166,8 @@ class Controller:
         return "; ".join(words for i in indices if (words := self._plausible.words(i)))
 
     def accept(self, plan: Plan, stamp: float) -> None:
-        """Begin a plan; the running goal ends as pre-empted."""
+        """Begin a plan; the running goal ends as pre-empted, and a stream ends."""
+        self._end_stream(stamp, f"{plan.action} took over")
         self._leave_hold(plan.involved)
         self._goal_effort = {
             i: e for i, e in self._goal_effort.items() if i not in plan.involved
@@ -180,9 +191,11 @@ class Controller:
                     self._executor.end(stamp, self._measured, cancelled=True)
                     self._hold(stamp, range(self._profile.size))
             case Hold(reason):
+                self._end_stream(stamp, reason or "the hand holds")
                 self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
                 self._hold(stamp, self._free())
             case Freeze(reason, actuators):
+                self._end_stream(stamp, reason or "the hand has stopped")
                 self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
                 frozen = self._indices(actuators)
                 self._leave_hold(frozen)
@@ -193,12 +206,20 @@ class Controller:
                 self._grasp = replace(self._grasp, grip_effort=fraction)
                 self._set_efforts()
             case SetActive(active):
-                self._set_active(active)
+                self._set_active(active, stamp)
             case SetAcceptsEffort(accepts):
                 for name, flag in accepts.items():
                     self._accepts[self.hand.actuator_index(name)] = flag
             case Abort(reason, actuators):
                 self._fail(self._indices(actuators), stamp, reason)
+            case BeginStream():
+                self._end_stream(stamp, "another stream began")
+                self.stream = StreamPlayer(command, self._limits, self.settings.period)
+            case StreamSample():
+                self._take_sample(command, stamp)
+            case EndStream(stream, reason):
+                if self.stream is not None and self.stream.name == stream:
+                    self._end_stream(stamp, reason or "its client ended it")
             case never:
                 assert_never(never)
 
@@ -237,6 +258,7 @@ class Controller:
         wanted = {self.hand.actuator_index(name): v for name, v in jog.positions.items()}
         targets = {i: value for i, value in wanted.items() if self.active[i]}
         running = self.running is not None
+        self._end_stream(stamp, "actuators were moved by hand")
         self._executor.end(stamp, self._measured, preempted=True)
         self._leave_hold(targets)
         velocity = {i: min(jog.max_velocity, self.hand.actuators[i].velocity) for i in targets}
@@ -245,7 +267,7 @@ class Controller:
         others = set(range(self._profile.size)) - set(targets) if running else ()
         self._profile.go(targets, brake=others, velocity=velocity)
 
-    def _set_active(self, active: Mapping[str, bool]) -> None:
+    def _set_active(self, active: Mapping[str, bool], stamp: float) -> None:
         for name, flag in active.items():
             i = self.hand.actuator_index(name)
             if flag and not self.active[i]:
@@ -253,6 +275,67 @@ class Controller:
                 self._plausible.forget((i,))
             self.active[i] = flag
             self._leave_hold((i,))
+            if not flag and self.stream is not None and i in self.stream.indices:
+                self._end_stream(stamp, f"the device of {name} is not active any more")
+
+    def _take_sample(self, sample: StreamSample, stamp: float) -> None:
+        """Let a sample move its actuators; the first one pre-empts a running goal."""
+        stream = self.stream
+        if stream is None or stream.name != sample.stream:
+            return
+        positions = {self.hand.actuator_index(name): p for name, p in sample.positions.items()}
+        velocities = {self.hand.actuator_index(name): v for name, v in sample.velocities.items()}
+        for i in positions:
+            if not self.active[i]:
+                name = self.hand.actuators[i].name
+                self._end_stream(stamp, f"the device of {name} is not active any more")
+                return
+        if not stream.taken(sample, positions):
+            return
+        if self.running is not None:
+            self._executor.end(stamp, self._measured, preempted=True)
+            self._profile.go({}, brake=set(range(self._profile.size)).difference(positions))
+        new = [i for i in positions if i not in stream.indices]
+        if new:
+            self._leave_hold(new)
+            for i in new:
+                self.max_velocity[i] = self.hand.actuators[i].velocity
+        limiter = self._limiter
+        stream.take(sample, positions, velocities, stamp, limiter.position, limiter.velocity)
+
+    def _hand_back(self, stream: StreamPlayer) -> None:
+        """Have the actuators of a stream brake, and keep the reference that they come to."""
+        limiter = self._limiter
+        self._profile.resume(
+            {i: (limiter.position[i], limiter.velocity[i]) for i in stream.indices}
+        )
+
+    def _end_stream(self, stamp: float, why: str) -> None:
+        stream, self.stream = self.stream, None
+        if stream is None:
+            return
+        if stream.playing:
+            self._hand_back(stream)
+        self.ended_stream = stream.name
+        found = stream.status()
+        dropped = found.duplicates + found.out_of_order + found.outliers
+        text = f"the stream ended: {why}; {found.samples} samples taken, {dropped} dropped"
+        self.outbox.items.append(Event(STREAM_ENDED, stream.name, text, stamp))
+
+    def _streamed(self, stream: StreamPlayer, stamp: float) -> list[float]:
+        """Return where all actuators are to be, with those of a stream where that wants them."""
+        if stream.overdue(stamp):
+            self._hand_back(stream)
+            stream.pause()
+            text = f"no sample for {stream.deadline * 1e3:.0f} ms: braked, and holding"
+            event = Event("stream_paused", stream.name, text, stamp, "warning")
+            self.outbox.items.append(event)
+        self._profile.advance()
+        wanted = list(self._profile.position)
+        if stream.playing:
+            limiter = self._limiter
+            stream.step(stamp, limiter.position, limiter.velocity, wanted)
+        return wanted
 
     def _fail(self, indices: list[int], stamp: float, reason: str) -> None:
         plan = self.running
@@ -283,8 +366,13 @@ class Controller:
         self._ease_off(stamp, measured)
         if self._settling:
             self._settle(stamp, measured)
-        self._profile.advance()
-        if limiter.apply(self._profile.position):
+        stream = self.stream
+        if stream is None:
+            self._profile.advance()
+            wanted = self._profile.position
+        else:
+            wanted = self._streamed(stream, stamp)
+        if limiter.apply(wanted):
             self._report_limited(stamp)
 
     def _seed(self, stamp: float, measured: Measured) -> None:

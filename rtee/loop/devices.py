@@ -16,6 +16,7 @@ from rtee.hand.model import Hand
 from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
+from rtee.object_description import ObjectDescription
 from rtee.sample import TickRecord
 from rtee.types import Event, FloatArray, Lifecycle, Reference, readonly
 
@@ -138,12 +139,17 @@ class Devices:
         active = (device for device in self._all if self._active[device.name])
         return frozenset().union(*(device.indices for device in active))
 
-    def check_movable(self, indices: Iterable[int], movable: Collection[int]) -> None:
+    def check_movable(self, indices: Iterable[int], movable: Collection[int] | None = None) -> None:
         """Check that some actuators may be moved.
+
+        Args:
+            indices: The actuators.
+            movable: Those that may; ``None``: to be found out.
 
         Raises:
             GoalRejected: if not.
         """
+        movable = self.movable() if movable is None else movable
         idle = [self._hand.actuators[i].name for i in sorted(indices) if i not in movable]
         if not idle:
             return
@@ -237,6 +243,11 @@ class Devices:
                 group.start_soon(one, device)
         if errors:
             raise errors[0]
+
+    @property
+    def object_description(self) -> ObjectDescription | None:
+        """What a simulated device of the hand grasps, if one does."""
+        return next(filter(None, (device.driver.object_description for device in self._all)), None)
 
     async def set_gains(self, gains: Mapping[str, float], name: str | None) -> None:
         """Change gains of a device, or of all that have them.

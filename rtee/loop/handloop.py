@@ -25,6 +25,7 @@ from rtee.loop.histogram import TickStatistics
 from rtee.loop.observer import LoopObserver, Observers
 from rtee.loop.plan import OPEN, Plan, make_plan
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
+from rtee.loop.streams.intake import StreamIntake
 from rtee.loop.supervisor import Supervisor
 from rtee.sample import TickRecord, measured_arrays
 from rtee.types import (
@@ -71,6 +72,7 @@ class HandLoop:
         settings: The loop's settings.
         controller: The pure part.
         devices: The devices' supervisors, by name.
+        streams: Takes the samples of a stream; any thread may use it, one at a time.
         clock_statistics: Statistics of the clock that ticks it, once it ticks.
 
     Raises:
@@ -96,6 +98,9 @@ class HandLoop:
         self._pending: deque[Plan | Command] = deque()
         self._devices = Devices(hand, devices, self._observers.event, now)
         self.devices = self._devices.by_name
+        self.streams = StreamIntake(
+            self.controller, library, self._pending.append, self._devices.check_movable, now
+        )
         self._begun: list[tuple[Plan | CommandRecord, float]] = []
         self._record: TickRecord | None = None
         self._group: anyio.abc.TaskGroup | None = None
@@ -182,7 +187,9 @@ class HandLoop:
             reference_position=np.array(controller.reference_position),
             reference_velocity=np.array(controller.reference_velocity),
             reference_effort=np.array(controller.reference_effort),
-            channels=state.channels,
+            channels=state.channels
+            if controller.stream is None
+            else {**state.channels, **controller.stream.channels},
         )
         # Move: send the reference; a device that answers at once is also sensed again here.
         devices.move(record, controller.max_velocity)
@@ -198,6 +205,7 @@ class HandLoop:
         if self.controller.outbox:
             self._deliver()
         if record.stamp >= self._status_at:
+            self._observers.describe_object(self._devices.object_description, record.stamp)
             window = self.settings.statistics_window
             if self._status_at > 0.0:
                 self._status_at = record.stamp + window
@@ -330,7 +338,7 @@ class HandLoop:
         if max_velocity is not None and not (max_velocity > 0 and math.isfinite(max_velocity)):
             raise GoalRejected(f"the velocity must be above 0, not {max_velocity:g}")
         indices = [self.hand.actuator_index(name) for name in positions]
-        self._devices.check_movable(indices, self._devices.movable())
+        self._devices.check_movable(indices)
         limit = math.inf if max_velocity is None else float(max_velocity)
         self._pending.append(Jog(dict(positions), limit))
 

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from rtee.commands import CommandRecord
 from rtee.loop.plan import Plan
+from rtee.object_description import ObjectDescription
 from rtee.sample import TickRecord as TickRecord  # what `on_tick` is given
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
@@ -19,7 +20,8 @@ class LoopObserver(Protocol):
     """Receives everything that happens in one hand's loop.
 
     An observer may also have ``on_plan(plan, stamp)``: it is called after `on_goal` with what the
-    goal comes to, a `rtee.loop.plan.Plan`.
+    goal comes to, a `rtee.loop.plan.Plan`. And ``on_object(thing, stamp)``: it is called with what
+    a simulated device grasps, a `rtee.object_description.ObjectDescription`, once that is known.
 
     All methods are called in the loop's thread and must return at once: no I/O, no waiting. An
     observer that raises is dropped with an event; the hand goes on.
@@ -78,6 +80,7 @@ class Observers:
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
         self._all: tuple[LoopObserver, ...] = ()
+        self._object: ObjectDescription | None = None
 
     def add(self, observer: LoopObserver) -> None:
         """Add one, unless it is there."""
@@ -120,6 +123,12 @@ class Observers:
         self._each(lambda observer: observer.on_goal(plan.goal, stamp))
         self._each(lambda observer: getattr(observer, "on_plan", _ignore)(plan, stamp))
 
+    def describe_object(self, thing: ObjectDescription | None, stamp: float) -> None:
+        """Report what a simulated device grasps, unless that was done, to those who want it."""
+        if thing is not self._object and thing is not None:
+            self._object = thing
+            self._each(lambda observer: getattr(observer, "on_object", _ignore)(thing, stamp))
+
     def command(self, record: CommandRecord) -> None:
         """Report a command."""
         self._each(lambda observer: observer.on_command(record))
@@ -141,5 +150,5 @@ class Observers:
         self._each(lambda observer: observer.on_status(statuses, statistics))
 
 
-def _ignore(plan: Plan, stamp: float) -> None:
-    """Stand in for the ``on_plan`` of an observer that has none."""
+def _ignore(what: Plan | ObjectDescription, stamp: float) -> None:
+    """Stand in for the ``on_plan`` or ``on_object`` of an observer that has none."""

@@ -18,6 +18,7 @@ from rtee.hand.config_schema import ProfileSettings as ProfileSettings
 from rtee.hand.config_schema import RealtimeSettings as RealtimeSettings
 from rtee.hand.config_schema import SafetySettings as SafetySettings
 from rtee.hand.config_schema import StallSettings as StallSettings
+from rtee.hand.config_schema import StreamSettings as StreamSettings
 from rtee.hand.config_schema import ThermalSettings as ThermalSettings
 from rtee.types import DeviceSpec
 

@@ -104,6 +104,7 @@ class Supervisor:
         """Return how it is doing."""
         now, link = self._now(), self.connection
         counters, fault = link.counters, link.fault
+        gains, known = self.driver.capabilities.gains, self.driver.gains()
         return DeviceStatus(
             name=self.name,
             driver=self.spec.driver,
@@ -122,7 +123,8 @@ class Supervisor:
             recoverable=fault is not None and fault.recoverable,
             hint="" if fault is None else fault.hint,
             message=self.driver.doing or link.message,
-            gains=self.driver.capabilities.gains,
+            gains=gains,
+            gain_values=tuple(known.get(name, math.nan) for name in gains),
         )
 
     def _report(self, kind: str, text: str, severity: str) -> None:

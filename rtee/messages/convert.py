@@ -3,24 +3,41 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
 
 from rtee.commands import (
     Abort,
+    BeginStream,
     Cancel,
     Command,
     CommandRecord,
+    EndStream,
     Freeze,
     Hold,
     Jog,
     SetAcceptsEffort,
     SetActive,
     SetGripEffort,
+    StreamSample,
 )
 from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
-from rtee.types import DeviceStatus, Event, Feedback, Goal, Lifecycle, LoopStatistics, Result, Stage
+from rtee.object_description import ObjectDescription, ObjectPart
+from rtee.types import (
+    DeviceStatus,
+    Event,
+    Feedback,
+    Goal,
+    Lifecycle,
+    LoopStatistics,
+    Result,
+    Stage,
+    StreamTargets,
+)
 
 _STRING = message_type("std_msgs/msg/String")
 
@@ -56,8 +73,41 @@ DEVICE_STATUS = Codec(
     identity=mapping("identity_name", "identity_value"),
     counters=mapping("counter_name", "counter_value"),
     gains=field("gain", tuple),
+    gain_values=field("gain_value", tuple),
 )
 LOOP_STATISTICS = Codec("rtee_msgs/msg/LoopStatistics", LoopStatistics)
+
+
+def _part_fields(parts: Sequence[ObjectPart]) -> list[dict[str, Any]]:
+    return [
+        {
+            "kind": part.kind,
+            "size": list(part.size),
+            "pose": part.pose,
+            "vertex": part.vertices.ravel(),
+            "face": part.faces.ravel(),
+        }
+        for part in parts
+    ]
+
+
+def _parts(entries: Sequence[Mapping[str, Any]]) -> tuple[ObjectPart, ...]:
+    try:
+        return tuple(
+            ObjectPart(
+                entry["kind"],
+                tuple(float(value) for value in entry["size"]),
+                np.asarray(entry["pose"], np.float64),
+                np.asarray(entry["vertex"], np.float32).reshape(-1, 3),
+                np.asarray(entry["face"], np.uint32).reshape(-1, 3),
+            )
+            for entry in entries
+        )
+    except ValueError as error:
+        raise MessageError(f"an object cannot be drawn: {error}") from None
+
+
+OBJECT = Codec("rtee_msgs/msg/Object", ObjectDescription, parts=As({"parts": _part_fields}, _parts))
 
 Plain = tuple[str, str, Mapping[str, float]]
 """Kind of a command, text and numbers by name."""
@@ -88,6 +138,12 @@ def plain(command: Command) -> Plain:
             return "accepts", "", {name: float(flag) for name, flag in accepts.items()}
         case Abort(reason, actuators):
             return "fail", reason, dict.fromkeys(actuators, 1.0)
+        case BeginStream(stream, rate, deadline, max_lag):
+            return "stream", stream, {"rate": rate, "deadline": deadline, "max_lag": max_lag}
+        case EndStream(stream, reason):
+            return "end", f"{stream} {reason}", {}
+        case StreamSample():
+            raise MessageError("a sample of a stream is held by a message of its own")
 
 
 def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:
@@ -110,6 +166,11 @@ def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:
                 return SetAcceptsEffort({name: bool(flag) for name, flag in numbers.items()})
             case "fail":
                 return Abort(text, tuple(numbers))
+            case "stream":
+                return BeginStream(text, *(numbers[k] for k in ("rate", "deadline", "max_lag")))
+            case "end":
+                stream, _, reason = text.partition(" ")
+                return EndStream(stream, reason)
     except (ValueError, KeyError) as error:
         raise MessageError(f"a command '{kind}' makes no sense: {error}") from None
     raise MessageError(f"unknown command '{kind[:50]}'")
@@ -128,6 +189,50 @@ COMMAND = Codec(
         },
         lambda kind, text, names, values: typed(kind, text, paired("value", names, values)),
     ),
+)
+
+
+def _sample(**held: Any) -> StreamSample:
+    """Return the sample whose attributes are held as in ``rtee_msgs/StreamSample``."""
+    actuators = held["actuator"]
+    return StreamSample(
+        held["stream"],
+        held["stamp"],
+        held["arrival"],
+        paired("value", held["target"], held["value"]),
+        paired("velocity", held["velocity_name"], held["velocity"]),
+        paired("position", actuators, held["position"]),
+        paired("rate", actuators, held["rate"]),
+    )
+
+
+_SAMPLE_FIELDS: Mapping[str, Callable[[StreamSample], Any]] = {
+    "stream": lambda sample: sample.stream,
+    "stamp": lambda sample: sample.stamp,
+    "arrival": lambda sample: sample.arrival,
+    "target": lambda sample: list(sample.targets),
+    "value": lambda sample: list(sample.targets.values()),
+    "velocity_name": lambda sample: list(sample.velocity),
+    "velocity": lambda sample: list(sample.velocity.values()),
+    "actuator": lambda sample: list(sample.positions),
+    "position": lambda sample: list(sample.positions.values()),
+    "rate": lambda sample: [sample.velocities[name] for name in sample.positions],
+}
+
+STREAM_SAMPLE = Codec(
+    "rtee_msgs/msg/StreamSample",
+    CommandRecord,
+    stamp=field("time"),
+    command=As(
+        _SAMPLE_FIELDS,
+        lambda *values: _sample(**dict(zip(_SAMPLE_FIELDS, values, strict=True))),
+    ),
+)
+STREAM_TARGETS = Codec(
+    "rtee_msgs/msg/StreamTargets",
+    StreamTargets,
+    targets=mapping("target", "value"),
+    velocity=mapping("velocity_name", "velocity"),
 )
 
 

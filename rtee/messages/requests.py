@@ -36,7 +36,7 @@ STATES = "states"
 ANSWERS = "answers"
 """Part of the keys on which clients get the answers to what they have put, not asked."""
 
-PUT = ("do", "jog")
+PUT = ("do", "jog", "sample")
 """Requests that clients put: those that are in a hurry. A query costs Zenoh a tenth of a
 millisecond more."""
 
@@ -81,6 +81,11 @@ _ALL = (
     _request(CONTROL, "cancel", "GoalReference", "Reply", "Cancel a goal; the hand holds."),
     _request(CONTROL, "hold", "ClientRequest", "Reply", "Hold the measured posture."),
     _request(CONTROL, "jog", "NamedValues", "Reply", "Move actuators to positions."),
+    _request(CONTROL, "begin_stream", "StreamBegin", "Reply", "Be ready for a stream."),
+    _request(
+        CONTROL, "sample", "StreamTargets", "Reply", "Put a sample; only a refusal is answered."
+    ),
+    _request(CONTROL, "end_stream", "StreamEnd", "Reply", "End a stream; the hand brakes, holds."),
     _request(CONTROL, "gains", "NamedValues", "Reply", "Change gains of a device."),
     _request(CONTROL, "recover", "ClientRequest", "Reply", "Bring devices out of a fault."),
     _request(
@@ -94,6 +99,7 @@ _ALL = (
     _request(ASK, "stream", "StreamRequest", "Reply", "Have states published at a rate."),
     _request(ASK, "state", "Empty", "State", "The newest state."),
     _request(ASK, "status", "Empty", "Status", "The loop and its devices."),
+    _request(ASK, "object_description", "Empty", "Object", "What a simulated hand grasps."),
     _request(ASK, "info", "PostureRequest", "HandInfo", "The hand, for a grasp planner."),
     _request(ASK, "robot_description", "Empty", "String", "The URDF."),
     _request(ASK, "actions", "ActionFilter", "ActionList", "The actions that pass a filter."),

@@ -16,8 +16,10 @@ FEEDBACK = "feedback"
 RESULTS = "results"
 EVENTS = "events"
 COMMANDS = "commands"
+STREAM_SAMPLES = "stream_samples"
 DEVICE_STATUS = "device_status"
 LOOP_STATISTICS = "loop_statistics"
+OBJECT = "object"
 ROBOT_DESCRIPTION = "robot_description"
 URDF = "urdf"
 TF = "tf"
@@ -36,17 +38,19 @@ TYPES: dict[str, str] = {
     COMMANDS: "rtee_msgs/msg/Command",
     DEVICE_STATUS: "rtee_msgs/msg/DeviceStatus",
     LOOP_STATISTICS: "rtee_msgs/msg/LoopStatistics",
+    OBJECT: "rtee_msgs/msg/Object",
     ROBOT_DESCRIPTION: "std_msgs/msg/String",
     URDF: "std_msgs/msg/String",
     TF: "tf2_msgs/msg/TFMessage",
     TF_STATIC: "tf2_msgs/msg/TFMessage",
+    STREAM_SAMPLES: "rtee_msgs/msg/StreamSample",
 }
 """Name of a topic to the type of its messages."""
 
 FOR_VIEWERS = frozenset({URDF, TF, TF_STATIC})
 """Topics that follow from others and are recorded for other software alone."""
 
-LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC})
+LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC, OBJECT})
 """Topics whose last message holds until the next one: it is kept for later subscribers."""
 
 PUBLISHED = frozenset(

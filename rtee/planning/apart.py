@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +22,9 @@ LONGEST: Final = 60_000
 
 _PATIENCE: Final = 60.0
 """A plan takes a second or two; a computer that is busy has this long [s]."""
+
+_NICE: Final = 10
+"""How far planning's priority is below that of an ordinary program, see nice(2)."""
 
 _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 
@@ -121,6 +125,7 @@ def ask(
         env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
         text=True,
     )
+    _make_ordinary(process.pid)
     started(process)
     try:
         said, _ = process.communicate(json.dumps(words), timeout=_PATIENCE)
@@ -136,3 +141,18 @@ def ask(
     if "error" in found:
         raise RequestRejected(found["error"])
     return json.dumps(found["ranking"])
+
+
+def _make_ordinary(process: int) -> None:
+    """Let a process run like a background program, on all CPUs that the system lets it use.
+
+    It would otherwise have the real-time priority and the one CPU of a loop that starts it.
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        return
+    with suppress(OSError):  # it may have ended already
+        os.sched_setscheduler(process, os.SCHED_OTHER, os.sched_param(0))
+        os.setpriority(
+            os.PRIO_PROCESS, process, max(_NICE, os.getpriority(os.PRIO_PROCESS, process))
+        )
+        os.sched_setaffinity(process, range(os.cpu_count() or 1))

@@ -243,6 +243,10 @@ class Closing:
             if not deep or self._opposed(touches):
                 break
             push = sum((_clear_of(touch) for touch in deep), np.zeros(3)) / len(deep)
+            if (
+                len(self._links(deep)) == 1
+            ):  # as several shapes of a jaw: the mean would leave it inside
+                push = _clear_of(min(deep, key=lambda touch: touch.distance))
             pose[:3, 3] += push
             near -= float(np.linalg.norm(push))
             touches = self._touching(near, at, pose)
@@ -252,7 +256,7 @@ class Closing:
         """Return whether forces at the contacts can balance, with friction."""
         if len(touches) < 2:
             return False
-        if all(touch.distance < -_INSIDE for touch in touches):
+        if all(touch.distance < -_INSIDE for touch in touches) and len(self._links(touches)) > 1:
             return True  # squeezed from all sides
         normals = np.array([touch.normal for touch in touches])
         slope = np.arctan(self.friction)
@@ -263,6 +267,10 @@ class Closing:
             return False  # all push the same way
         edges = [cone(normal, self.friction) for normal in normals]
         return balanced(np.concatenate(edges))
+
+    def _links(self, touches: Sequence[Touch]) -> set[str]:
+        """Return the links that touch."""
+        return {self.scene.geometry.shapes[touch.shape].link for touch in touches}
 
 
 def _clear_of(touch: Touch) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -96,6 +96,17 @@ class GraspObject:
         reach = [(p.points @ directions.T).max(axis=0) + p.radius for p in self.pieces]
         farthest: FloatArray = np.max(reach, axis=0)
         return farthest
+
+    def scaled(self, factor: float) -> GraspObject:
+        """Return the same object with all lengths times a factor, each piece by its hull."""
+        pieces = []
+        for piece in self.pieces:
+            if piece.kind in _NUMBERS:
+                pieces.append(_primitive(piece.kind, tuple(factor * v for v in piece.size)))
+                continue
+            points = factor * piece.points
+            pieces.append(Piece("mesh", (), hull_of(points), points, factor * piece.radius))
+        return replace(self, pieces=tuple(pieces))
 
     @cached_property
     def centre(self) -> FloatArray:
@@ -197,6 +208,11 @@ def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
             f"'{text}' is no object: a capsule is at least as long as thick, here {2 * size[0]:g} m"
         )
     return size
+
+
+def hull_piece(points: FloatArray) -> Piece:
+    """Return the hull of points ``(k, 3)`` in an object's frame [m] as a piece of it."""
+    return Piece("mesh", (), hull_of(points), points)
 
 
 def _primitive(kind: str, size: tuple[float, ...]) -> Piece:

@@ -95,6 +95,8 @@ class Planner:
         too_wide: No action that was tried opens as wide as the object.
         widest: The widest opening of these actions [m].
         narrowest: The object's least width there [m].
+        out: The axis ``(3,)`` of the base frame along which the hand reaches out.
+        turns: The turns ``(3, 3)`` of the object that look different.
     """
 
     def __init__(
@@ -109,12 +111,12 @@ class Planner:
             raise ConfigError(f"a friction is above 0 and at most 10, not {friction:g}")
         self.hand, self.thing = hand, thing
         self.scene = GraspScene(hand, thing)
-        self._out = outward(self.scene)
-        axis = self._out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
+        self.out = outward(self.scene)
+        axis = self.out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
         if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
             raise ConfigError("a weight axis is three finite numbers, not all of them 0")
         self.task = Task(friction, axis / np.linalg.norm(axis))
-        self._turns = orientations(thing)
+        self.turns = orientations(thing)
         self.too_wide, self.widest, self.narrowest = True, 0.0, math.inf
 
     def plan(self, actions: Iterable[Action]) -> tuple[list[GraspPlan], list[tuple[str, str]]]:
@@ -178,16 +180,16 @@ class Planner:
         closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
         if not closing.way.moving.any():
             return "it moves nothing"
-        poses = Poses(self.scene, closing, action, self._out)
-        opening, narrowest = float(poses.gaps.max()), poses.narrowest(self._turns)
+        poses = Poses(self.scene, closing, action, self.out)
+        opening, narrowest = float(poses.gaps.max()), poses.narrowest(self.turns)
         self.widest = max(self.widest, opening)
         self.narrowest = min(self.narrowest, narrowest)
         grasps, tried = [], 0
-        for candidate in poses.candidates(self._turns, most):
+        for candidate in poses.candidates(self.turns, most):
             tried += 1
             closure = closing.close(candidate.pose)
             if closure is not None:
-                promise = self._promise(closure)
+                promise = self.promise(closure)
                 grasps.append(_Grasp(action, closing, poses, candidate, closure, promise))
                 if len(grasps) >= max(_ENOUGH, most // 2):
                     break
@@ -209,7 +211,7 @@ class Planner:
         closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
         return closing.close(np.array(plan.pose))
 
-    def _promise(self, closure: Closure) -> float:
+    def promise(self, closure: Closure) -> float:
         """Return a quick estimate of how good a grasp is; larger is better."""
         contacts = closure.contacts
         by_link = {contact.link: contact for contact in contacts}

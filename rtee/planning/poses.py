@@ -29,6 +29,9 @@ _DEEPEST: Final = 0.08
 _TIPS: Final = 0.008
 """How far fingertips reach over an object that they hold at its end [m]."""
 
+_TIP: Final = 0.035
+"""How far the shapes of a fingertip reach from the outermost one's middle [m]."""
+
 _APART: Final = 0.006
 """Depths that differ by less are one [m]."""
 
@@ -140,7 +143,7 @@ class Poses:
         names = {name: scene.hand.finger(name).tip for name in self._fingers}
         shapes = scene.geometry.shapes
         self._tips = [
-            [i for i, shape in enumerate(shapes) if shape.link == names[name]]
+            self._outermost([i for i, shape in enumerate(shapes) if shape.link == names[name]])
             for name in self._fingers
         ]
         self._paths = np.array([[self._middle(k, t) for t in self._tips] for k in closing.table])
@@ -174,6 +177,15 @@ class Poses:
             others.sort(key=lambda f: float(np.linalg.norm(at[f.name] - at[chosen[0].name])))
             chosen += others[:1]
         return tuple(f.name for f in chosen)
+
+    def _outermost(self, shapes: list[int]) -> list[int]:
+        """Return those shapes of a fingertip's link that reach out the farthest.
+
+        The link of a jaw may be all of the gripper's body.
+        """
+        reach = self._closing.table[0].middles[shapes] @ self._out
+        least = reach.max(initial=-np.inf) - _TIP
+        return [shape for shape, far in zip(shapes, reach, strict=True) if far >= least]
 
     def _middle(self, at: HandPose, tips: list[int]) -> FloatArray:
         middles = at.middles[tips]

@@ -38,7 +38,7 @@ class Check:
         held: The object was lifted, held and shaken and is still in the hand.
         reason: Why not, in words; empty if it was held.
         slip: How far the object moved in the hand from the grasp to the end [m].
-        peak: The largest contact force on a fingertip while it was lifted and shaken [N].
+        peak: The largest contact force on a finger while it was lifted and shaken [N].
     """
 
     held: bool

@@ -132,8 +132,8 @@ class GraspScene:
         """
         turn = pose[:3, :3] @ self._axes
         middle = pose[:3, :3] @ self._middle + pose[:3, 3]
-        outside = np.abs((at.middles - middle) @ turn) - self._half
-        found: FloatArray = np.linalg.norm(np.maximum(outside, 0.0), axis=1) - self.radii
+        outside = np.maximum(np.abs((at.middles - middle) @ turn) - self._half, 0.0)
+        found: FloatArray = np.sqrt((outside * outside).sum(axis=1)) - self.radii
         return found
 
     def touch(self, shape: int, at: HandPose, pose: FloatArray) -> Touch:

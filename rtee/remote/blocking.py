@@ -9,7 +9,15 @@ from __future__ import annotations
 import atexit
 import contextlib
 import threading
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Iterator
+import time
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterator,
+    Callable,
+    Coroutine,
+    Iterator,
+    Mapping,
+)
 from concurrent.futures import Future
 from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
@@ -19,7 +27,8 @@ from anyio.from_thread import BlockingPortal
 
 from rtee.remote.client import RemoteHand, connect
 from rtee.remote.goal import GoalOptions, RunningGoal
-from rtee.types import Feedback, Result
+from rtee.remote.stream import Stream
+from rtee.types import Feedback, Result, StreamStatus
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -55,6 +64,34 @@ class BlockingGoal:
     def cancel(self) -> None:
         """Cancel the goal: the hand brakes and holds, and the result says so."""
         _wait(self._portal, self._running.cancel)
+
+
+class BlockingStream:
+    """An open stream of set-points; made by `BlockingHand.stream`."""
+
+    def __init__(self, portal: BlockingPortal, stream: Stream) -> None:
+        self._portal = portal
+        self._stream = stream
+        self.name = stream.name
+
+    @property
+    def ended(self) -> str:
+        """Why the hand has ended it, in words; empty as long as it has not."""
+        return self._stream.ended
+
+    def send(
+        self,
+        targets: Mapping[str, float],
+        velocity: Mapping[str, float] | None = None,
+        stamp: float | None = None,
+    ) -> None:
+        """Send a sample; see `Stream.send`."""
+        when = time.monotonic() if stamp is None else stamp
+        _wait(self._portal, partial(self._stream.send, targets, velocity or {}, when))
+
+    def status(self) -> StreamStatus:
+        """Return how the stream is doing: lag, jitter, what was dropped."""
+        return _wait(self._portal, self._stream.status)
 
 
 def _waiting(
@@ -144,6 +181,13 @@ class BlockingHand:
         return self.do("open", on_feedback=on_feedback)
 
     @contextlib.contextmanager
+    def stream(self, rate: float = 50.0, deadline: float | None = None) -> Iterator[BlockingStream]:
+        """Stream set-points for as long as the context lasts; see `RemoteHand.stream`."""
+        opened = self._hand.stream(rate, deadline)
+        with self._portal.wrap_async_context_manager(opened) as stream:
+            yield BlockingStream(self._portal, stream)
+
+    @contextlib.contextmanager
     def held(self) -> Iterator[None]:
         """Hold the lease for as long as the context lasts."""
         with self._portal.wrap_async_context_manager(self._hand.held()):
@@ -166,6 +210,7 @@ class BlockingHand:
     status = _waiting(RemoteHand.status)
     ready = _waiting(RemoteHand.ready)
     info = _waiting(RemoteHand.info)
+    object_description = _waiting(RemoteHand.object_description)
     robot_description = _waiting(RemoteHand.robot_description)
 
     actions = _waiting(RemoteHand.actions)

@@ -24,6 +24,7 @@ from rtee.remote.find import open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.link import Link
 from rtee.remote.monitoring import Monitoring
+from rtee.remote.stream import StreamClient
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -98,11 +99,12 @@ def _part(
 class RemoteHand:
     """A running hand; made by `connect`.
 
-    It has all methods of `GoalClient`, `LeaseClient`, `Monitoring` and `ActionClient`.
+    It has all methods of `GoalClient`, `StreamClient`, `LeaseClient`, `Monitoring` and
+    `ActionClient`.
 
     Everything that moves the hand is refused with `LeaseHeld` while another client holds the
-    lease. A client holds it while its own goal runs, and from `acquire` to `release`; `stop` needs
-    no lease.
+    lease. A client holds it while its own goal or stream runs, and from `acquire` to `release`;
+    `stop` needs no lease.
 
     Attributes:
         name: The hand's name.
@@ -116,12 +118,15 @@ class RemoteHand:
         self._actions = ActionClient(link)
         self._goals = GoalClient(link, self._monitoring.info)
         self._lease = LeaseClient(link)
+        self._streams = StreamClient(link, self._monitoring)
 
     start = _part("_goals", GoalClient.start)
     do = _part("_goals", GoalClient.do)
     open = _part("_goals", GoalClient.open)
     cancel = _part("_goals", GoalClient.cancel)
     effort_limits = _part("_goals", GoalClient.effort_limits)
+
+    stream = _part("_streams", StreamClient.stream)
 
     acquire = _part("_lease", LeaseClient.acquire)
     release = _part("_lease", LeaseClient.release)
@@ -135,6 +140,7 @@ class RemoteHand:
     status = _part("_monitoring", Monitoring.status)
     ready = _part("_monitoring", Monitoring.ready)
     info = _part("_monitoring", Monitoring.info)
+    object_description = _part("_monitoring", Monitoring.object_description)
     robot_description = _part("_monitoring", Monitoring.robot_description)
 
     actions = _part("_actions", ActionClient.actions)

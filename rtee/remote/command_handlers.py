@@ -17,6 +17,7 @@ from rtee.errors import ConfigError, GoalRejected, RequestRejected
 from rtee.hand.names import check_name
 from rtee.loop.handloop import HandLoop
 from rtee.messages import decode_goal
+from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.incoming_request import REPLY, IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
@@ -50,6 +51,8 @@ class CommandHandlers:
             "cancel": self._cancel,
             "hold": self._hold,
             "jog": self._jog,
+            "begin_stream": self._begin_stream,
+            "end_stream": self._end_stream,
             "gains": self._gains,
             "recover": self._recover,
             "acquire": self._acquire,
@@ -66,15 +69,39 @@ class CommandHandlers:
             RteeError: if the request is refused.
         """
         name = request.request.name
+        if name == "sample":
+            raise RequestRejected("samples of a stream are put, not queried")
         goal = decode_goal(request.question) if name == "do" else None
         client = request.fields["client"] if goal is None else goal.client
         with self._lock:
-            if client not in self._clients and name != "hello":
-                raise RequestRejected("this client is not known here; say hello first")
+            if name != "hello":
+                self._check_known(client)
             if name not in _WITHOUT_LEASE:
                 self._lease.check(client)
             text = self._handlers[name](request) if goal is None else self._do(goal)
         return None if text is None else REPLY.encode(accepted(text))
+
+    def handle_put(self, request: IncomingRequest) -> bytes | None:
+        """Handle a request that was put; samples of streams are, and only refusals answer them."""
+        if request.request.name != "sample":
+            return self.handle(request)
+        self._take_sample(request)
+        return None
+
+    def _check_known(self, client: str) -> None:
+        if client not in self._clients:
+            raise RequestRejected("this client is not known here; say hello first")
+
+    def _take_sample(self, request: IncomingRequest) -> None:
+        """Take a sample of a stream; only refusals are answered."""
+        streams = self._loop.streams
+        with self._lock:
+            if not streams.admit():
+                return
+            sample = STREAM_TARGETS.decode(request.question)
+            self._check_known(sample.client)
+            self._lease.check(sample.client)
+            streams.sample(sample)
 
     def stop(self, request: IncomingRequest) -> None:
         """Stop all devices; any client may ask for it, even without ``hello``."""
@@ -141,6 +168,25 @@ class CommandHandlers:
         limit = None if math.isnan(fields["limit"]) else fields["limit"]  # NaN: no limit given
         self._loop.jog(_values(fields), limit)
         self._lease.jogged(fields["client"])
+        return ""
+
+    def _begin_stream(self, request: IncomingRequest) -> str:
+        fields = request.fields
+        stream, deadline = check_name(fields["stream"], "stream"), fields["deadline"]
+        if self._lease.runs(stream):
+            raise GoalRejected(f"the stream '{stream}' runs already")
+        # Before it is begun: the loop may end the stream before `begin` returns.
+        self._lease.started(fields["client"], stream)
+        try:
+            within = None if math.isnan(deadline) else deadline  # NaN: as configured
+            self._loop.streams.begin(stream, fields["rate"], within)
+        except Exception:
+            self._lease.ended(stream)
+            raise
+        return stream
+
+    def _end_stream(self, request: IncomingRequest) -> str:
+        self._loop.streams.end(request.fields["stream"])
         return ""
 
     def _gains(self, request: IncomingRequest) -> None:

@@ -9,8 +9,9 @@ turns, hand at 1 kHz on a busy computer with two cores).
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import zenoh
 
@@ -51,6 +52,7 @@ class FastRequests:
         self._loop = asyncio.get_running_loop()
         self._numbers = itertools.count(1)
         self._waiting: dict[str, asyncio.Future[bytes]] = {}
+        self._refusals: dict[str, Callable[[bytes], None]] = {}
         self._gone = False
         self._unmatched = set(PUT)
         self._connected = asyncio.Event()
@@ -97,6 +99,33 @@ class FastRequests:
         future.add_done_callback(lambda _: self._forget(number, timer))
         return future
 
+    def put(self, name: str, question: bytes, number: str) -> None:
+        """Publish a request that is only answered if it is refused.
+
+        Args:
+            name: Name of the request.
+            question: The question, encoded.
+            number: Under which a refusal comes; see `refusals`.
+
+        Raises:
+            NoHand: if the hand has gone.
+        """
+        if self._gone:
+            raise NoHand(f"the hand '{self._hand}' has gone")
+        try:
+            self._publishers[name].put(question, attachment=f"{number} {self._client}")
+        except zenoh.ZError as error:
+            raise NoHand(f"the hand '{self._hand}' cannot be asked: {error}") from None
+
+    @contextlib.contextmanager
+    def refusals(self, number: str, refused: Callable[[bytes], None]) -> Iterator[None]:
+        """Have a function called with the refusals under a number while the context lasts."""
+        self._refusals[number] = refused
+        try:
+            yield
+        finally:
+            del self._refusals[number]
+
     def _forget(self, number: str, timer: asyncio.TimerHandle) -> None:
         timer.cancel()
         self._waiting.pop(number, None)
@@ -112,6 +141,8 @@ class FastRequests:
         future = self._waiting.pop(number, None)
         if future is not None:
             self._complete(future, ok, data)
+        elif not ok and number in self._refusals:
+            self._refusals[number](data)
 
     def fail_all(self) -> None:
         """End all waiting requests with an error, and refuse new ones: the hand has gone."""

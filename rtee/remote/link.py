@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from rtee.errors import LeaseHeld, MessageError, NoHand, RequestRejected
+from rtee.errors import LeaseHeld, MessageError, NoHand, RemoteError, RequestRejected
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE, CLIENTS, PUT, REQUESTS, STOP
 from rtee.messages.schema import message_type
@@ -188,21 +188,33 @@ class Link:
             raise NoHand(f"the hand '{self.hand}' cannot be asked: {error}") from None
         return future
 
+    def put(self, name: str, question: bytes, number: str) -> None:
+        """Send a request that is only answered if it is refused; see `FastRequests.put`."""
+        self._fast.put(name, question, number)
+
+    @contextlib.contextmanager
+    def refusals(self, number: str, refused: Callable[[RemoteError], None]) -> Iterator[None]:
+        """Have a function called with what the hand refuses under a number, see `put`."""
+        with self._fast.refusals(number, lambda data: refused(self._refusal(data))):
+            yield
+
     def _settle(self, future: asyncio.Future[bytes], ok: bool, data: bytes) -> None:
         """Complete the future of an answer; the data of a refusal are empty if there is none."""
         if future.done():
             return
         if ok:
             future.set_result(data)
-            return
+        else:
+            future.set_exception(self._refusal(data))
+
+    def _refusal(self, data: bytes) -> RemoteError:
+        """Return the error that a refusal means; its data are empty if there was no answer."""
         try:
             reply = _REPLY.decode(data)
         except MessageError:
-            future.set_exception(NoHand(f"the hand '{self.hand}' does not answer"))
-        else:
-            held = reply["error"] == LeaseHeld.__name__
-            error = LeaseHeld(reply["text"]) if held else RequestRejected(reply["reason"])
-            future.set_exception(error)
+            return NoHand(f"the hand '{self.hand}' does not answer")
+        held = reply["error"] == LeaseHeld.__name__
+        return LeaseHeld(reply["text"]) if held else RequestRejected(reply["reason"])
 
     def close(self) -> None:
         """Undeclare everything and close the session; blocks for a moment."""

@@ -8,18 +8,19 @@ import math
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import anyio
 
 from rtee.errors import MessageError, NoHand, NotReady
 from rtee.messages import decode_event, topics
-from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
+from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
+from rtee.object_description import ObjectDescription
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
-from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics
+from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, StreamStatus
 
 T = TypeVar("T")
 
@@ -48,6 +49,7 @@ class HandStatus:
         statistics: Statistics of the loop's clock.
         devices: Status of each device.
         profile: Profile of the references, and why it is not the one in hand.yaml if so.
+        stream: Status of the stream of set-points.
     """
 
     hand: str
@@ -60,6 +62,7 @@ class HandStatus:
     statistics: LoopStatistics
     devices: tuple[DeviceStatus, ...]
     profile: str = ""
+    stream: StreamStatus = field(default_factory=StreamStatus)
 
 
 class CollectedStates:
@@ -190,6 +193,7 @@ class Monitoring:
             statistics=LOOP_STATISTICS.of(reply["statistics"]),
             devices=tuple(DEVICE_STATUS.of(device) for device in reply["devices"]),
             profile=reply["profile"],
+            stream=StreamStatus(**reply["stream"]),
         )
 
     async def ready(
@@ -236,6 +240,18 @@ class Monitoring:
         values = posture or {}
         fields = {"name": list(values), "position": list(values.values())}
         return info_of(await self._link.ask("info", fields))
+
+    async def object_description(self) -> ObjectDescription | None:
+        """Return what a simulated device of the hand grasps, as it looks; ``None`` if none does.
+
+        Where it is, and what presses on what, comes with the states, in channels; see
+        `rtee.object_description`.
+
+        Raises:
+            MessageError: if it cannot be drawn.
+        """
+        found = OBJECT.of(await self._link.ask("object_description"))
+        return found if found.parts else None
 
     async def robot_description(self) -> str:
         """Return the URDF."""

@@ -7,7 +7,8 @@ three rows) and the link's angular velocity (last three rows), both in the hand'
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,6 +55,8 @@ class ActuatorInfo:
         effort: Effort limit [N·m | N].
         rest: Position in the rest posture.
         fingers: Fingers whose tips it moves.
+        stiffness: Position gain of its servo [N·m/rad | N/m], as hand.yaml gives it under
+            ``dynamics``; NaN: not known.
     """
 
     name: str
@@ -66,6 +69,7 @@ class ActuatorInfo:
     effort: float
     rest: float
     fingers: tuple[str, ...]
+    stiffness: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +84,8 @@ class FingerInfo:
         actuators: Actuators that move the tip, nearest the palm first.
         tip_pose: Pose of the tip's link in the hand's base frame ``(4, 4)``; ``None`` without one.
         jacobian: Jacobian of the tip, linear part first, by the actuators ``(6, n)``.
+        friction: Coefficient of friction of the tip's surface, as hand.yaml or the URDF gives it;
+            NaN: not known.
     """
 
     name: str
@@ -89,6 +95,7 @@ class FingerInfo:
     actuators: tuple[str, ...]
     tip_pose: FloatArray | None
     jacobian: FloatArray | None
+    friction: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +112,7 @@ class HandInfo:
         joint_positions: Joint positions at that posture ``(m,)`` [rad | m].
         transmission: Derivative of joint by actuator positions at that posture ``(m, n)``.
         urdf: Text of the URDF.
+        missing: What is not known, one sentence each.
     """
 
     name: str
@@ -116,6 +124,7 @@ class HandInfo:
     joint_positions: FloatArray
     transmission: FloatArray
     urdf: str
+    missing: tuple[str, ...] = ()
 
     @property
     def actuator_names(self) -> tuple[str, ...]:
@@ -123,7 +132,7 @@ class HandInfo:
         return tuple(actuator.name for actuator in self.actuators)
 
 
-_ACTUATOR = tuple(ActuatorInfo.__slots__)
+_ACTUATOR = tuple(name for name in ActuatorInfo.__slots__ if name != "stiffness")
 
 
 def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
@@ -137,7 +146,11 @@ def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
         "name": hand.name,
         "base": hand.base,
         "actuators": [
-            {name: getattr(actuator, name) for name in _ACTUATOR} for actuator in hand.actuators
+            {
+                **{name: getattr(actuator, name) for name in _ACTUATOR},
+                "stiffness": _stiffness(hand, actuator.name),
+            }
+            for actuator in hand.actuators
         ],
         "joints": hand.joint_names,
         "fingers": [_finger_fields(hand, finger, u) for finger in hand.fingers],
@@ -145,9 +158,32 @@ def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
         "posture": u,
         "transmission": hand.transmission.jacobian(u).ravel(),
         "offset": hand.transmission.joints(u),
-        "missing": [f"finger '{f.name}' has no fingertip" for f in hand.fingers if f.tip is None],
+        "missing": list(_missing(hand)),
         "urdf": hand.urdf.text,
     }
+
+
+def _stiffness(hand: Hand, actuator: str) -> float:
+    known = hand.dynamics.get(actuator)
+    return math.nan if known is None or known.kp is None else known.kp
+
+
+def _missing(hand: Hand) -> Iterator[str]:
+    """Yield what is not known of a hand, one sentence each."""
+    for finger in hand.fingers:
+        if finger.tip is None:
+            yield f"finger '{finger.name}' has no fingertip"
+    stiff = [name for name in hand.actuator_names if math.isnan(_stiffness(hand, name))]
+    tips = [f.name for f in hand.fingers if f.tip is not None and f.name not in hand.tip_friction]
+    if stiff:
+        yield f"the stiffness is not known of {_named(stiff, hand.actuator_names, 'actuators')}"
+    if tips:
+        whose = _named(tips, hand.finger_names, "fingers")
+        yield f"the friction is not known of the tips of {whose}"
+
+
+def _named(some: Sequence[str], whole: Sequence[str], what: str) -> str:
+    return f"all {what}" if len(some) == len(whole) > 1 else ", ".join(some)
 
 
 def _finger_fields(hand: Hand, finger: Finger, u: FloatArray) -> dict[str, Any]:
@@ -162,6 +198,7 @@ def _finger_fields(hand: Hand, finger: Finger, u: FloatArray) -> dict[str, Any]:
         "actuators": finger.actuators,
         "tip_pose": pose.ravel(),
         "jacobian": jacobian.ravel(),
+        "friction": hand.tip_friction.get(finger.name, math.nan),
     }
 
 
@@ -186,6 +223,7 @@ def info_of(fields: Mapping[str, Any]) -> HandInfo:
             joint_positions=fields["offset"].reshape(m),
             transmission=fields["transmission"].reshape(m, n),
             urdf=fields["urdf"],
+            missing=tuple(fields["missing"]),
         )
     except ValueError as error:
         raise MessageError(f"a hand's information does not fit together: {error}") from None
@@ -201,4 +239,5 @@ def _finger_of(fields: Mapping[str, Any], n: int) -> FingerInfo:
         actuators=tuple(fields["actuators"]),
         tip_pose=pose.reshape(4, 4) if pose.size else None,
         jacobian=jacobian.reshape(6, n) if jacobian.size else None,
+        friction=fields["friction"],
     )

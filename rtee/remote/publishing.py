@@ -16,6 +16,7 @@ from zlib import crc32
 
 import zenoh
 
+from rtee.commands import STREAM_ENDED
 from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
 from rtee.loop.observer import Observer
@@ -215,7 +216,7 @@ class Publisher(Observer):
         hand: The hand's name.
         streams: Publishes the states.
         outbox: Publishes everything else.
-        lease: The hand's lease, which a goal holds until it ends.
+        lease: The hand's lease, which goals and streams hold until they end.
     """
 
     def __init__(
@@ -255,6 +256,8 @@ class Publisher(Observer):
 
     def on_event(self, event: Event) -> None:
         """Publish an event."""
+        if event.kind == STREAM_ENDED:
+            self._lease.ended(event.source)
         self._put(topics.EVENTS, encode_event, event)
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:

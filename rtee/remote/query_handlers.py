@@ -10,6 +10,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,7 +18,8 @@ from rtee.errors import RequestRejected, RteeError
 from rtee.hand.catalog import fingerprint
 from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.loop.handloop import HandLoop
-from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS
+from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
+from rtee.object_description import NO_OBJECT
 from rtee.remote.actions import action_fields, group_fields, made_of
 from rtee.remote.grasp_planning import GraspPlanning
 from rtee.remote.incoming_request import IncomingRequest, accepted
@@ -109,6 +111,7 @@ class QueryHandlers:
         self._handlers: dict[str, Callable[[Fields], Fields]] = {
             "stream": self._stream,
             "status": self._status,
+            "object_description": self._object_description,
             "info": self._info,
             "robot_description": lambda _: {"data": self._hand.urdf.text},
             "actions": self._actions,
@@ -169,6 +172,7 @@ class QueryHandlers:
         statuses, statistics, plan = self._thread.call(
             lambda: (loop.statuses(), loop.statistics(), loop.controller.running)
         )
+        stream = loop.streams.status()
         path = self._recording_path()
         return {
             "hand": self._hand.name,
@@ -182,7 +186,12 @@ class QueryHandlers:
             "statistics": LOOP_STATISTICS.fields(statistics),
             "devices": [DEVICE_STATUS.fields(status) for status in statuses],
             "profile": self._profile,
+            "stream": asdict(stream),
         }
+
+    def _object_description(self, _: Fields) -> Fields:
+        things = (device.driver.object_description for device in self._loop.devices.values())
+        return OBJECT.fields(next(filter(None, things), NO_OBJECT))
 
     def _recording_path(self) -> str:
         """Return the file being recorded, or an empty string."""

@@ -1,9 +1,10 @@
 """The server beside a hand's loop: it makes the hand available on the network.
 
 The way of a goal and its answer: Zenoh's thread calls `Server._on_put`; `handle_request` checks the
-message and calls `CommandHandlers.handle`, which appends the goal to what the loop does at its next
-tick and returns the encoded answer. `Server._answer_put` gives the answer to a `CallQueue`, whose
-thread publishes it, since that may have to wait for a slow client. Queries are handled likewise.
+message and calls `CommandHandlers.handle_put`, which appends the goal to what the loop does at its
+next tick and returns the encoded answer. `Server._answer_put` gives the answer to a `CallQueue`,
+whose thread publishes it, since that may have to wait for a slow client. Queries are handled
+likewise.
 """
 
 from __future__ import annotations
@@ -161,7 +162,8 @@ class Server:
         return lambda data, ok: queue.put(partial(reply, self._hand, query, data, ok))
 
     def _on_put(self, sample: zenoh.Sample) -> None:
-        handle_request(sample, CONTROL, self._commands.handle, partial(self._answer_put, sample))
+        answer = partial(self._answer_put, sample)
+        handle_request(sample, CONTROL, self._commands.handle_put, answer)
 
     def _answer_put(self, sample: zenoh.Sample, data: bytes, ok: bool) -> None:
         # The attachment is decoded only now, so that it does not delay the request itself.

@@ -28,6 +28,8 @@ _MOVES = 1e-3
 _SEVERAL = 3
 _DECIDED = 4.0
 _TAKES_PART = 0.1
+_BACK = 2e-3
+"""How far an object is moved back at a time until the hand is clear of it [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,17 @@ class Places:
                 if len(found) == most:
                     break
         return found
+
+    def freed(self, place: Place) -> FloatArray:
+        """Return a place's pose ``(4, 4)``, moved back on its way until the open hand is clear."""
+        pose = np.array(place.pose)
+        length = float(np.linalg.norm(place.way))
+        steps = round(length / _BACK)
+        for _ in range(steps):
+            if self._clear(pose, 0.0):
+                break
+            pose[:3, 3] += _BACK * place.way / length
+        return pose
 
     @staticmethod
     def _apart(one: Place, other: Place) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
+from rtee.object_description import ObjectDescription
 from rtee.sample import TickRecord, measured_arrays
 from rtee.types import ActuatorState, BoolArray, Feedback, FloatArray, Goal, Result
 
@@ -25,6 +26,9 @@ _PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action ta
 
 class Play(Protocol):
     """What plays the hand: the simulation, or a kinematic stand-in."""
+
+    object_description: ObjectDescription | None
+    """What the object looks like, if there is one."""
 
     @property
     def position(self) -> FloatArray:
@@ -40,11 +44,11 @@ class Play(Protocol):
 
     @property
     def contact_forces(self) -> FloatArray:
-        """Contact force on each fingertip ``(fingers,)`` [N]."""
+        """Contact force on each finger ``(fingers,)`` [N]."""
 
     @property
-    def object_pose(self) -> FloatArray | None:
-        """Pose ``(7,)`` of the object in the world, if there is one."""
+    def seen(self) -> Mapping[str, FloatArray]:
+        """What can be seen besides the hand, as channels; see `rtee.object_description`."""
 
     def advance(self) -> None:
         """Go on by one period."""
@@ -107,6 +111,7 @@ class HeadlessHand(Generic[P]):
         n = len(hand.actuators)
         self._everything = np.ones(n, dtype=bool)
         self._silent = np.full(n, -1, dtype=np.int8)
+        self._describe_object()
         self._apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.tick()  # the controller starts from what is measured
 
@@ -118,6 +123,13 @@ class HeadlessHand(Generic[P]):
     def before_tick(self, call: Callable[[float], None]) -> None:
         """Call something with the simulated time [s] before every tick: a carrier's script."""
         self._before.append(call)
+
+    def _describe_object(self) -> None:
+        thing = self.simulation.object_description
+        for observer in self.observers:
+            describe = getattr(observer, "on_object", None)
+            if describe is not None and thing is not None:
+                describe(thing, self.time)
 
     def _apply(self, command: Command) -> None:
         for observer in self.observers:
@@ -194,10 +206,9 @@ class HeadlessHand(Generic[P]):
         limit: FloatArray,
         forces: FloatArray,
     ) -> None:
-        channels = {f"simulation/{TIP_FORCE}": forces}
-        pose = self.simulation.object_pose
-        if pose is not None:
-            channels["simulation/object_pose"] = pose
+        seen = self.simulation.seen
+        channels = {f"simulation/{name}": values for name, values in seen.items()}
+        channels[f"simulation/{TIP_FORCE}"] = forces
         measured = ActuatorState.measured(
             position, self.time, velocity=self.simulation.velocity, effort=effort
         )

@@ -19,6 +19,7 @@ class KinematicPlay:
             period: Time one `advance` takes [s].
         """
         self._hand = hand
+        self.object_description = None
         self._period = period
         self._reference = np.array(hand.rest)
         self.position: FloatArray = np.array(hand.rest)
@@ -45,6 +46,6 @@ class KinematicPlay:
         return np.zeros(len(self._hand.fingers))
 
     @property
-    def object_pose(self) -> FloatArray | None:
-        """There is no object."""
-        return None
+    def seen(self) -> dict[str, FloatArray]:
+        """There is nothing else."""
+        return {}

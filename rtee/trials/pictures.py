@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,7 +10,6 @@ import numpy as np
 from rtee.drivers.mujoco.objects import OBJECT
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import CONTAINER, TABLE
-from rtee.hand.files import write_atomically
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
@@ -23,14 +19,12 @@ from rtee.render.image import encode, linear_rgb
 from rtee.render.mesh import HandMesh, Mesh, smooth_normals
 from rtee.render.raycast import RayCaster, check_pictures
 from rtee.render.renderer import Renderer, Shading
+from rtee.render.strip import SIZE
+from rtee.render.strip import write_strip as write_strip
 from rtee.trials.headless import HeadlessHand
 from rtee.types import FloatArray
 
-SIZE = (360, 400)
-"""Width and height of a picture [pixels]."""
-
 _TABLE_COLOUR = "#c9ccd1"
-_CAPTION = 26  # height of a caption [pixels]
 _REACH = np.array([[0.0, 0.0, -0.03], [0.0, 0.0, 0.04]])
 """Ways of the hand in a trial, from where it starts."""
 
@@ -142,37 +136,6 @@ def _triangles(model: mujoco.MjModel, geom: int) -> Triangles:
     vertices = np.asarray(model.mesh_vert[first : first + count], dtype=np.float64)
     first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
     return vertices, np.asarray(model.mesh_face[first : first + count], dtype=np.int64)
-
-
-def write_strip(
-    path: Path, pictures: Sequence[tuple[str, bytes]], columns: int | None = None
-) -> None:
-    """Write pictures side by side, each with its caption below, as one PNG file.
-
-    Args:
-        path: The file.
-        pictures: Captions and PNG files of the same size.
-        columns: Pictures in a row; all of them unless given.
-
-    Raises:
-        ConfigError: if it cannot be written.
-    """
-    from PIL import Image, ImageDraw
-
-    images = [Image.open(io.BytesIO(data)).convert("RGB") for _, data in pictures]
-    width, height = images[0].size
-    across = min(columns or len(images), len(images))
-    down = -(-len(images) // across)
-    size = (width * across, (height + _CAPTION) * down)
-    strip: Any = Image.new("RGB", size, "#ffffff")
-    draw = ImageDraw.Draw(strip)
-    for index, ((caption, _), image) in enumerate(zip(pictures, images, strict=True)):
-        x, y = width * (index % across), (height + _CAPTION) * (index // across)
-        strip.paste(image, (x, y))
-        draw.text((x + width // 2, y + height + 4), caption, fill="#222222", anchor="ma")
-    out = io.BytesIO()
-    strip.save(out, "PNG", optimize=True)
-    write_atomically(path, out.getvalue())
 
 
 class Stills:

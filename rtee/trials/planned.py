@@ -23,7 +23,7 @@ from rtee.planning.result import Check, GraspPlan, Ranking
 from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial
-from rtee.trials.trial import _Run as TrialRun
+from rtee.trials.trial import TrialRun
 from rtee.types import FloatArray
 
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
@@ -64,7 +64,7 @@ def check_plan(
     trial = Trial(name, plan.elements, thing.name, plan.intensity, thing.mass)
     place = Place(np.array(plan.pose), plan.touch, np.array(plan.way))
     headless = HeadlessHand(hand, library, settings, simulation)
-    result = TrialRun(headless, trial, place, 1, None).result()
+    result = TrialRun(headless, trial, place).result()
     return Check(result.held, result.reason, result.slip, result.peak)
 
 

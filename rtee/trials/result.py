@@ -3,6 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+OBJECTS: Final = (
+    "sphere:0.01",
+    "sphere:0.02",
+    "sphere:0.03",
+    "sphere:0.04",
+    "sphere:0.05",
+    "cylinder:0.01x0.12",
+    "cylinder:0.02x0.12",
+    "cylinder:0.035x0.12",
+    "box:0.02x0.02x0.1",
+    "box:0.04x0.04x0.1",
+    "box:0.06x0.06x0.1",
+    "drill",
+)
+"""The standard objects: spheres of 20 to 100 mm, cylinders, boxes, and a drill-like body."""
+
+_MASS: Final = 0.1  # mass of a standard object [kg]: a full yoghurt pot
+_DRILL_MASS: Final = 0.4  # mass of the drill-like body [kg]: half of a small cordless one
+
+
+def mass_of(shape: str) -> float:
+    """Return the mass of a standard object [kg]."""
+    return _DRILL_MASS if shape == "drill" else _MASS
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +51,7 @@ class Trial:
     object: str = "sphere:0.03"
     intensity: float = 1.0
     mass: float = 0.1
-    places: int = 3
+    places: int = 5
     friction: float | None = None
     variations: int = 0
     seed: int = 0
@@ -48,7 +73,7 @@ class TrialResult:
         outcome: How the goal ended: ``grasped``, ``reached`` and so on; empty if it never began.
         slip: How far the object moved in the hand from the grasp to the end [m].
         forces: Contact force per finger after the grasp [N].
-        peak: The largest contact force on a fingertip while it was lifted and shaken [N].
+        peak: The largest contact force on a finger while it was lifted and shaken [N].
         duration: Simulated time of the trial [s].
         places: How many places were tried.
         position: Where the object was put in the hand's base frame [m].
@@ -67,3 +92,4 @@ class TrialResult:
     places: int = 0
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     survived: int = 0
+    fits: bool = True

@@ -31,6 +31,7 @@ def to_document(result: TrialResult) -> dict[str, Any]:
         "mass": trial.mass,
         **({} if trial.friction is None else {"friction": trial.friction}),
         "held": result.held,
+        **({} if result.fits else {"fits": False}),
         "reason": result.reason,
         "outcome": result.outcome,
         "slip": result.slip,
@@ -89,6 +90,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
         int(entry["places"]),
         (x, y, z),
         int(varied["held"]) if varied else 0,
+        bool(entry.get("fits", True)),
     )
 
 

@@ -22,29 +22,12 @@ from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.loop.configure import loop_settings
 from rtee.loop.settings import LoopSettings
+from rtee.trials.result import OBJECTS as OBJECTS
+from rtee.trials.result import mass_of as mass_of
 from rtee.trials.trial import Trial, TrialResult, run_trial
 
 RATE = 250.0
 """Ticks per second of a trial [Hz]."""
-
-OBJECTS = (
-    "sphere:0.01",
-    "sphere:0.02",
-    "sphere:0.03",
-    "sphere:0.04",
-    "sphere:0.05",
-    "cylinder:0.01x0.12",
-    "cylinder:0.02x0.12",
-    "cylinder:0.035x0.12",
-    "box:0.02x0.02x0.1",
-    "box:0.04x0.04x0.1",
-    "box:0.06x0.06x0.1",
-    "drill",
-)
-"""The standard objects: spheres of 20 to 100 mm, cylinders, boxes, and a drill-like body."""
-
-_MASS = 0.1  # mass of a standard object [kg]: a full yoghurt pot
-_DRILL_MASS = 0.4  # mass of the drill-like body [kg]: half of a small cordless one
 
 
 @dataclass(frozen=True)
@@ -80,11 +63,6 @@ def bench(name: str) -> Bench:
 def settings_of(config: HandConfig) -> LoopSettings:
     """Return the loop's settings for a trial."""
     return loop_settings(config, rate=RATE)
-
-
-def mass_of(shape: str) -> float:
-    """Return the mass of a standard object [kg]."""
-    return _DRILL_MASS if shape == "drill" else _MASS
 
 
 def all_trials(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,14 +22,30 @@ from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
+from rtee.trials.robust_places import graspable, misfit, robust_places
 from rtee.trials.variation import Variation, draw
 from rtee.types import Goal
 
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a trial: ``start``, ``approach``, ``grasp``, ``lift``, ``shake``."""
 
+Progress = Callable[[int, int], None]
+"""Told how many of how many variations were tried."""
+
 _ENOUGH = 0.9
 """Share of the variations that a place must survive for no other one to be tried."""
+
+_FIRST = 5
+"""Variations that are tried at each place, before the best one is chosen."""
+
+_EXPLORED = 10
+"""Tries by which the middle of where an object is held is found: it is exact to about 4 mm."""
+
+_WIDER = 2.0
+"""They are so many times as far from the place as the variations."""
+
+_APART_SEED = 1_000_000
+"""Added to the seed for these tries."""
 
 _SETTLE = 0.4
 _LIFT = 0.15
@@ -49,6 +66,7 @@ def run_trial(
     observers: Sequence[LoopObserver] = (),
     watch: Watch | None = None,
     skip: int = 0,
+    progress: Progress | None = None,
 ) -> TrialResult:
     """Try an action on an object at one place after the other until one is held.
 
@@ -60,6 +78,7 @@ def run_trial(
         observers: Told of every tick, as in the loop.
         watch: Told of the moments of the trial.
         skip: Places to leave out, because they are known to fail.
+        progress: Called with how many variations of a place were tried, and of how many.
 
     Returns:
         The result at the first place where it was held, in 9 of 10 variations if there are any; or
@@ -72,24 +91,63 @@ def run_trial(
     """
     action = library.find(trial.action, trial.elements)
     simulation = _simulation(hand, settings, trial)
-    places = Places(simulation, hand, action).find(trial.places)
+    thing = graspable(trial.object, trial.mass)
+    unfit = misfit(library, action, thing, trial.variations)
+    if unfit:
+        return TrialResult(trial, False, unfit, fits=False)
+    places = robust_places(simulation, library, action, thing, trial.places)
     if not places:
         return TrialResult(trial, False, "the object fits nowhere between the fingers")
-    tried: list[TrialResult] = []
+    varied = _Varied(hand, library, settings, trial, progress)
+    tried: list[_Tried] = []
     ticks = 0
     for number, place in enumerate(places[skip:], skip + 1):
         simulation.reset()
         simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
         headless = HeadlessHand(hand, library, settings, simulation, observers, ticks=ticks)
-        result = _Run(headless, trial, place, number, watch).result()
+        here = _Tried(place, TrialRun(headless, trial, place, number, watch).result())
         ticks = headless.ticks
-        if result.held and trial.variations:
-            survived = _survived(hand, library, settings, trial, place)
-            result = replace(result, survived=survived)
-        if result.held and result.survived >= _ENOUGH * trial.variations:
-            return result
-        tried.append(result)
-    return max(tried, key=lambda result: (result.held, result.survived, -result.slip))
+        tried.append(here)
+        varied.go_on(here, _FIRST)
+        if here.result.held and not here.lost and varied.good(here):
+            return here.ended
+    best = max(tried, key=lambda here: here.rank)
+    if not best.result.held or varied.good(best):
+        return best.ended
+    shifted = varied.shifted(best.place)
+    shifted = replace(shifted, pose=Places(simulation, hand, action).freed(shifted))
+    result = varied.run(shifted).result()
+    here = _Tried(shifted, replace(result, places=best.result.places))
+    if varied.good(here):
+        return here.ended
+    best = max(best, here, key=lambda here: here.rank)
+    varied.go_on(best, trial.variations)
+    return best.ended
+
+
+@dataclass
+class _Tried:
+    """A place, how the trial ended there, and which of its variations were held so far."""
+
+    place: Place
+    result: TrialResult
+    held: list[bool] = field(default_factory=list)
+
+    @property
+    def lost(self) -> int:
+        """How many variations were lost."""
+        return len(self.held) - sum(self.held)
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """Larger is better."""
+        share = sum(self.held) / len(self.held) if self.held else 0.0
+        return self.result.held, share, -self.result.slip
+
+    @property
+    def ended(self) -> TrialResult:
+        """The result with the variations survived."""
+        return replace(self.result, survived=sum(self.held))
 
 
 def _simulation(
@@ -114,23 +172,64 @@ def _simulation(
     return make_simulation(hand, options, hand.actuator_names, settings.period)
 
 
-def _survived(
-    hand: Hand, library: ActionLibrary, settings: LoopSettings, trial: Trial, place: Place
-) -> int:
-    """Return in how many variations of a trial an object is held at a place."""
-    count = 0
-    for number in range(trial.variations):
-        variation = draw(trial.seed, number)
-        simulation = _simulation(hand, settings, trial, variation)
+class _Varied:
+    """Tries the variations of a trial."""
+
+    def __init__(
+        self,
+        hand: Hand,
+        library: ActionLibrary,
+        settings: LoopSettings,
+        trial: Trial,
+        progress: Progress | None,
+    ) -> None:
+        self._hand, self._library, self._settings = hand, library, settings
+        self._trial, self._progress = trial, progress
+        self._losses = trial.variations - math.ceil(_ENOUGH * trial.variations)
+        """So many variations may be lost at a place that is good enough."""
+
+    def run(self, place: Place, variation: Variation | None = None) -> TrialRun:
+        """Return the trial at a place, or a variation of it, ready to start."""
+        simulation = _simulation(self._hand, self._settings, self._trial, variation)
         around = simulation.surroundings
-        moved = replace(place, pose=variation.moved(place.pose))
-        around.place(around.base_pose @ moved.pose)
-        headless = HeadlessHand(hand, library, settings, simulation)
-        count += _Run(headless, trial, moved, number, None).result().held
-    return count
+        if variation is not None:
+            place = replace(place, pose=variation.moved(place.pose))
+        around.place(around.base_pose @ place.pose)
+        headless = HeadlessHand(self._hand, self._library, self._settings, simulation)
+        return TrialRun(headless, self._trial, place)
+
+    def good(self, here: _Tried) -> bool:
+        """Return whether enough variations are held at a place; stops as soon as they are not."""
+        self.go_on(here, self._trial.variations, self._losses)
+        return here.result.held and here.lost <= self._losses
+
+    def go_on(self, here: _Tried, count: int, losses: int | None = None) -> None:
+        """Try variations at a place until there are so many, or too many are lost."""
+        most = min(count, self._trial.variations) if here.result.held else 0
+        while len(here.held) < most and (losses is None or here.lost <= losses):
+            variation = draw(self._trial.seed, len(here.held))
+            here.held.append(self.run(here.place, variation).result().held)
+            if self._progress is not None:
+                self._progress(len(here.held), self._trial.variations)
+
+    def shifted(self, place: Place) -> Place:
+        """Return a place amid those around it where an object is held.
+
+        What is looked at is drawn apart from the variations that count, and farther away.
+        """
+        held = [np.zeros(3)]
+        for number in range(_EXPLORED):
+            drawn = draw(self._trial.seed + _APART_SEED, number)
+            x, y, z = (_WIDER * value for value in drawn.position)
+            variation = replace(drawn, position=(x, y, z))
+            if self.run(place, variation).result().held:
+                held.append(np.array(variation.position))
+        pose = np.array(place.pose)
+        pose[:3, 3] += np.mean(held, axis=0)
+        return replace(place, pose=pose)
 
 
-class _Run:
+class TrialRun:
     """One trial at one place."""
 
     def __init__(
@@ -138,9 +237,18 @@ class _Run:
         headless: HeadlessHand[Simulation],
         trial: Trial,
         place: Place,
-        number: int,
-        watch: Watch | None,
+        number: int = 1,
+        watch: Watch | None = None,
     ) -> None:
+        """Prepare a trial; nothing moves yet.
+
+        Args:
+            headless: The hand, on an arm, with the object at its place.
+            trial: What is tried.
+            place: The object's place in the hand.
+            number: How many places were tried, with this one.
+            watch: Told of the moments of the trial.
+        """
         self._headless, self._trial, self._place = headless, trial, place
         self._number = number
         self._watch = watch
@@ -150,6 +258,7 @@ class _Run:
         self._began = headless.time - headless.period
 
     def result(self) -> TrialResult:
+        """Approach, grasp, lift, hold and shake; return how it ended."""
         headless, around, trial = self._headless, self._around, self._trial
         self._approach()
         goal = Goal(

@@ -303,6 +303,14 @@ def test_folder_without_actions(hand: Hand, tmp_path: Path) -> None:
         import_folder(hand, tmp_path)
 
 
+@pytest.mark.parametrize("key", ["{index: thumb}", "[{index: thumb}]", "? [[index], thumb]\n"])
+def test_a_key_that_is_a_mapping_or_nested_is_refused(hand: Hand, tmp_path: Path, key: str) -> None:
+    (tmp_path / "primitives").mkdir()
+    (tmp_path / "primitives" / "pinchTight.yaml").write_text(f"{key}:\n  a: 1\n")
+    with pytest.raises(ActionError):
+        import_folder(hand, tmp_path)
+
+
 _PIECES = (
     ": ",
     "- ",

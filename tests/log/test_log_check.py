@@ -14,7 +14,14 @@ from loop.hands import Rig, Watcher, device, make_hand, make_library
 
 from log.samples import RATE, recorded, settings
 from rtee.buses.pool import BusPool
-from rtee.commands import Command, CommandRecord, Jog, SetAcceptsEffort
+from rtee.commands import (
+    BeginStream,
+    Command,
+    CommandRecord,
+    Jog,
+    SetAcceptsEffort,
+    StreamSample,
+)
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import LogError, UnknownActuator
 from rtee.hand.model import Hand
@@ -25,7 +32,7 @@ from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
 from rtee.messages.convert import plain
-from rtee.types import ActuatorState, Goal
+from rtee.types import ActuatorState, Goal, StreamTargets
 
 pytestmark = pytest.mark.anyio
 
@@ -103,6 +110,55 @@ async def test_references_come_out_again(
     assert report.goals == 5
     assert report.ticks == len(found.reference) > rate
     assert report.values == report.ticks * 4 * 3
+
+
+@pytest.mark.parametrize("profile", list(ProfileKind))
+async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: ProfileKind) -> None:
+    """With jitter, loss, spikes, velocities, a pause, goals before and after, and two streams."""
+    if profile is ProfileKind.JERK_LIMITED:
+        pytest.importorskip("ruckig")
+    chosen = LoopSettings(profile=ProfileSettings(profile))
+    random = np.random.default_rng(4)
+    async with recording(small, tmp_path, chosen) as rig:
+        streams = rig.loop.streams
+        rig.loop.submit(Goal("fist", speed=0.5))
+        await rig.run(0.2)
+        sent = 0
+        for number, (targets, rate) in enumerate(
+            (({"Trig index": 1.0, "thumb_slide": 0.03}, 50.0), ({"fist": 1.0}, 120.0))
+        ):
+            name = f"s{number}"
+            streams.begin(name, rate)
+            for k in range(60):
+                if k == 30:
+                    await rig.run(0.15)
+                share = 0.5 - 0.5 * math.cos(k / 8.0) if k != 20 else 1.0
+                values = {what: share * most for what, most in targets.items()}
+                velocity = {"Trig index": 0.5} if k % 3 == 0 and number == 0 else {}
+                if random.random() > 0.05:
+                    stamp = 70.0 - k // 25 * 1e-4 + k / rate
+                    streams.sample(StreamTargets(name, stamp, values, velocity, "someone"))
+                    sent += 1
+                await rig.run(max(0.0, 1.0 / rate + random.normal(0.0, 0.004)))
+        rig.watcher.results.clear()
+        await rig.do("Trig", "thumb")
+        await rig.run(0.1)
+    found = read(recorded(tmp_path)[0])
+    assert len(found.stream_samples) == sent
+    first = found.stream_samples[0].value.command
+    assert isinstance(first, StreamSample)
+    assert first.stream == "s0"
+    assert (first.stamp, dict(first.targets)) == (70.0, {"Trig index": 0.0, "thumb_slide": 0.0})
+    assert dict(first.velocity) == {"Trig index": 0.5}
+    assert set(first.positions) == {"index_base", "index_tip", "thumb_slide"}
+    assert math.isnan(first.velocities["thumb_slide"])
+    kinds = [type(entry.value.command) for entry in found.commands]
+    assert kinds.count(BeginStream) == 2
+    report = check(found)
+    assert report.first is None
+    assert report.same
+    # What steers it makes a difference: without the samples other references come out.
+    assert not check(replace(found, stream_samples=())).same
 
 
 class FeelingTips(KinematicDriver):

@@ -32,8 +32,8 @@ _RANGES = {
 def _scalar(kind: str) -> st.SearchStrategy[Any]:
     if kind == "bool":
         return st.booleans()
-    if kind == "float64":
-        return st.floats(allow_nan=False)
+    if kind in ("float32", "float64"):
+        return st.floats(allow_nan=False, width=int(kind[5:]))
     if kind == "string":
         return _TEXT
     low, high = _RANGES[kind]

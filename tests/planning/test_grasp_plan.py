@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import subprocess
+import threading
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +20,7 @@ from rtee.errors import ConfigError, ModelError, UserError
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder
+from rtee.planning.apart import Question, ask
 from rtee.planning.composition import action_of
 from rtee.planning.objects import read_object
 from rtee.planning.plan import grasp_plan, plan_grasps
@@ -292,3 +297,38 @@ def test_a_mesh_in_millimetres_is_noticed(tmp_path: Path) -> None:
 def test_a_hand_without_actions_is_told_what_to_do(jaws: Hand) -> None:
     with pytest.raises(UserError, match="rtee extract jaws --save"):
         plan_grasps(jaws, ActionLibrary(jaws), read_object("sphere:0.02"))
+
+
+def test_a_jaw_of_the_body_and_a_claw_hold_a_ball() -> None:
+    # The body is the fixed jaw's tip link; several shapes of the claw push at the same time.
+    ranking = grasp_plan(ROOT / "config/dagana", "sphere:0.018")
+    best = ranking.plans[0]
+    assert {contact.finger for contact in best.contacts} == {"", "finger_2"}
+    assert best.opening > 0.05
+    assert best.load > 3.0
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="needs Linux's scheduler")
+def test_planning_runs_as_an_ordinary_program(library: ActionLibrary) -> None:
+    seen: list[tuple[int, int, set[int]]] = []
+
+    def look(process: subprocess.Popen[str]) -> None:
+        nice = os.getpriority(os.PRIO_PROCESS, process.pid)
+        cpus = os.sched_getaffinity(process.pid)
+        seen.append((os.sched_getscheduler(process.pid), nice, cpus))
+
+    def plan() -> None:
+        # As a loop's thread: on one CPU, with real-time priority where that is allowed.
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setaffinity(0, {min(all_cpus)})
+        ask(ROOT / "config/robotiq_2f_85", Question("sphere:0.02"), look)
+
+    all_cpus = os.sched_getaffinity(0)
+    thread = threading.Thread(target=plan)
+    thread.start()
+    thread.join()
+    [(policy, nice, cpus)] = seen
+    assert policy == os.SCHED_OTHER
+    assert nice >= 10
+    assert cpus >= all_cpus

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 pytest.importorskip("mujoco")
+
+import mujoco
 
 from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
@@ -20,6 +23,7 @@ from rtee.hand.catalog import hand_names
 from rtee.loop.observer import Observer
 from rtee.trials.grasp_placement import Places
 from rtee.trials.recorded import recorder_for
+from rtee.trials.robust_places import graspable, robust_places
 from rtee.trials.store import (
     FILE_NAME,
     fingerprint,
@@ -77,10 +81,50 @@ def test_the_same_trial_gives_the_same_result(held: TrialResult) -> None:
     assert run_trial(ready.hand, ready.library, ready.settings, BALL) == held
 
 
-def test_what_is_wider_than_the_gripper_is_not_held() -> None:
+def test_what_is_wider_than_the_gripper_does_not_fit() -> None:
     result = attempt(GRIPPER, Trial("Grasp", object="sphere:0.06"))
     assert not result.held
-    assert result.reason
+    assert not result.fits
+    assert result.reason == "120 mm wide, the hand opens to 86 mm"
+    assert from_document(to_document(result)) == result
+
+
+def test_what_is_wider_than_the_gripper_at_its_largest_does_not_fit_either() -> None:
+    once = attempt(GRIPPER, Trial("Grasp", object="sphere:0.04", places=1))
+    varied = attempt(GRIPPER, Trial("Grasp", object="sphere:0.04", variations=1))
+    assert once.fits
+    assert not varied.fits
+    assert "88 mm wide" in varied.reason
+
+
+def test_what_is_heavier_than_the_payload_does_not_fit() -> None:
+    heavy = Trial("Grasp", object="sphere:0.03", mass=5.5)
+    result = attempt(GRIPPER, heavy)
+    assert not result.fits
+    assert result.reason == "5.5 kg, the hand may hold 5 kg"
+    varied = attempt(GRIPPER, replace(heavy, mass=4.0, variations=1))
+    assert varied.reason == "6 kg, the hand may hold 5 kg"
+
+
+@pytest.mark.parametrize("shape", ["cylinder:0.035x0.12", "drill"])
+def test_robust_places_are_free_in_the_palm_and_apart(shape: str) -> None:
+    ready = bench("qb_softhand")
+    action = ready.library.find("Grasp", ())
+    options = SimOptions(object=shape, carrier="arm")
+    simulation = make_simulation(ready.hand, options, ready.hand.actuator_names, 0.004)
+    thing = graspable(shape, 0.1)
+    places = robust_places(simulation, ready.library, action, thing, 4)
+    assert len(places) == 4
+    around, rest = simulation.surroundings, mujoco.MjData(simulation.model)
+    for number, place in enumerate(places):
+        for share in np.linspace(0.0, 1.0, 7):  # all the way from where it comes
+            along = np.array(place.pose)
+            along[:3, 3] += share * np.array(place.way)
+            assert around.depth_at(rest, around.base_pose @ along) < 1e-3
+        for other in places[:number]:
+            moved = np.linalg.norm(place.pose[:3, 3] - other.pose[:3, 3])
+            turned = np.abs(place.pose[:3, :3] - other.pose[:3, :3]).max()
+            assert moved > 0.01 or turned > 0.1
 
 
 def test_without_closing_it_falls() -> None:
@@ -185,9 +229,13 @@ def test_a_trial_is_recorded_and_pictured(tmp_path: Path) -> None:
 
 
 def test_a_lost_object_is_exit_status_1() -> None:
-    outcome = CliRunner().invoke(app_of(try_), [GRIPPER, "Grasp", "--object", "sphere:0.06"])
+    command = [GRIPPER, "Grasp", "--object", "sphere:0.03", "--friction", "0"]
+    outcome = CliRunner().invoke(app_of(try_), command)
     assert outcome.exit_code == 1
     assert "lost" in outcome.stdout
+    outcome = CliRunner().invoke(app_of(try_), [GRIPPER, "Grasp", "--object", "sphere:0.06"])
+    assert outcome.exit_code == 1
+    assert "does not fit" in outcome.stdout
 
 
 def test_all_resumes_what_is_known(tmp_path: Path) -> None:

@@ -264,6 +264,10 @@ class AllegroDriver(Driver):
                 hint="was its supply cut? `rtee recover` switches them on again",
             )
 
+    def gains(self) -> Mapping[str, float]:
+        """See `Driver.gains`."""
+        return {"kp": self.control.kp, "ki": self.control.ki, "kd": self.control.kd}
+
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Change stiffness ``kp`` [N·m/rad], damping ``kd`` [N·m·s/rad] and integral ``ki``."""
         self.control.kp = max(0.0, gains.get("kp", self.control.kp))

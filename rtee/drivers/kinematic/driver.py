@@ -218,6 +218,10 @@ class KinematicDriver(Driver):
         self._fault = ""
         self._check()
 
+    def gains(self) -> Mapping[str, float]:
+        """See `Driver.gains`."""
+        return {"time_constant": self._time_constant}
+
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """See `Driver.set_gains`."""
         value = gains.get("time_constant", self._time_constant)

@@ -79,6 +79,7 @@ class MujocoDriver(Driver):
         self._simulation = await anyio.to_thread.run_sync(
             make_simulation, hand, self._options, names, period
         )
+        self.object_description = self._simulation.object_description
         for note in self._simulation.notes:
             log.info("%s: %s", self.spec.name, note)
 
@@ -94,10 +95,7 @@ class MujocoDriver(Driver):
             self._advance()
         else:
             await anyio.to_thread.run_sync(self._advance, limiter=self._thread)
-        extras = {"contact_force": simulation.contact_forces}
-        pose = simulation.object_pose
-        if pose is not None:
-            extras["object_pose"] = pose
+        extras = {"contact_force": simulation.contact_forces, **simulation.seen}
         return ActuatorState.measured(
             simulation.position,
             time.monotonic(),
@@ -127,6 +125,10 @@ class MujocoDriver(Driver):
         """Make the joints limp."""
         if self._simulation is not None:
             self._simulation.power(False)
+
+    def gains(self) -> Mapping[str, float]:
+        """See `Driver.gains`."""
+        return {} if self._simulation is None else self._simulation.gains
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
         """Set position (``kp.ACTUATOR``), integral (``ki.…``) and damping (``kd.…``) gains."""

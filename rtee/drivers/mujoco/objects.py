@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,6 +37,9 @@ _MOTOR = (0.050, 0.140, 0.050)
 
 _PLATE = (0.022, 0.008, 0.034)
 """Width, thickness and height of the trigger [m]."""
+
+_AROUND = 24
+"""Corners of a round side in the points of a drill."""
 
 _SPRING = 350.0
 """Stiffness of the trigger's spring [N/m]."""
@@ -121,6 +125,26 @@ def parse_object(text: str) -> ObjectShape:
     if not path.is_file():
         raise ConfigError("no such mesh", path=path)
     return ObjectShape("mesh", path=path)
+
+
+def drill_parts(scale: float = 1.0) -> tuple[FloatArray, ...]:
+    """Return points ``(k, 3)`` [m] whose hulls are a drill's handle, motor and trigger.
+
+    The handle's middle is the origin; the trigger is not pressed.
+    """
+    radius, flat = 0.5 * _HANDLE[0], 0.5 * (_HANDLE[1] - _HANDLE[0])
+    turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
+    ring = radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    ends = np.array([[0.0, y, 0.5 * z * _HANDLE[2]] for y in (-flat, flat) for z in (-1, 1)])
+    front = 0.5 * _HANDLE[1] + TRIGGER_TRAVEL + 0.5 * _PLATE[1]
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    motor = [0.0, 0.5 * (_MOTOR[1] - _HANDLE[1]), 0.5 * (_HANDLE[2] + _MOTOR[2])]
+    trigger = [0.0, front, 0.5 * _HANDLE[2] - 0.5 * _PLATE[2] - 0.002]
+    return (
+        scale * (ends[:, None] + ring).reshape(-1, 3),
+        scale * (corners * _MOTOR + motor),
+        scale * (corners * _PLATE + trigger),
+    )
 
 
 def add_object(

@@ -12,6 +12,7 @@ from rtee.drivers.mujoco.couplings import Couplings, motor_joint
 from rtee.drivers.mujoco.finger_forces import FingerForces
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import rest_position
+from rtee.drivers.mujoco.seen import SeenChannels, describe
 from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.hand.model import Hand
@@ -28,6 +29,7 @@ class Simulation:
         actuators: Names of the actuators in the order of all arrays here.
         effort_limit: Their effort limits ``(n,)`` [N·m | N].
         notes: What was assumed about the hand, one sentence each.
+        object_description: What the object looks like, if there is one.
     """
 
     def __init__(
@@ -78,7 +80,9 @@ class Simulation:
         self._couplings = Couplings(model, hand)
         self._powered = True
         self.surroundings = Surroundings(model, self.data, options)
+        self._seen = SeenChannels(model, self.data, hand, self.surroundings, options)
         self.reset()
+        self.object_description = describe(model, self.data, options)
 
     def reset(self) -> None:
         """Go back to the beginning: the hand at rest, everything else as modelled."""
@@ -148,9 +152,19 @@ class Simulation:
         return self._forces.read(self.data)
 
     @property
-    def object_pose(self) -> FloatArray | None:
-        """Pose ``(7,)`` of the object in the world, if there is one; see `Surroundings.pose`."""
-        return self.surroundings.pose if self.surroundings.has_object else None
+    def seen(self) -> dict[str, FloatArray]:
+        """What can be seen besides the hand, as channels; see `SeenChannels`."""
+        return self._seen.read()
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """The gains now; see `set_gain`."""
+        found = {}
+        for index, name in enumerate(self.actuators):
+            found[f"kp.{name}"] = float(self._gain[index])
+            found[f"ki.{name}"] = float(self._integral[index])
+            found[f"kd.{name}"] = -float(self._bias[index, 2])
+        return found
 
     def command(
         self,

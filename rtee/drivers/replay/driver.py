@@ -74,6 +74,7 @@ class ReplayDriver(Driver):
         self._states = await anyio.to_thread.run_sync(
             RecordedStates, self._options.file, self.spec.hand, names
         )
+        self.object_description = await anyio.to_thread.run_sync(self._states.object_description)
         await self._rewind()
         self._begin = None
         self.ended = False

@@ -14,9 +14,11 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from rtee.errors import LogError, MessageError
+from rtee.messages import convert
 from rtee.messages.codec import channels_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
-from rtee.messages.topics import ACTUATOR_STATES, CHANNELS, TYPES, log_topic
+from rtee.messages.topics import ACTUATOR_STATES, CHANNELS, OBJECT, TYPES, log_topic
+from rtee.object_description import ObjectDescription
 from rtee.sample import COLUMNS, MEASURED, FloatArray
 
 Extras = Mapping[str, FloatArray]
@@ -98,6 +100,7 @@ class RecordedStates:
     def _messages(self) -> Iterator[tuple[dict[str, Any], Extras]]:
         """Yield every state, with the further channels as they were last."""
         extras: Extras = {}
+        channels: Extras = {}
         topics = [self._topic, self._extras_topic]
         kinds: dict[str, MessageType] = {}
         for schema, channel, message in self._reader.iter_messages(topics=topics):
@@ -110,7 +113,8 @@ class RecordedStates:
             if topic == self._topic:
                 yield fields, extras
             else:
-                extras = _extras(fields)
+                channels = {**channels, **_channels(fields)}  # a message holds those that changed
+                extras = _short(channels)
 
     def blocks(self, size: int = 500) -> Iterator[Block]:
         """Read the states from the beginning, in blocks of at most this many."""
@@ -131,16 +135,25 @@ class RecordedStates:
             return values
         return np.full(len(self._columns), COLUMNS[name].default)
 
+    def object_description(self) -> ObjectDescription | None:
+        """Return what a simulated device grasped, if it did."""
+        topic = f"{self._topic.removesuffix(ACTUATOR_STATES)}{OBJECT}"
+        found = next(self._reader.iter_messages(topics=[topic]), None)
+        return None if found is None else convert.OBJECT.decode(found[2].data)
+
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
 
 
-def _extras(fields: dict[str, Any]) -> Extras:
-    """Return further channels by name, without the device's in front where they stay distinct."""
+def _channels(fields: dict[str, Any]) -> Extras:
     try:
-        found = channels_of(fields["name"], fields["length"], fields["value"])
+        return channels_of(fields["name"], fields["length"], fields["value"])
     except MessageError:
         return {}
+
+
+def _short(found: Extras) -> Extras:
+    """Return further channels by name, without the device's in front where they stay distinct."""
     short = {name.rpartition("/")[2]: values for name, values in found.items()}
     return short if len(short) == len(found) else found

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from rtee.actions.types import Action, ActionKind, kind_of
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.cards import Card, Show
 from rtee.gui.trial_results import Tried
 from rtee.remote.client import RemoteHand
+from rtee.trials.result import TrialResult
 
 _FEW = 3
 """Cards of primitives that are open at first: these fit on the screen."""
@@ -90,9 +92,17 @@ class ActionsPanel:
 
     def show_trials(self, tried: Tried) -> None:
         """Take what trials of the actions found."""
-        self._tried = tried
+        self._tried = replace(tried, own={**self._tried.own, **tried.own})
+        self._show_tried()
+
+    def add_trial(self, result: TrialResult) -> None:
+        """Take the result of a trial of this page."""
+        self._tried = self._tried.with_own(result)
+        self._show_tried()
+
+    def _show_tried(self) -> None:
         for card in self._cards.values():
-            card.show_trials(tried)
+            card.show_trials(self._tried)
 
     def remove(self) -> None:
         """Remove the cards and their commands."""

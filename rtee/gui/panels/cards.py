@@ -11,7 +11,7 @@ from rtee.actions.types import Action, Evidence, Posture, Primitive, Timed
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.choice import ElementChoice
 from rtee.gui.panels.execution import Execution, last_posture
-from rtee.gui.trial_results import Tried, key_of
+from rtee.gui.trial_results import Tried, key_of, object_name, verdict
 from rtee.gui.trial_results import line as tried_line
 from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, small
@@ -187,6 +187,8 @@ class Card:
 
     def _show_tried(self) -> None:
         results = self._tried.results.get(key_of(self.action), ())
+        own = self._tried.own.get(key_of(self.action), ())
+        self._found.content = ""
         if results:
             outdated = self._tried.outdated
             title = "Of the objects it was tried on in simulation (rtee try --all)"
@@ -197,7 +199,10 @@ class Card:
                 f'<details><summary title="{title}">{said}</summary>'
                 f"{tried_table(results)}</details>"
             )
-        self._found.visible = bool(results)
+        for one in reversed(own):
+            said = escape(f"{object_name(one.trial.object)}: {verdict(one)}")
+            self._found.content += small(f"Tried now: {said}")
+        self._found.visible = bool(results or own)
 
     # --- clicks
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import anyio
 import viser
 
 from rtee.errors import RemoteError
@@ -13,6 +14,9 @@ from rtee.remote.client import RemoteHand
 
 _FOLD = 12
 """With more actuators than this the folder of sliders is closed at first, or it fills the panel."""
+
+_RATE = 30.0
+"""Samples per second of a slider that is followed [Hz]: a browser reports hardly more."""
 
 _STEPS = {"rad": 0.001, "m": 0.0001}
 """Steps of the sliders: finer than a hand is repeatable."""
@@ -34,6 +38,13 @@ class JogPanel:
         self._speed = gui.add_slider(
             "Jog speed [%]", 5, 100, 5, 25, hint="Share of the actuators' velocity limits [%]"
         )
+        self._follow = gui.add_checkbox(
+            "Follow the sliders",
+            False,
+            hint="Stream the sliders' positions: the hand follows them at once, as fast as its "
+            "limits allow",
+        )
+        self._wanted: dict[str, float] = {}
         self._sliders: list[viser.GuiSliderHandle[float]] = []
         with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
             names = short_names(hand.actuator_names)
@@ -54,6 +65,7 @@ class JogPanel:
                 slider.on_update(lambda _, at=index: self._moved(at))
                 self._sliders.append(slider)
         self._hold.on_update(lambda _: bridge.call(self._acquire_or_release))
+        self._follow.on_update(lambda _: bridge.call(self._stream))
 
     async def _acquire_or_release(self) -> None:
         try:
@@ -64,12 +76,31 @@ class JogPanel:
         finally:
             for slider in self._sliders:
                 slider.disabled = not self._hold.value
+        await self._stream()
+
+    async def _stream(self) -> None:
+        """Stream what the sliders were moved to, while both boxes are ticked."""
+        if not (self._hold.value and self._follow.value):
+            return
+        self._wanted.clear()
+        try:
+            async with self._remote.stream(_RATE) as stream:
+                while self._hold.value and self._follow.value:
+                    if self._wanted:
+                        await stream.send(dict(self._wanted))
+                    await anyio.sleep(1.0 / _RATE)
+        except RemoteError:
+            self._follow.value = False
+            raise
 
     def _moved(self, index: int) -> None:
         if self._quiet or not self._hold.value:
             return
         actuator = self._hand.actuators[index]
         value = float(self._sliders[index].value)
+        if self._follow.value:
+            self._wanted[actuator.name] = value
+            return
         speed = actuator.velocity * self._speed.value / 100.0
         self._bridge.call(lambda: self._remote.jog({actuator.name: value}, speed))
 

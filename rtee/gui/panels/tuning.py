@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from rtee.errors import RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.gui.wording import NOTHING
@@ -19,6 +21,7 @@ class TuningPanel:
         self._remote = remote
         self._gains: dict[str, tuple[str, str]] = {}
         self._set_before: dict[str, float] = {}
+        self._told: dict[str, float] = {}
         self._typed = False
         self._quiet = False
         self._holding = gui.add_slider(
@@ -34,7 +37,7 @@ class TuningPanel:
             "Value",
             0.0,
             step=0.001,
-            hint="In the device's own unit; the device does not report its present value",
+            hint="In the device's own unit; some devices do not tell their present value",
             visible=False,
         )
         self._set = gui.add_button("Set gain", hint="Change it now; needs the lease", visible=False)
@@ -52,8 +55,9 @@ class TuningPanel:
         self._typed = True
 
     def _recall(self) -> None:
-        self._value.value = self._set_before.get(str(self._which.value), 0.0)
-        self._typed = False
+        label = str(self._which.value)
+        self._value.value = self._told.get(label, self._set_before.get(label, 0.0))
+        self._typed = label in self._told
 
     async def _change(self) -> None:
         label, value = str(self._which.value), float(self._value.value)
@@ -76,6 +80,12 @@ class TuningPanel:
             f"{device.name}: {gain}": (device.name, gain)
             for device in status.devices
             for gain in device.gains
+        }
+        self._told = {
+            f"{device.name}: {gain}": value
+            for device in status.devices
+            for gain, value in zip(device.gains, device.gain_values, strict=False)
+            if not math.isnan(value)
         }
         if gains == self._gains:
             return

@@ -50,9 +50,21 @@ class Profile(ABC):
             self.target[index] = position
         self._seeded(positions)
 
+    def resume(self, states: Mapping[int, tuple[float, float]]) -> None:
+        """Take over some actuators in motion, and have them brake; the others go on.
+
+        Args:
+            states: Position [rad | m] and velocity [rad/s | m/s] by index.
+        """
+        for index, (position, velocity) in states.items():
+            self.position[index] = self.target[index] = position
+            self.velocity[index] = velocity
+        self._seeded(states)
+        self.go({}, brake=states)
+
     @abstractmethod
-    def _seeded(self, positions: Collection[int]) -> None:
-        """Forget the motion of these actuators."""
+    def _seeded(self, indices: Collection[int]) -> None:
+        """Forget the motion of these actuators but for position and velocity."""
 
     @abstractmethod
     def go(

@@ -45,8 +45,8 @@ class JerkLimited(Profile):
         self._time = 0.0
         self._plain: Step | None = None
 
-    def _seeded(self, positions: Collection[int]) -> None:
-        for index in positions:
+    def _seeded(self, indices: Collection[int]) -> None:
+        for index in indices:
             self._acceleration[index] = 0.0
             self._braking[index] = False
         if self.moving:

@@ -30,8 +30,8 @@ class SCurve(Profile):
         self._time = [0.0] * n
         self._motion: list[Motion | None] = [None] * n
 
-    def _seeded(self, positions: Collection[int]) -> None:
-        for index in positions:
+    def _seeded(self, indices: Collection[int]) -> None:
+        for index in indices:
             self._forget(index)
         self.moving = self._under_way()
 

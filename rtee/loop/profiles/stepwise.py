@@ -13,8 +13,8 @@ from rtee.loop.profiles.base import Profile
 class Stepwise(Profile):
     """A profile that asks for a velocity every period and gets what the limits allow."""
 
-    def _seeded(self, positions: Collection[int]) -> None:
-        for index in positions:
+    def _seeded(self, indices: Collection[int]) -> None:
+        for index in indices:
             self._braking[index] = False
 
     def go(
@@ -117,11 +117,11 @@ class Filter(Stepwise):
         self._change = [0.0] * self.size
         self._held = [False] * self.size
 
-    def _seeded(self, positions: Collection[int]) -> None:
-        super()._seeded(positions)
-        for index in positions:
+    def _seeded(self, indices: Collection[int]) -> None:
+        super()._seeded(indices)
+        for index in indices:
             self._input[index] = self.position[index]
-            self._slope[index] = self._change[index] = 0.0
+            self._slope[index], self._change[index] = self.velocity[index], 0.0
 
     def go(
         self,

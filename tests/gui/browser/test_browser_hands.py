@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,8 +65,7 @@ def test_gains_and_the_grip_effort_are_tuned(
     window.tab("Make")
     panel = window.folder("Tune", unfold=True)
     window.choose("Gain", "mujoco: kd.finger_joint", panel)
-    window.button("Set gain", panel).click()
-    window.says("type a value first")
+    window.wait(window.field("Value", panel), "field => Number(field.value) > 0")
     window.type("Value", "0.5", panel)
     window.button("Set gain", panel).click()
     window.says("kd.finger_joint is 0.5")
@@ -107,3 +107,43 @@ def test_hands_one_after_the_other_leave_nothing_behind(any_window: Window, hand
     window.page.keyboard.press("Escape")
     assert not [text for text in offered if "fist" in text or "wave" in text]
     assert len([text for text in offered if text.startswith("Do Grasp")]) == 1
+
+
+def test_the_object_and_forces_are_seen(squeezer: Window) -> None:
+    window = squeezer
+    window.button("Do", window.folder("Grasp")).click()
+    window.says("grasped with finger_1, finger_2", window.folder("Grasp"))
+    window.tab("View")
+    window.says(re.compile(r"\d\.\d N"))
+    with_both = window.picture()
+    without = _toggled(window, window.field("Object"), with_both)
+    _toggled(window, window.field("Contact forces"), without)
+    window.field("Contact forces").click()
+    window.field("Object").click()
+    window.button("Open").click()
+
+
+def test_an_action_is_tried_and_a_planned_grasp_is_done(squeezer: Window) -> None:
+    window = squeezer
+    window.tab("Try")
+    window.choose("Object", "box")
+    window.type("Width [mm]", "50")
+    window.choose("Action", "Grasp")
+    window.type("Variations", "2")
+    window.button("Try").click()
+    window.button("Try").click()
+    window.says("a trial is under way; wait for its end, or cancel it")
+    window.says(re.compile(r"Grasp on box:0\.05x0\.04x0\.1: held, \d of 2 variations"))
+    window.type("Variations", "100")
+    window.button("Try").click()
+    window.says("variation 1 of 100")
+    window.button("Cancel").last.click()
+    window.says("cancelled")
+    window.button("Plan").click()
+    window.says("looking for grasps")
+    window.says("best: ")
+    window.button("Grasp").first.click()
+    window.says(re.compile("^(reached|grasped with .*|stalled)$"))
+    window.tab("Actions")
+    window.says("Tried now: box:0.05x0.04x0.1: held", window.folder("Grasp"))
+    window.button("Open").click()

@@ -1,0 +1,111 @@
+"""`rtee info`: the description of a running hand, as a grasp planner needs it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rtee.cli._common import ConnectOption, JsonOption, RunningOption
+from rtee.cli._online import to_json, with_hand
+from rtee.cli._table import Column, Row, Table
+
+if TYPE_CHECKING:
+    from rtee.remote.planner import HandInfo
+
+_UNKNOWN = "unknown"
+
+
+def info(
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ACTUATOR=POSITION",
+            help="Posture for the poses and Jacobians [rad | m]; may be repeated; else at rest.",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Describe a running hand: limits and stiffness of actuators, tips with their friction.
+
+    With --json also tip poses, Jacobians, the transmission and the URDF.
+    """
+    posture = dict(map(_position, at or ()))
+    found = with_hand(hand, connect, "info", lambda remote: remote.info(posture))
+    if as_json:
+        print(to_json(_plain(found)))
+    else:
+        _show(found)
+
+
+def _position(text: str) -> tuple[str, float]:
+    name, equals, value = text.rpartition("=")
+    try:
+        position = float(value)
+    except ValueError:
+        position = math.nan
+    if not equals or not name or not math.isfinite(position):
+        raise typer.BadParameter(f"write ACTUATOR=POSITION, such as joint_1=0.5, not '{text}'")
+    return name, position
+
+
+def _plain(found: HandInfo) -> dict[str, Any]:
+    """Return the description as plain data; what is not known is ``null``."""
+
+    def known(value: Any) -> Any:
+        if hasattr(value, "tolist"):
+            value = value.tolist()
+        if isinstance(value, dict):
+            return {name: known(each) for name, each in value.items()}
+        if isinstance(value, list | tuple):
+            return [known(each) for each in value]
+        return None if isinstance(value, float) and math.isnan(value) else value
+
+    document: dict[str, Any] = known(dataclasses.asdict(found))
+    return document
+
+
+def _show(found: HandInfo) -> None:
+    print(f"{found.name}: {len(found.actuators)} actuators, {len(found.joints)} joints; ", end="")
+    print(f"base frame {found.base}\n")
+    columns = ("actuator", "kind", "lower", "upper", "velocity", "effort", "stiffness", "fingers")
+    names = (*columns[2:6], "stiffness")
+    rows = [
+        Row(
+            (
+                each.name,
+                str(each.kind),
+                *(_number(getattr(each, name)) for name in names),
+                ", ".join(each.fingers),
+            )
+        )
+        for each in found.actuators
+    ]
+    Table(tuple(Column(name, right=name in names) for name in columns), tuple(rows)).show()
+    print("rad, rad/s, N·m, N·m/rad; of prismatic ones m, m/s, N, N/m\n")
+    tips = [
+        Row(
+            (
+                each.name,
+                each.tip or "-",
+                _number(each.friction),
+                ""
+                if each.tip_pose is None
+                else ", ".join(f"{1e3 * value:.1f}" for value in each.tip_pose[:3, 3]),
+                ", ".join(each.actuators),
+            )
+        )
+        for each in found.fingers
+    ]
+    heads = ("finger", "tip", "friction", "tip at [mm]", "moved by")
+    Table(tuple(Column(name, right=name == "friction") for name in heads), tuple(tips)).show()
+    for sentence in found.missing:
+        print(f"note: {sentence}")
+
+
+def _number(value: float) -> str:
+    return _UNKNOWN if math.isnan(value) else f"{value:.4g}"

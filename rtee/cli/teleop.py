@@ -1,0 +1,119 @@
+"""`rtee teleop` and `rtee stream`: move a hand from a gamepad, the keyboard or a recording."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import ConnectOption, RunningOption, WaitOption
+from rtee.cli._online import with_hand
+from rtee.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.teleop.inputs import Input
+
+_PASS = 0.05
+"""Until the last sample has had its turn [s]."""
+
+app = typer.Typer(no_args_is_help=True)
+
+
+def teleop(
+    actions: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[AXIS=]ACTION…",
+            help="Actions with their elements, each quoted: 'PinchTight index thumb'; with an axis "
+            "before, or by the next one: rt lt up right right_up right_right a b x y rb lb.",
+        ),
+    ],
+    gamepad: Annotated[bool, typer.Option("--gamepad", help="From a gamepad.")] = False,
+    keyboard: Annotated[
+        bool, typer.Option("--keyboard", help="From the keyboard: q/a, w/s, e/d, …; space opens.")
+    ] = False,
+    device: Annotated[
+        str | None, typer.Option(metavar="PATH", help="The gamepad, such as /dev/input/event5.")
+    ] = None,
+    rate: Annotated[float, typer.Option(help="Samples per second.")] = 50.0,
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = None,
+) -> None:
+    """Move a hand by intensities of actions, from a gamepad or the keyboard, until Ctrl-C.
+
+    Example: rtee teleop --gamepad "rt=PinchTight index thumb" "lt=Trig ring"
+    """
+    if gamepad == keyboard:
+        raise ConfigError("give either --gamepad or --keyboard")
+    from rtee.teleop.drive import assigned
+    from rtee.teleop.inputs import Keyboard, open_gamepad
+
+    with contextlib.ExitStack() as stack:
+        source: Input = (
+            open_gamepad(device) if gamepad else stack.enter_context(Keyboard(len(actions)))
+        )
+        by_axis = assigned(actions, source.axes)
+        for axis, action in by_axis.items():
+            print(f"{axis}: {action}", file=sys.stderr)
+        with contextlib.suppress(KeyboardInterrupt):
+            with_hand(
+                hand,
+                connect,
+                "teleop",
+                lambda remote: _drive(remote, source, by_axis, rate),
+                wait=wait,
+            )
+
+
+async def _drive(remote: RemoteHand, source: Input, by_axis: dict[str, str], rate: float) -> None:
+    from rtee.teleop.drive import samples_of
+
+    async with remote.stream(rate=rate) as stream:
+        try:
+            async for targets in samples_of(source, by_axis, rate):
+                await stream.send(targets)
+        except OSError as error:
+            raise ConfigError(f"the gamepad is gone: {error}") from None
+
+
+@app.command()
+def play(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A recording (.mcap, or its folder), or a .csv.")
+    ],
+    speed: Annotated[float, typer.Option(help="Scale of time: 2 is twice as fast.")] = 1.0,
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = None,
+) -> None:
+    """Play the samples of a recorded stream, or of a table, to a running hand.
+
+    Example: rtee stream play logs
+    """
+    import anyio
+
+    from rtee.teleop.drive import play as play_samples
+    from rtee.teleop.drive import rate_of, recorded
+
+    samples = recorded(file)
+
+    async def run(remote: RemoteHand) -> None:
+        rate = rate_of(samples) * speed
+        async with remote.stream(rate=rate, deadline=max(0.1, 3.0 / rate)) as stream:
+            await play_samples(samples, stream, speed)
+            await anyio.sleep(_PASS)
+            found = await stream.status()
+        print(f"{found.samples} samples in {samples[-1].time / speed:.1f} s, ", end="")
+        print(f"lag {found.lag * 1e3:.1f} ms, {found.late} late")
+
+    with_hand(hand, connect, "stream", run, wait=wait)
+
+
+@app.callback()
+def _streams() -> None:
+    """Stream set-points to a running hand."""

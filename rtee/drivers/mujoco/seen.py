@@ -1,0 +1,169 @@
+"""What can be seen of a running simulation besides the hand: the object, and contact forces."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.drivers.mujoco.objects import OBJECT, parse_object
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK
+from rtee.drivers.mujoco.surroundings import Surroundings, pose_vector
+from rtee.hand.model import Hand
+from rtee.object_description import (
+    BASE_POSE,
+    CONTACT_COLUMNS,
+    CONTACT_RATE,
+    CONTACTS,
+    MOST_CONTACTS,
+    MOST_TRIANGLES,
+    OBJECT_POSE,
+    ObjectDescription,
+    ObjectPart,
+)
+from rtee.types import FloatArray
+
+_LEAST_FORCE: Final = 1e-3
+"""Weaker contacts are left out [N]: they cannot be seen, and touching links have many."""
+
+
+class SeenChannels:
+    """Reads where the object is, where the hand is carried to, and what presses on what.
+
+    Args:
+        model: The compiled model.
+        data: Its state.
+        hand: The hand in it.
+        around: What is around the hand.
+        options: How it is simulated.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        hand: Hand,
+        around: Surroundings,
+        options: SimOptions,
+    ) -> None:
+        self._data, self._around = data, around
+        self._carried = options.carrier != "fixed"
+        place = {link: index for index, link in enumerate(hand.urdf.links)}
+        names = [model.body(int(body)).name.removeprefix(LINK) for body in model.geom_bodyid]
+        of_hand = [model.body(int(body)).name.startswith(LINK) for body in model.geom_bodyid]
+        self._link = np.array(
+            [place.get(name, -1) if own else -1 for name, own in zip(names, of_hand, strict=True)]
+        )
+        self._renewed = -math.inf
+        self._contacts: FloatArray = np.zeros(0)
+
+    def read(self) -> dict[str, FloatArray]:
+        """Return the channels; see `rtee.object_description`. Contacts are renewed now and then."""
+        found: dict[str, FloatArray] = {}
+        if self._around.has_object:
+            found[OBJECT_POSE] = self._around.pose
+        if self._carried:
+            found[BASE_POSE] = pose_vector(self._around.base_pose)
+        if not 0.0 <= self._data.time - self._renewed < 1.0 / CONTACT_RATE - 1e-9:
+            self._renewed = self._data.time
+            self._contacts = self._forces()
+        return {**found, CONTACTS: self._contacts}
+
+    def _forces(self) -> FloatArray:
+        """Return the strongest contacts of the hand, row after row."""
+        contact = self._data.contact
+        first = contact.efc_address
+        links = self._link[contact.geom].reshape(-1, 2)
+        seen = np.flatnonzero((first >= 0) & (links >= 0).any(axis=1))
+        if not len(seen):
+            return np.zeros(0)
+        links = links[seen]
+        # The first three rows of an elliptic contact are its force in its own frame.
+        own = self._data.efc_force[first[seen, None] + np.arange(3)]
+        force = np.einsum("kij,ki->kj", contact.frame[seen].reshape(-1, 3, 3), own)
+        second = links[:, 0] < 0  # the hand's link is the second one: it exerts the opposite
+        force[second] *= -1.0
+        link = np.where(second, links[:, 1], links[:, 0])
+        strength = np.linalg.norm(force, axis=1)
+        order = np.argsort(-strength, kind="stable")[:MOST_CONTACTS]
+        order = order[strength[order] >= _LEAST_FORCE]
+        base = self._around.base_pose
+        rows = np.empty((len(order), CONTACT_COLUMNS))
+        rows[:, :3] = (contact.pos[seen[order]] - base[:3, 3]) @ base[:3, :3]
+        rows[:, 3:6] = force[order] @ base[:3, :3]
+        rows[:, 6] = link[order]
+        return rows.ravel()
+
+
+def describe(
+    model: mujoco.MjModel, data: mujoco.MjData, options: SimOptions
+) -> ObjectDescription | None:
+    """Return what the object of a model looks like; ``None`` if it has none.
+
+    Parts that move, such as a drill's trigger, are where they are now.
+
+    Args:
+        model: The compiled model.
+        data: A state of it, with its poses computed.
+        options: How it is simulated.
+    """
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, OBJECT)
+    if body < 0:
+        return None
+    turn, at = data.xmat[body].reshape(3, 3), data.xpos[body]
+    parts = []
+    for geom in np.flatnonzero(model.body_rootid[model.geom_bodyid] == body):
+        pose = np.eye(4)
+        pose[:3, :3] = turn.T @ data.geom_xmat[geom].reshape(3, 3)
+        pose[:3, 3] = turn.T @ (data.geom_xpos[geom] - at)
+        parts.append(_part(model, int(geom), pose_vector(pose)))
+    return ObjectDescription(_name(options), float(model.body_subtreemass[body]), tuple(parts))
+
+
+def _name(options: SimOptions) -> str:
+    """Return how the object is called; of a mesh only its file's name, since clients see it."""
+    if not options.object:
+        return OBJECT
+    shape = parse_object(options.object).scaled(options.object_scale)
+    return shape.name if shape.path is None else Path(shape.path).name
+
+
+def _part(model: mujoco.MjModel, geom: int, pose: FloatArray) -> ObjectPart:
+    size = model.geom_size[geom].tolist()
+    match int(model.geom_type[geom]):
+        case mujoco.mjtGeom.mjGEOM_BOX:
+            return ObjectPart("box", tuple(2.0 * half for half in size), pose)
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            return ObjectPart("sphere", (size[0],), pose)
+        case mujoco.mjtGeom.mjGEOM_CYLINDER:
+            return ObjectPart("cylinder", (size[0], 2.0 * size[1]), pose)
+    return ObjectPart("mesh", (), pose, *_mesh(model, int(model.geom_dataid[geom])))
+
+
+def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Return the vertices and triangles of a mesh, or of its hull if it has too many."""
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float32)
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    faces = np.array(model.mesh_face[first : first + count], dtype=np.uint32)
+    if len(faces) > MOST_TRIANGLES:
+        faces = _hull(model, mesh)[:MOST_TRIANGLES]
+    used, corners = np.unique(faces, return_inverse=True)
+    return vertices[used], corners.reshape(-1, 3).astype(np.uint32)
+
+
+def _hull(model: mujoco.MjModel, mesh: int) -> NDArray[np.uint32]:
+    """Return the triangles of a mesh's convex hull, which is what contacts are with.
+
+    They are the last part of MuJoCo's graph of the hull: two numbers, two for each vertex, one for
+    each vertex and three for each triangle, then these.
+    """
+    graph = model.mesh_graph[model.mesh_graphadr[mesh] :]
+    vertices, triangles = int(graph[0]), int(graph[1])
+    begin = 2 + 3 * vertices + 3 * triangles
+    return np.array(graph[begin : begin + 3 * triangles], dtype=np.uint32).reshape(-1, 3)

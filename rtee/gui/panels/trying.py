@@ -1,0 +1,290 @@
+"""Trying actions on an object in simulation, and planning grasps for it, from the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+import viser
+
+from rtee.actions.types import Action
+from rtee.errors import ConfigError, MissingExtra, RequestRejected, RteeError
+from rtee.gui.bridge import Bridge
+from rtee.gui.colours import BAD, BAR, GOOD
+from rtee.gui.jobs import Jobs
+from rtee.gui.panels.grasps import GraspsPanel, Preview
+from rtee.gui.trial_results import key_of, object_name, verdict
+from rtee.gui.wording import offer, small
+from rtee.hand.catalog import find_hand
+from rtee.hand.model import Hand
+from rtee.planning.result import from_document as ranking_of
+from rtee.remote.client import RemoteHand
+from rtee.trials.apart import MOST_VARIATIONS, Job, check_installed, meshes_of
+from rtee.trials.result import OBJECTS, TrialResult
+from rtee.trials.store import from_document as result_of
+
+_EVERY: Final = "all actions"
+_LARGEST: Final = 2000.0
+"""Largest length that can be given [mm], as on the command line."""
+
+_SIZES: Final = {
+    "sphere": (("Diameter [mm]", 60.0),),
+    "cylinder": (("Diameter [mm]", 60.0), ("Height [mm]", 120.0)),
+    "box": (("Width [mm]", 40.0), ("Depth [mm]", 40.0), ("Height [mm]", 100.0)),
+}
+"""Shapes whose sizes are given, with names of the sizes and what they are at first."""
+
+Found = Callable[[TrialResult], None]
+"""Takes the result of a trial."""
+
+
+def number(value: Any, least: float, most: float, what: str) -> float:
+    """Return a number that came from a page, where it can be anything.
+
+    Raises:
+        ConfigError: if it is none, or out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(f"{what} should be a number")
+    if not (math.isfinite(value) and least <= value <= most):
+        raise ConfigError(f"{what} should be {least:g} to {most:g}, not {value:g}")
+    return float(value)
+
+
+def shape_text(kind: str, sizes: Sequence[float]) -> str:
+    """Return a shape as on the command line, from its sizes as people measure them [mm]."""
+    metres = [size / 1e3 for size in sizes]
+    if kind != "box":
+        metres[0] /= 2.0
+    return f"{kind}:{'x'.join(f'{value:.6g}' for value in metres)}"
+
+
+def folder_of(remote: str, hand: Hand) -> Path:
+    """Return the folder of a running hand on this computer.
+
+    Raises:
+        ConfigError: if it is not configured here.
+    """
+    folder = find_hand(remote)  # refuses names that are no names
+    if not hand.urdf.path.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(
+            f"the hand '{remote}' that runs is another one than that of {folder}, so it cannot be "
+            "tried here"
+        )
+    return folder
+
+
+class TryPanel:
+    """An object, what is done with it, how far that is, and what came of it."""
+
+    def __init__(
+        self, bridge: Bridge, remote: RemoteHand, hand: Hand, found: Found, preview: Preview
+    ) -> None:
+        """Add the panel to the current container.
+
+        Args:
+            bridge: Carries clicks.
+            remote: The hand.
+            hand: Its model.
+            found: Takes the results of trials.
+            preview: Shows a planned grasp.
+        """
+        gui = bridge.server.gui
+        self._bridge, self._remote, self._hand, self._found = bridge, remote, hand, found
+        self._jobs = Jobs()
+        self._removed = False
+        self._actions: dict[str, Action] = {}
+        self._meshes: dict[str, Path] = {}
+        self._lines: list[str] = []
+        self._object = gui.add_dropdown(
+            "Object",
+            (*_SIZES, *OBJECTS),
+            hint="A shape of your size, a standard object, or a mesh of the folder 'objects' in "
+            "that of the hand",
+        )
+        self._sizes: dict[str, list[viser.GuiNumberHandle[float]]] = {
+            kind: [
+                gui.add_number(label, value, min=1.0, max=_LARGEST, step=1.0, visible=False)
+                for label, value in sizes
+            ]
+            for kind, sizes in _SIZES.items()
+        }
+        self._mass = gui.add_number(
+            "Mass [kg]", 0.1, min=0.001, max=100.0, step=0.01, hint="Mass of the object [kg]"
+        )
+        self._usual = gui.add_checkbox(
+            "Usual friction",
+            True,
+            hint="1 at fingertips, 0.8 elsewhere, and 0.5 to 1 in variations; plans: 0.5",
+        )
+        self._friction = gui.add_number(
+            "Friction", 0.5, min=0.0, max=10.0, step=0.05, hint="Coefficient", visible=False
+        )
+        self._action = gui.add_dropdown("Action", (_EVERY,), hint="What is tried")
+        self._variations = gui.add_slider(
+            "Variations",
+            0,
+            MOST_VARIATIONS,
+            1,
+            20,
+            hint="How often each trial is varied: size, mass, place, turn, friction",
+        )
+        self._checked = gui.add_checkbox(
+            "Try the best", True, hint="After planning: try the best three in simulation"
+        )
+        self._buttons = gui.add_button_group(
+            "",
+            ("Try", "Plan", "Cancel"),
+            hint="Try: does the action hold the object, in simulation? Plan: which action holds it "
+            "best? Nothing moves",
+        )
+        self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR)
+        self._said = gui.add_html("")
+        self._grasps = GraspsPanel(bridge, remote, preview)
+        self._object.on_update(lambda _: self._choose())
+        self._usual.on_update(lambda _: self._choose())
+        self._buttons.on_click(lambda event: self._clicked(str(event.target.value)))
+        self._choose()
+        self._offer_meshes()
+
+    def _choose(self) -> None:
+        """Show the fields that belong to what is chosen."""
+        for kind, fields in self._sizes.items():
+            for field in fields:
+                field.visible = kind == self._object.value
+        self._friction.visible = not self._usual.value
+
+    def _offer_meshes(self) -> None:
+        """Offer the objects there are; say so if nothing can be tried on this computer."""
+        try:
+            self._meshes = meshes_of(folder_of(self._remote.name, self._hand))
+            offer(self._object, (*_SIZES, *OBJECTS, *self._meshes))
+            check_installed(planning=False)
+        except MissingExtra as error:
+            self._say(str(error), BAD)
+        except RteeError as error:
+            self._say(f"{error}", BAD)
+
+    def show_actions(self, actions: Sequence[Action]) -> None:
+        """Offer these actions."""
+        self._actions = {" ".join((a.name, *a.elements)): a for a in actions}
+        offer(self._action, (_EVERY, *self._actions))
+
+    # --- clicks
+
+    def _clicked(self, what: str) -> None:
+        match what:
+            case "Try":
+                self._bridge.call(partial(self._start, planning=False))
+            case "Plan":
+                self._bridge.call(partial(self._start, planning=True))
+            case _:
+                self._bridge.call(self._cancel)
+
+    async def _cancel(self) -> None:
+        if not self._jobs.doing:
+            raise RequestRejected("nothing is under way")
+        self._jobs.cancel()
+
+    async def _start(self, *, planning: bool) -> None:
+        self._jobs.check_free()
+        job = self._job(planning=planning)
+        what = "planning" if planning else "a trial"
+        self._lines.clear()
+        self._bar.value = 0.0
+        self._say(f"{what} begins …", "")
+        if planning:
+            self._grasps.show(None)
+        try:
+            done = await self._jobs.do(job, what, self._tell)
+        except RteeError as error:
+            self._say(str(error), BAD)
+            raise
+        if self._removed:
+            return
+        self._bar.value = 100.0 if done else 0.0
+        if not done:
+            self._say("cancelled", BAD)
+        elif planning:
+            self._say(self._grasps.verdict, GOOD)
+        else:
+            self._say("", "")
+
+    def _job(self, *, planning: bool) -> Job:
+        """Return the job that is asked for.
+
+        Raises:
+            ConfigError: if it cannot be done, or something that came from the page makes no sense.
+        """
+        check_installed(planning=planning)
+        folder = folder_of(self._remote.name, self._hand)
+        job = Job(
+            folder=str(folder),
+            object=self._chosen(meshes_of(folder)),
+            mass=number(self._mass.value, 0.001, 100.0, "the mass"),
+            friction=None
+            if self._usual.value
+            else number(self._friction.value, 0.0, 10.0, "the friction"),
+            actions=None if planning else self._chosen_actions(),
+            variations=int(number(self._variations.value, 0, MOST_VARIATIONS, "variations")),
+            checked=3 if self._checked.value else 0,
+        )
+        job.check()
+        return job
+
+    def _chosen(self, meshes: Mapping[str, Path]) -> str:
+        name = self._object.value
+        if name in _SIZES:
+            fields = zip(_SIZES[name], self._sizes[name], strict=True)
+            sizes = [number(field.value, 1.0, _LARGEST, label) for (label, _), field in fields]
+            return shape_text(name, sizes)
+        if name in OBJECTS:
+            return str(name)
+        if name in meshes:
+            return str(meshes[name])
+        raise ConfigError("there is no such object; choose one of the list")
+
+    def _chosen_actions(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        name = self._action.value
+        if name == _EVERY:
+            return tuple(map(key_of, self._actions.values()))
+        if name not in self._actions:
+            raise ConfigError("there is no such action; choose one of the list")
+        return (key_of(self._actions[name]),)
+
+    # --- what comes
+
+    def _tell(self, said: Mapping[str, Any]) -> None:
+        """Take what the process says."""
+        if self._removed:
+            return
+        if "result" in said:
+            result = result_of(said["result"])
+            self._found(result)
+            what = " ".join((result.trial.action, *result.trial.elements))
+            sign = "●" if result.held else "○"
+            self._lines.append(
+                f"{sign} {what} on {object_name(result.trial.object)}: {verdict(result)}"
+            )
+            self._say("", "")
+        elif "ranking" in said:
+            self._grasps.show(ranking_of(said["ranking"]))
+        else:
+            self._bar.value = round(100.0 * float(said.get("progress", 0.0)), 1)
+            self._say(str(said.get("text", "")), "")
+
+    def _say(self, text: str, colour: str) -> None:
+        lines = [escape(line) for line in self._lines]
+        if text:
+            style = f' style="color:{colour}"' if colour else ""
+            lines.append(f'<span role="note"{style}>{escape(text)}</span>')
+        self._said.content = small("<br>".join(lines))
+
+    def remove(self) -> None:
+        """End what is under way; the session removes the controls."""
+        self._removed = True
+        self._jobs.cancel()

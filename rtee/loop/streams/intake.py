@@ -1,0 +1,230 @@
+"""The way of a sample into the loop: checked where it arrives, in any thread, and bounded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from rtee.commands import BeginStream, Command, EndStream, StreamSample
+from rtee.errors import GoalRejected
+from rtee.loop.streams.targets import Targets
+from rtee.types import StreamStatus, StreamTargets
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+    from rtee.loop.controller import Controller
+
+MAX_RATE = 500.0
+"""Most samples per second [Hz]: faster than gloves and planners are, and what a hand's computer
+decodes beside its loop."""
+
+_LONGEST_DEADLINE = 10.0
+"""Longest deadline [s]: beyond it nobody would call it a stream."""
+
+_LEAST_PERIODS = 1.5
+"""A deadline must be longer than so many periods, or each sample would end in a pause."""
+
+_BURST = 20.0
+"""So many samples may come at once: those of 0.4 s at 50 Hz, which a stalled network held back."""
+
+_FASTER = 1.5
+"""Samples may come faster than the stream's rate by this factor, since clocks and timers differ."""
+
+_AHEAD = 0.5
+"""A stamp may lead the hand's clock by this more than those before [s]."""
+
+_BEHIND = 1.0
+"""A stamp this much older than the one before is no sample out of order but a mistake [s]."""
+
+_LEAK = 1e-3
+"""The least offset of the clocks is let go by this much per second: far more than clocks drift."""
+
+_QUIET = 0.1
+"""After a refusal, further ones are only counted for this long [s]."""
+
+_MOST_KEPT = 32
+"""Sets of names whose meaning is kept."""
+
+
+class StreamIntake:
+    """Checks the samples of a hand's stream and appends them to what the loop does next.
+
+    One stream is open at a time. One thread at a time may call its methods.
+
+    Args:
+        controller: The controller of the hand, which plays the stream.
+        library: The hand's actions.
+        append: Appends a command to what the next tick does.
+        check_movable: Raises `GoalRejected` if an actuator's device is not active.
+        now: The loop's clock [s].
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        library: ActionLibrary,
+        append: Callable[[Command], None],
+        check_movable: Callable[[Collection[int]], None],
+        now: Callable[[], float],
+    ) -> None:
+        self._controller, self._library = controller, library
+        self._hand, self._settings = controller.hand, controller.settings
+        self._append, self._check_movable, self._now = append, check_movable, now
+        self._open = ""
+        self._rate = 0.0
+        self._known: dict[tuple[str, ...], Targets] = {}
+        self._tokens = self._filled = 0.0
+        self._newest = -math.inf
+        self._offset, self._offset_at = math.inf, 0.0
+        self._quiet_until = -math.inf
+        self._thinned = self._refused = 0
+
+    @property
+    def stream(self) -> str:
+        """The open stream, or an empty string."""
+        return "" if self._open == self._controller.ended_stream else self._open
+
+    def begin(self, stream: str, rate: float, deadline: float | None = None) -> None:
+        """Open a stream; one that is open ends. Nothing moves before its first sample.
+
+        Args:
+            stream: Its identifier, without spaces.
+            rate: Samples per second that are meant to come [Hz].
+            deadline: Without a sample for this long the hand brakes and holds [s]; ``None``: as
+                configured.
+
+        Raises:
+            GoalRejected: if a number cannot be used.
+        """
+        settings = self._settings
+        most = min(MAX_RATE, settings.rate)
+        if not 0.0 < rate <= most:
+            raise GoalRejected(
+                f"a stream to this hand may have up to {most:g} samples a second, not {rate:g}; "
+                "the loop interpolates between them"
+            )
+        within = settings.stream.deadline if deadline is None else deadline
+        if not 0.0 < within <= _LONGEST_DEADLINE:
+            raise GoalRejected(
+                f"the deadline must be above 0 and at most {_LONGEST_DEADLINE:g} s, not {within:g}"
+            )
+        if within < _LEAST_PERIODS / rate:
+            raise GoalRejected(
+                f"a stream at {rate:g} Hz would pause after every sample with the deadline "
+                f"{within:g} s; give one of at least {_LEAST_PERIODS / rate:.3g} s"
+            )
+        now = self._now()
+        self._rate, self._tokens, self._filled = rate, _BURST, now
+        self._newest, self._offset, self._offset_at = -math.inf, math.inf, now
+        self._quiet_until = -math.inf
+        self._thinned = self._refused = 0
+        self._known.clear()  # the actions may be others by now
+        longest = settings.stream.max_lag
+        self._open = stream
+        self._append(BeginStream(stream, rate, within, math.inf if longest is None else longest))
+
+    def admit(self) -> bool:
+        """Return whether one more sample may be read now; cheap, so that a flood costs little.
+
+        Raises:
+            GoalRejected: if not, unless it was said a moment ago.
+        """
+        now = self._now()
+        rate = _FASTER * self._rate
+        self._tokens = min(self._tokens + (now - self._filled) * rate, _BURST)
+        self._filled = now
+        if self._tokens >= 1.0:
+            self._tokens -= 1.0
+            return True
+        self._thinned += 1
+        self._complain(
+            now,
+            f"samples come faster than the {self._rate:g} a second that the stream was begun with; "
+            "those beyond are dropped",
+        )
+        return False
+
+    def sample(self, sample: StreamTargets) -> None:
+        """Take a sample; what it asks for begins at the next tick.
+
+        Raises:
+            GoalRejected: if it cannot be used; refusals in quick succession are only counted.
+        """
+        now = self._now()
+        if not sample.stream or sample.stream != self.stream:
+            self._complain(now, f"there is no stream '{sample.stream[:50]}'; it may have ended")
+            return
+        try:
+            positions, rates = self._checked(sample, now)
+        except GoalRejected as error:
+            self._refused += 1
+            self._complain(now, str(error))
+            return
+        self._newest = max(self._newest, sample.stamp)
+        names = self._hand.actuator_names
+        self._append(
+            StreamSample(
+                sample.stream,
+                sample.stamp,
+                now,
+                sample.targets,
+                sample.velocity,
+                {names[i]: position for i, position in positions.items()},
+                {names[i]: rates.get(i, math.nan) for i in positions},
+            )
+        )
+
+    def end(self, stream: str, reason: str = "") -> None:
+        """Close a stream: its actuators brake and hold. One that is not open: nothing."""
+        if stream and stream == self.stream:
+            self._append(EndStream(stream, reason))
+            self._open = ""
+
+    def status(self) -> StreamStatus:
+        """Return how the open stream is doing."""
+        player = self._controller.stream
+        if player is None or player.name != self._open:
+            return StreamStatus()
+        return replace(player.status(), thinned=self._thinned, refused=self._refused)
+
+    def _complain(self, now: float, text: str) -> None:
+        if now >= self._quiet_until:
+            self._quiet_until = now + _QUIET
+            raise GoalRejected(text)
+
+    def _checked(
+        self, sample: StreamTargets, now: float
+    ) -> tuple[Mapping[int, float], Mapping[int, float]]:
+        """Return what a sample asks for, by actuator."""
+        if not sample.targets:
+            raise GoalRejected("a sample needs at least one target")
+        names = tuple(sample.targets)
+        targets = self._known.get(names)
+        if targets is None:
+            targets = Targets(names, self._hand, self._library)
+            self._check_movable(targets.indices)
+            if len(self._known) >= _MOST_KEPT:
+                self._known.clear()
+            self._known[names] = targets
+        found = targets.resolve(sample.targets, sample.velocity)
+        self._check_stamp(sample.stamp, now)
+        return found
+
+    def _check_stamp(self, stamp: float, now: float) -> None:
+        if not math.isfinite(stamp):
+            raise GoalRejected(f"the stamp must be a time in seconds, not {stamp:g}")
+        if stamp < self._newest - _BEHIND:
+            raise GoalRejected(
+                f"the stamp is {self._newest - stamp:.3g} s before the newest one: stamps come "
+                "from one clock that never jumps, in seconds"
+            )
+        offset = now - stamp
+        least = self._offset + _LEAK * (now - self._offset_at)
+        if offset < least - _AHEAD and math.isfinite(least):
+            raise GoalRejected(
+                f"the stamp is {least - offset:.3g} s in the future beside those before: stamps "
+                "come from one clock that never jumps, in seconds"
+            )
+        self._offset, self._offset_at = min(offset, least), now

@@ -1,0 +1,150 @@
+"""A stream in the loop: which samples are taken, when it pauses, and what it asks for at a tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rtee.commands import BeginStream, StreamSample
+from rtee.loop.motion import Limits
+from rtee.loop.streams.interpolator import Interpolator
+from rtee.loop.streams.playout import Playout
+from rtee.types import FloatArray, StreamStatus, readonly
+
+CHANNEL = "stream/lag"
+"""The channel of the state that has lag and jitter of a stream [s], while it plays."""
+
+
+class StreamPlayer:
+    """Plays one stream; pure: the same samples and ticks give the same references.
+
+    Args:
+        begin: The stream.
+        limits: Limits of all actuators of the hand.
+        tick: Period of the loop [s].
+
+    Attributes:
+        name: The stream's identifier.
+        deadline: Without a sample for this long it pauses [s].
+        playing: Whether it moves actuators: from a first sample until it pauses.
+        channels: Lag and jitter ``(2,)`` [s], by `CHANNEL`.
+    """
+
+    def __init__(self, begin: BeginStream, limits: Limits, tick: float) -> None:
+        self.name, self.deadline = begin.stream, begin.deadline
+        self.playing = False
+        self.channels: Mapping[str, FloatArray] = {CHANNEL: readonly((0.0, 0.0))}
+        self._playout = Playout(begin.rate, tick, begin.max_lag)
+        self._way = Interpolator(limits, tick)
+        self._arrival = -math.inf
+        self._doubted = False
+        self._newest = -math.inf
+        self._samples = self._duplicates = self._out_of_order = 0
+        self._outliers = self._late = self._pauses = 0
+
+    @property
+    def indices(self) -> Sequence[int]:
+        """The actuators that it moves."""
+        return self._way.indices
+
+    def status(self) -> StreamStatus:
+        """Return how it is doing, as far as the loop knows."""
+        playout = self._playout
+        return StreamStatus(
+            stream=self.name,
+            rate=1.0 / playout.period,
+            lag=playout.lag,
+            jitter=playout.jitter,
+            samples=self._samples,
+            duplicates=self._duplicates,
+            out_of_order=self._out_of_order,
+            outliers=self._outliers,
+            late=self._late,
+            pauses=self._pauses,
+        )
+
+    def taken(self, sample: StreamSample, positions: Mapping[int, float]) -> bool:
+        """Return whether a sample is to be taken; one that is dropped is counted.
+
+        A sample far from the one before is dropped once; if the next one is, too, it was meant.
+
+        Args:
+            sample: The sample.
+            positions: Its positions by actuator [rad | m].
+        """
+        if sample.stamp == self._newest:
+            self._duplicates += 1
+        elif sample.stamp < self._newest:
+            self._out_of_order += 1
+        elif not self._doubted and self._way.outlying(positions, sample.stamp):
+            self._outliers += 1
+            self._doubted = True
+            self._arrival = sample.arrival  # the client is there, whatever it sent
+        else:
+            self._doubted = False
+            return True
+        return False
+
+    def take(
+        self,
+        sample: StreamSample,
+        positions: Mapping[int, float],
+        velocities: Mapping[int, float],
+        now: float,
+        reference: Sequence[float],
+        speed: Sequence[float],
+    ) -> None:
+        """Take a sample.
+
+        Args:
+            sample: The sample.
+            positions: Its positions by actuator [rad | m].
+            velocities: Its velocities by actuator [rad/s | m/s]; ``NaN``: not given.
+            now: When the tick is due [s].
+            reference: Positions sent last, of all actuators [rad | m].
+            speed: Their velocities [rad/s | m/s].
+        """
+        playout, way = self._playout, self._way
+        self._samples += 1
+        self._newest = sample.stamp
+        self._arrival = sample.arrival
+        playout.arrived(sample.stamp, sample.arrival)
+        if not self.playing:
+            self.playing = True
+            playout.restart(now)
+        elif sample.stamp < playout.time:
+            self._late += 1
+        for index in positions:
+            if index not in way.indices:
+                way.include(index, reference[index], speed[index])
+        way.add(positions, velocities, sample.stamp, playout.time, playout.now, playout.period)
+        self.channels = {CHANNEL: np.array((playout.lag, playout.jitter))}
+
+    def overdue(self, now: float) -> bool:
+        """Return whether no sample came within the deadline."""
+        return self.playing and now - self._arrival > self.deadline
+
+    def pause(self) -> None:
+        """Move nothing until the next sample, from which it goes on."""
+        self.playing = False
+        self._pauses += 1
+        self._way.clear()
+
+    def step(
+        self, now: float, position: Sequence[float], velocity: Sequence[float], into: list[float]
+    ) -> None:
+        """Move its actuators on by one period of the loop.
+
+        Args:
+            now: When the tick is due [s].
+            position: Positions sent last, of all actuators [rad | m].
+            velocity: Their velocities [rad/s | m/s].
+            into: Takes the positions to be sent, of its actuators [rad | m].
+        """
+        playout, way = self._playout, self._way
+        was, before = playout.time, playout.now
+        if playout.advance(now):
+            way.jumped(was, playout.time, before, playout.period)
+        way.step(playout.time, now, playout.period, position, velocity, into)

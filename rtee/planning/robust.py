@@ -1,0 +1,138 @@
+"""Where an object may be for an action that holds it though it is not quite there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtee.actions.types import Action
+from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.planner import Planner
+from rtee.planning.poses import GAP, Candidate, Poses
+from rtee.types import FloatArray
+
+_BESIDE: Final = 0.008
+"""How far an object is moved along each axis to see whether it is held there, too [m]: as arms and
+cameras place it."""
+
+_TURNED: Final = 0.15
+"""… and how far it is turned about each axis [rad]."""
+
+_CANDIDATES: Final = 24
+"""Poses between all fingers that are compared: two or three depths of each way to turn it."""
+
+_OF_GROUP: Final = 8
+"""The same between the fingers of a group."""
+
+_GROUPS: Final = 4
+"""Groups of fingers that are looked at, the largest first."""
+
+_JUDGED: Final = 12
+"""Poses that are judged nearby, too: the most promising ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobustPose:
+    """A pose of an object and how well an action holds it there and nearby.
+
+    Attributes:
+        candidate: The pose, and from where the object comes.
+        first: Intensity at which the fingers first oppose each other on it.
+        held: Share of the poses nearby at which the fingers oppose each other on it.
+        promise: Mean of what these grasps promise; larger is better.
+    """
+
+    candidate: Candidate
+    first: float
+    held: float
+    promise: float
+
+
+def robust_poses(
+    planner: Planner,
+    action: Action,
+    groups: Sequence[Action] = (),
+    others: Iterable[Candidate] = (),
+) -> list[RobustPose]:
+    """Return poses at which an action holds an object, the most robust ones first.
+
+    Args:
+        planner: The hand with the object.
+        action: The action.
+        groups: Actions whose fingers it moves, too: the object may be between those alone.
+        others: Poses that are compared, too.
+    """
+    closing = Closing(planner.scene, ActionWay.of(planner.hand, action), planner.task.friction)
+    if not closing.way.moving.any():
+        return []
+    candidates = [*others]
+    for group in (action, *_largest(groups)):
+        poses = Poses(planner.scene, closing, group, planner.out)
+        most = _CANDIDATES if group is action else _OF_GROUP
+        candidates += poses.candidates(planner.turns, most)
+    closed = [(c, closure) for c in candidates if (closure := closing.close(c.pose)) is not None]
+    closed.sort(key=lambda pair: -planner.promise(pair[1]))
+    found = [_judged(planner, closing, *pair) for pair in closed[:_JUDGED]]
+    found.sort(key=lambda pose: (-round(pose.held, 6), -pose.promise))
+    return found
+
+
+def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) -> str:
+    """Return why an object can't come into the hand at rest; empty if it can.
+
+    Args:
+        planner: The hand with the object.
+        action: The action.
+        groups: Actions whose fingers it moves, too.
+    """
+    closing = Closing(planner.scene, ActionWay.of(planner.hand, action), planner.task.friction)
+    if not closing.way.moving.any():
+        return ""
+    widest = 0.0
+    for group in (action, *_largest(groups)):
+        poses = Poses(planner.scene, closing, group, planner.out)
+        if next(poses.candidates(planner.turns, _OF_GROUP), None) is not None:
+            return ""
+        widest = max(widest, float(poses.gaps.max()))
+    wide = poses.narrowest(planner.turns)
+    if wide <= widest - 2.0 * GAP:
+        return ""  # it has room; something else is in its way, which a trial tells
+    return f"{wide * 1e3:.0f} mm wide, the hand opens to {widest * 1e3:.0f} mm"
+
+
+def _largest(groups: Sequence[Action]) -> list[Action]:
+    return sorted(groups, key=lambda group: -len(group.fingers))[:_GROUPS]
+
+
+def _judged(
+    planner: Planner, closing: Closing, candidate: Candidate, middle: Closure
+) -> RobustPose:
+    """Return how well an object is held at a pose and nearby."""
+    promises = [planner.promise(middle)]
+    nearby = _nearby(candidate.pose)
+    for pose in nearby:
+        closure = closing.close(pose)
+        if closure is not None:
+            promises.append(planner.promise(closure))
+    count = len(nearby) + 1
+    return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)
+
+
+def _nearby(pose: FloatArray) -> list[FloatArray]:
+    """Return poses that differ along or about one axis, to either side."""
+    found = []
+    for axis in np.eye(3):
+        for sign in (1.0, -1.0):
+            beside = pose.copy()
+            beside[:3, 3] += sign * _BESIDE * axis
+            found.append(beside)
+            x, y, z = sign * _TURNED * axis
+            turned = pose.copy()
+            small = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
+            u, _, v = np.linalg.svd(small)
+            turned[:3, :3] = u @ v @ pose[:3, :3]
+            found.append(turned)
+    return found

@@ -1,0 +1,166 @@
+"""Streams of a client: set-points that it sends one after the other, as a glove or a planner does.
+
+async with hand.stream(rate=50) as stream:
+    await stream.send({"PinchTight index thumb": 0.4})
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import time
+from collections.abc import AsyncIterator, Mapping
+from typing import TYPE_CHECKING
+
+import anyio
+
+from rtee.commands import STREAM_ENDED
+from rtee.errors import GoalRejected, RemoteError, RequestRejected
+from rtee.messages import decode_event, topics
+from rtee.messages.convert import STREAM_TARGETS
+from rtee.remote.link import Link
+from rtee.types import StreamStatus, StreamTargets
+
+if TYPE_CHECKING:
+    from rtee.remote.monitoring import Monitoring
+
+_NOTHING: Mapping[str, float] = {}
+
+
+class Stream:
+    """An open stream; made by `StreamClient.stream`.
+
+    Args:
+        link: The connection to the hand.
+        monitoring: Tells the hand's status.
+        name: The stream's identifier.
+        number: Number under which the hand refuses its samples.
+
+    Attributes:
+        name: The stream's identifier.
+        ended: Why the hand has ended it, in words; empty as long as it has not.
+    """
+
+    def __init__(self, link: Link, monitoring: Monitoring, name: str, number: str) -> None:
+        self.name = name
+        self.ended = ""
+        self._link, self._monitoring, self._number = link, monitoring, number
+        self._refused: RemoteError | None = None
+
+    async def send(
+        self,
+        targets: Mapping[str, float],
+        velocity: Mapping[str, float] = _NOTHING,
+        stamp: float | None = None,
+    ) -> None:
+        """Send a sample; returns at once.
+
+        The hand's answer is not waited for: if it has refused an earlier sample, this call says so.
+
+        Args:
+            targets: Where to: actuators and joints [rad | m], or actions with their elements, such
+                as ``PinchTight index thumb``, by intensity, 0 to 1. What is left out stays.
+            velocity: How fast there, for some of them [rad/s | m/s], for actions [1/s]; estimated
+                unless given.
+            stamp: When it is meant, by a clock that never jumps [s]; now unless given.
+
+        Raises:
+            GoalRejected: if a number is not finite.
+            RequestRejected: if the hand has refused an earlier sample, or has ended the stream.
+            LeaseHeld: if another client holds the lease by now.
+            NoHand: if the hand has gone.
+        """
+        refused, self._refused = self._refused, None
+        if refused is not None:
+            raise refused
+        if self.ended:
+            raise RequestRejected(self.ended)
+        when = time.monotonic() if stamp is None else float(stamp)
+        for number in (when, *targets.values(), *velocity.values()):
+            if not math.isfinite(number):
+                raise GoalRejected(f"a sample consists of finite numbers, not {number:g}")
+        sample = StreamTargets(self.name, when, targets, velocity, self._link.client)
+        self._link.put("sample", STREAM_TARGETS.encode(sample), self._number)
+        # Lets what has come from the hand be received, also if nothing else is waited for.
+        await anyio.lowlevel.checkpoint()
+
+    async def status(self) -> StreamStatus:
+        """Return how the stream is doing: lag, jitter, what was dropped."""
+        return (await self._monitoring.status()).stream
+
+    def refuse(self, error: RemoteError) -> None:
+        """Have the next `send` raise an error."""
+        self._refused = error
+
+    def check(self) -> None:
+        """Raise the error of a refused sample, if there is one that `send` has not raised."""
+        refused, self._refused = self._refused, None
+        if refused is not None:
+            raise refused
+
+
+class StreamClient:
+    """Opens streams.
+
+    Args:
+        link: The connection to the hand.
+        monitoring: Tells the hand's status.
+    """
+
+    def __init__(self, link: Link, monitoring: Monitoring) -> None:
+        self._link, self._monitoring = link, monitoring
+        self._numbers = itertools.count(1)
+        self._open: dict[str, Stream] = {}
+        self._subscribed = False
+
+    def _on_event(self, data: bytes) -> None:
+        if self._open:
+            event = decode_event(data)
+            if event.kind == STREAM_ENDED and event.source in self._open:
+                self._open[event.source].ended = event.text
+
+    @contextlib.asynccontextmanager
+    async def stream(
+        self, rate: float = 50.0, deadline: float | None = None
+    ) -> AsyncIterator[Stream]:
+        """Stream set-points for as long as the context lasts; this client holds the lease.
+
+        Nothing moves before the first sample, which pre-empts a running goal. At the end, and when
+        no sample comes within the deadline, the hand brakes smoothly and holds.
+
+        Args:
+            rate: Samples per second that are going to be sent [Hz].
+            deadline: Longest time without a sample [s]; as configured unless given.
+
+        Raises:
+            RequestRejected: if the hand refuses the stream, with its reason.
+            LeaseHeld: if another client holds the lease.
+            NoHand: if the hand has gone.
+        """
+        link = self._link
+        if not self._subscribed:
+            self._subscribed = True
+            link.subscribe(topics.EVENTS, self._on_event)
+        number = next(self._numbers)
+        # A client's name has up to 100 characters, and so has a stream's.
+        name = f"{link.client[-80:].lstrip('.')}.{number}"
+        fields = {
+            "client": link.client,
+            "stream": name,
+            "rate": float(rate),
+            "deadline": math.nan if deadline is None else float(deadline),
+        }
+        await link.ask("begin_stream", fields)
+        stream = self._open[name] = Stream(link, self._monitoring, name, f"s{number}")
+        try:
+            with link.refusals(f"s{number}", stream.refuse):
+                try:
+                    yield stream
+                finally:
+                    with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
+                        if not (stream.ended or link.gone):
+                            await link.ask("end_stream", {"client": link.client, "stream": name})
+            stream.check()  # a refusal of the last samples
+        finally:
+            del self._open[name]

@@ -1,0 +1,196 @@
+"""From what a person moves, or what was recorded, to the samples of a stream."""
+
+from __future__ import annotations
+
+import csv
+import math
+import time
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Final, Protocol
+
+import anyio
+
+from rtee.commands import StreamSample
+from rtee.errors import ConfigError, LogError
+from rtee.log import read
+from rtee.messages import topics
+from rtee.teleop.inputs import Input
+
+RATE: Final = 50.0
+"""Samples per second [Hz]: more than a person's hand has to say."""
+
+_LONGEST: Final = 10_000_000
+"""Longest table that is read [bytes]: an hour of a glove's twenty joints takes less."""
+
+_LONGEST_GAP: Final = 0.08
+"""Time without a sample in a recording [s] that is filled with the sample before: what the person
+did there was to stay."""
+
+
+class Sink(Protocol):
+    """What takes samples: a `rtee.remote.stream.Stream`."""
+
+    async def send(
+        self,
+        targets: Mapping[str, float],
+        velocity: Mapping[str, float] = ...,
+        stamp: float | None = ...,
+    ) -> None:
+        """Send a sample."""
+
+
+def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
+    """Return which axis moves which action.
+
+    Args:
+        actions: Actions with their elements, such as ``PinchTight index thumb``; with an axis
+            before, as in ``lt=Trig ring``, or by the next axis that is free.
+        axes: The axes that there are.
+
+    Raises:
+        ConfigError: if an axis does not exist, is given twice, or there are not enough.
+    """
+    found: dict[str, str] = {}
+    given = [action.partition("=") for action in actions]
+    for axis, mark, action in given:
+        if not mark:
+            continue
+        if axis not in axes:
+            raise ConfigError(f"there is no axis '{axis}'; there are: {', '.join(axes)}")
+        if axis in found:
+            raise ConfigError(f"the axis '{axis}' is given twice")
+        found[axis] = action.strip()
+    left = [axis for axis in axes if axis not in found]
+    for action, mark, _ in given:
+        if not mark:
+            if not left:
+                raise ConfigError(f"there is no axis left for '{action}'")
+            found[left.pop(0)] = action.strip()
+    if len(set(found.values())) != len(found):
+        raise ConfigError("an action is given twice")
+    return found
+
+
+async def samples_of(
+    source: Input, actions: Mapping[str, str], rate: float = RATE
+) -> AsyncIterator[dict[str, float]]:
+    """Yield what a person asks for, as often as a stream has samples.
+
+    Nothing comes before the person has moved something: the hand stays as it is.
+
+    Args:
+        source: What the person moves.
+        actions: Action by axis.
+        rate: Samples per second [Hz].
+    """
+    due = time.monotonic()
+    while True:
+        moved = source.read()
+        if any(axis in moved for axis in actions):
+            yield {action: moved.get(axis, 0.0) for axis, action in actions.items()}
+        due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
+        await anyio.sleep(max(0.0, due - time.monotonic()))
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A recorded sample.
+
+    Attributes:
+        time: When it is meant, since the first one [s].
+        targets: Where to, as for `rtee.remote.stream.Stream.send`.
+        velocity: How fast there.
+    """
+
+    time: float
+    targets: Mapping[str, float]
+    velocity: Mapping[str, float]
+
+
+def recorded(path: Path) -> list[Played]:
+    """Return the samples in a recording (MCAP; a folder: the newest one) or in a table (CSV).
+
+    A table has a line of names, the first of which is ``t``, the time [s]; the others are targets,
+    and an empty cell leaves one out. Of a recording the newest stream is taken.
+
+    Raises:
+        LogError: if the file cannot be read or holds no samples.
+    """
+    found = _of_table(path) if path.suffix.lower() == ".csv" else _of_recording(path)
+    if not found:
+        raise LogError("holds no samples of a stream", path=path)
+    begin = found[0].time
+    return [Played(each.time - begin, each.targets, each.velocity) for each in found]
+
+
+def _of_recording(path: Path) -> list[Played]:
+    entries = read(path, only=[topics.STREAM_SAMPLES]).stream_samples
+    taken = [e.value.command for e in entries if isinstance(e.value.command, StreamSample)]
+    last = taken[-1].stream if taken else ""
+    found: list[Played] = []
+    for sample in taken:
+        # What came twice or out of order is not played again.
+        if sample.stream == last and not (found and sample.stamp <= found[-1].time):
+            found.append(Played(sample.stamp, sample.targets, sample.velocity))
+    return found
+
+
+def _of_table(path: Path) -> list[Played]:
+    try:
+        if path.stat().st_size > _LONGEST:
+            raise LogError(f"is longer than {_LONGEST // 1_000_000} MB", path=path)
+        with path.open(newline="") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LogError(f"cannot be read: {error}", path=path) from None
+    if not rows or rows[0][:1] != ["t"] or len(rows[0]) < 2:
+        raise LogError("should begin with a line of names, the first of them 't'", path=path)
+    names = rows[0][1:]
+    found: list[Played] = []
+    for number, row in enumerate(rows[1:], start=2):
+        try:
+            if len(row) != len(rows[0]):
+                raise ValueError(f"{len(row)} cells for {len(rows[0])} names")
+            when, *values = (float(cell) if cell.strip() else math.nan for cell in row)
+            if not math.isfinite(when) or (found and when <= found[-1].time):
+                raise ValueError("the times must rise")
+        except ValueError as error:
+            raise LogError(f"makes no sense: {error}", path=path, line=number) from None
+        pairs = zip(names, values, strict=True)
+        found.append(Played(when, {n: v for n, v in pairs if not math.isnan(v)}, {}))
+    return found
+
+
+def rate_of(samples: Sequence[Played]) -> float:
+    """Return the rate of recorded samples [Hz]: from the median time between them."""
+    steps = sorted(b.time - a.time for a, b in pairwise(samples))
+    return 1.0 / steps[len(steps) // 2] if steps else RATE
+
+
+async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> None:
+    """Send recorded samples when they are due, with stamps as exact as they were.
+
+    Args:
+        samples: The samples.
+        stream: Takes them.
+        speed: Scale of time: 2 is twice as fast.
+
+    Raises:
+        ConfigError: if the speed is not above 0.
+    """
+    if not 0.0 < speed < math.inf:
+        raise ConfigError(f"the speed must be above 0, not {speed:g}")
+    begin = time.monotonic()
+    before: Played | None = None
+    for sample in samples:
+        stamp = begin + sample.time / speed
+        while (left := stamp - time.monotonic()) > 0.0:
+            await anyio.sleep(min(left, _LONGEST_GAP))
+            if before is not None and left > _LONGEST_GAP:
+                await stream.send(before.targets, {}, time.monotonic())
+        velocity = {name: speed * value for name, value in sample.velocity.items()}
+        await stream.send(sample.targets, velocity, stamp)
+        before = sample

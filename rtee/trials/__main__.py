@@ -1,0 +1,108 @@
+"""Does one job of trials or of planning: see `rtee.trials.apart`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import threading
+from pathlib import Path
+from typing import Any, TextIO
+
+from rtee.errors import RteeError, needing_extra
+from rtee.trials.apart import Job
+
+
+def main() -> None:
+    """Do the job on stdin."""
+    # A loop with real-time priority may have started this, by the GUI.
+    with contextlib.suppress(OSError, AttributeError):
+        if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    out = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what libraries print must not come between the lines
+    job = Job.from_json(sys.stdin.readline())
+    threading.Thread(target=_watch, daemon=True).start()
+    try:
+        job.check()
+        if job.actions is None:
+            _plan(job, out)
+        else:
+            _try(job, job.actions, out)
+        _write(out, {"done": True})
+    except RteeError as error:
+        _write(out, {"error": str(error)})
+
+
+def _watch() -> None:
+    """End with the one that asked."""
+    while sys.stdin.read(1):
+        pass
+    os._exit(1)
+
+
+def _write(out: TextIO, said: dict[str, Any]) -> None:
+    out.write(json.dumps(said) + "\n")
+    out.flush()
+
+
+def _try(job: Job, actions: tuple[tuple[str, tuple[str, ...]], ...], out: TextIO) -> None:
+    """Try actions on the object, one after the other."""
+    with needing_extra("trying an action", "sim"):
+        from rtee.trials.sweep import bench
+        from rtee.trials.trial import run_trial
+    from rtee.trials.result import Trial, TrialResult
+    from rtee.trials.store import to_document
+
+    ready = bench(job.folder)
+    count = len(actions)
+    for number, (name, elements) in enumerate(actions):
+        what = " ".join((name, *elements))
+        _write(out, {"progress": number / count, "text": f"{what}: without variation"})
+
+        def tell(done: int, of: int, number: int = number, what: str = what) -> None:
+            text = f"{what}: variation {done} of {of}"
+            _write(out, {"progress": (number + done / (of + 1)) / count, "text": text})
+
+        trial = Trial(name, elements, job.object, 1.0, job.mass, 3, job.friction, job.variations)
+        try:
+            found = run_trial(ready.hand, ready.library, ready.settings, trial, progress=tell)
+        except RteeError as error:
+            if count == 1:
+                raise
+            found = TrialResult(trial, False, str(error))
+        _write(out, {"result": to_document(found)})
+
+
+def _plan(job: Job, out: TextIO) -> None:
+    """Rank the actions for the object; then again with what dynamics says of the best ones."""
+    with needing_extra("planning a grasp", "extract"):
+        from rtee.planning.objects import read_object
+        from rtee.planning.plan import plan_grasps
+        from rtee.planning.planner import FRICTION
+    from rtee.actions.library import ActionLibrary
+    from rtee.hand.load import load_configured
+    from rtee.planning.result import to_document
+
+    _write(out, {"progress": 0.05, "text": "looking for grasps"})
+    folder = Path(job.folder)
+    hand, config = load_configured(folder)
+    library = ActionLibrary.load(hand, folder / "actions")
+    thing = read_object(job.object, job.mass)
+    friction = FRICTION if job.friction is None else job.friction
+    ranking = plan_grasps(hand, library, thing, friction=friction)
+    _write(out, {"ranking": to_document(ranking)})
+    if not job.checked or not ranking.plans:
+        return
+    with needing_extra("trying grasps in simulation", "sim"):
+        from rtee.trials.planned import checked
+        from rtee.trials.sweep import settings_of
+    most = min(job.checked, len(ranking.plans))
+    _write(out, {"progress": 0.4, "text": f"trying the best {most} in simulation"})
+    ranking = checked(hand, library, settings_of(config), thing, ranking, most)
+    _write(out, {"ranking": to_document(ranking)})
+
+
+if __name__ == "__main__":
+    main()

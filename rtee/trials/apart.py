@@ -1,0 +1,131 @@
+"""Trials and plans in a process of its own, asked for by another program; needs no simulator.
+
+The process reads one job as JSON from its standard input, and writes lines of JSON: how far it is,
+results as they come, at last the end or what is wrong. It ends with the one that started it: when
+its standard input closes. ``python -m rtee.trials`` is the process.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import os
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rtee.errors import ConfigError, MissingExtra
+
+MESHES: Final = (".stl", ".obj")
+"""Formats of meshes that can be planned for and tried."""
+
+OBJECTS_FOLDER: Final = "objects"
+"""Folder of meshes to grasp, in a hand's folder."""
+
+MOST_VARIATIONS: Final = 100
+"""Variations of one trial: some minutes."""
+
+MOST_ACTIONS: Final = 500
+"""Actions of one job; no hand has so many, but a number that comes from outside is bounded."""
+
+LONGEST_LINE: Final = 1 << 24
+"""Longest line that the process writes [bytes]: a ranking with all its contacts is 0.1 MB."""
+
+_LIGHTEST, _HEAVIEST = 0.001, 100.0
+_PACKAGES: Final = str(Path(__file__).resolve().parents[2])
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is to be done.
+
+    Attributes:
+        folder: The hand's folder.
+        object: The object as on the command line; a mesh is in the hand's folder.
+        mass: Its mass [kg].
+        friction: Friction between hand and object; ``None``: as usual.
+        actions: Names and elements of the actions to be tried; ``None``: plan grasps instead.
+        variations: How often each trial is varied.
+        checked: How many of the planned grasps are tried.
+    """
+
+    folder: str
+    object: str
+    mass: float = 0.1
+    friction: float | None = None
+    actions: tuple[tuple[str, tuple[str, ...]], ...] | None = None
+    variations: int = 20
+    checked: int = 3
+
+    def check(self) -> None:
+        """Raise `ConfigError` unless it makes sense; what only the object tells is left out."""
+        if not (math.isfinite(self.mass) and _LIGHTEST <= self.mass <= _HEAVIEST):
+            raise ConfigError(
+                f"the mass of an object is {_LIGHTEST:g} to {_HEAVIEST:g} kg, not {self.mass:g}"
+            )
+        if self.friction is not None and not 0.0 <= self.friction <= 10.0:
+            raise ConfigError(f"a friction is 0 to 10, not {self.friction:g}")
+        if not 0 <= self.variations <= MOST_VARIATIONS:
+            raise ConfigError(f"there are 0 to {MOST_VARIATIONS} variations, not {self.variations}")
+        if self.actions is not None and not 0 < len(self.actions) <= MOST_ACTIONS:
+            raise ConfigError("there is no action to try")
+        if not 0 < len(self.object) <= 500:
+            raise ConfigError("which object? choose one")
+
+    def to_json(self) -> str:
+        """Return it as one line."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Job:
+        """Return the job that `to_json` wrote."""
+        plain = json.loads(text)
+        actions = plain.pop("actions")
+        return cls(
+            **plain,
+            actions=None
+            if actions is None
+            else tuple((str(name), tuple(elements)) for name, elements in actions),
+        )
+
+
+def command() -> tuple[list[str], dict[str, str]]:
+    """Return the command line of the process, and its environment."""
+    paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    return [sys.executable, "-P", "-m", "rtee.trials"], environment
+
+
+def check_installed(*, planning: bool) -> None:
+    """Raise `MissingExtra` if this computer cannot try actions, or plan grasps."""
+    modules = {"coal": "extract", "pinocchio": "extract"}
+    if not planning:
+        modules = {"mujoco": "sim", **modules}
+    for module, extra in modules.items():
+        if importlib.util.find_spec(module) is None:
+            raise MissingExtra("planning a grasp" if planning else "trying an action", extra)
+
+
+def meshes_of(folder: Path) -> dict[str, Path]:
+    """Return the meshes to grasp that a hand's folder holds, by file name.
+
+    Links that lead out of the folder do not count.
+    """
+    place = folder / OBJECTS_FOLDER
+    try:
+        home = place.resolve(strict=True)
+        found = sorted(each for each in place.iterdir() if each.suffix.lower() in MESHES)
+        return {each.name: each for each in found if each.resolve().is_relative_to(home)}
+    except OSError:
+        return {}
+
+
+def read_line(line: bytes) -> dict[str, Any]:
+    """Return what a line of the process says; nothing if it says nothing that makes sense."""
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}

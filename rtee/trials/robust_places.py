@@ -1,0 +1,114 @@
+"""Places for an object in simulation: those that an action holds though the object is moved."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Final
+
+import numpy as np
+
+from rtee.actions.library import ActionLibrary
+from rtee.actions.types import Action, Primitive
+from rtee.drivers.mujoco.objects import drill_parts, parse_object
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.planning.objects import GraspObject, hull_piece, read_object
+from rtee.planning.planner import Planner
+from rtee.planning.poses import Candidate
+from rtee.planning.robust import robust_poses, too_wide
+from rtee.trials.grasp_placement import Place, Places, fingers_of
+from rtee.trials.variation import MASS, SIZE
+
+_APART: Final = 0.012
+"""Places whose outlines differ by less are one [m]: an object is moved about as far."""
+
+_FROM_TIPS: Final = 6
+"""Places that are found from the middle of the fingertips."""
+
+
+_OUTLOOK: Final = np.array(
+    [np.array(v) / np.linalg.norm(v) for v in itertools.product((-1, 0, 1), repeat=3) if any(v)]
+)
+"""Directions in which outlines are compared."""
+
+
+def graspable(text: str, mass: float) -> GraspObject:
+    """Return an object as it is planned for: a shape, a mesh or a drill.
+
+    Raises:
+        ConfigError: if it is none.
+        ModelError: if the mesh cannot be used.
+    """
+    if parse_object(text).kind == "drill":
+        pieces = tuple(hull_piece(points) for points in drill_parts())
+        return GraspObject(text, pieces, mass)
+    return read_object(text, mass)
+
+
+def robust_places(
+    simulation: Simulation, library: ActionLibrary, action: Action, thing: GraspObject, most: int
+) -> list[Place]:
+    """Return places for an object, the most robust ones first, each well apart from the others.
+
+    Places between the fingertips, between those of fewer fingers, and in the palm's front are
+    compared. Where geometry holds it nowhere, those between the fingertips are left.
+
+    Args:
+        simulation: The hand with its object and carrier.
+        library: The hand's actions; its pinches say which fingers meet.
+        action: What is to grasp the object.
+        thing: The object.
+        most: How many places are wanted.
+    """
+    hand = library.hand
+    tips = Places(simulation, hand, action).find(_FROM_TIPS)
+    others = [Candidate(place.pose, place.way, 0.0, 0.0) for place in tips]
+    found = robust_poses(Planner(hand, thing), action, groups_of(library, action), others)
+    places = [Place(pose.candidate.pose, pose.first, pose.candidate.way) for pose in found]
+    chosen: list[Place] = []
+    for place in (*places, *tips):
+        if all(_apart(place, other, thing) for other in chosen):
+            chosen.append(place)
+            if len(chosen) == most:
+                break
+    return chosen
+
+
+def groups_of(library: ActionLibrary, action: Action) -> list[Primitive]:
+    """Return the pinches of some of the fingers that an action moves."""
+    moved = set(fingers_of(library.hand, action))
+    return [
+        pinch
+        for pinch in library.all("primitive")
+        if isinstance(pinch, Primitive) and pinch.kind.pinch and set(pinch.fingers) < moved
+    ]
+
+
+def misfit(library: ActionLibrary, action: Action, thing: GraspObject, variations: int) -> str:
+    """Return why an object does not fit a hand; empty if it does.
+
+    With variations, the largest and the heaviest one has to.
+
+    Args:
+        library: The hand's actions.
+        action: What is to grasp the object.
+        thing: The object.
+        variations: How many variations of it there are.
+    """
+    hand = library.hand
+    mass = thing.mass * (1.0 + MASS if variations else 1.0)
+    if mass > hand.payload:
+        return f"{mass:.3g} kg, the hand may hold {hand.payload:.3g} kg"
+    if variations:
+        thing = thing.scaled(1.0 + SIZE)
+    reason = too_wide(Planner(hand, thing), action, groups_of(library, action))
+    return f"{reason}, {1.0 + SIZE:g} times as large" if reason and variations else reason
+
+
+def _apart(one: Place, other: Place, thing: GraspObject) -> bool:
+    """Return whether two places differ, as far as the object's outline tells."""
+    shift = float(np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3]))
+    outlines = [
+        thing.support(_OUTLOOK @ place.pose[:3, :3]) - _OUTLOOK @ place.pose[:3, :3] @ thing.box[0]
+        for place in (one, other)
+    ]
+    return shift > _APART or float(np.abs(outlines[0] - outlines[1]).max()) > _APART

@@ -1,0 +1,144 @@
+"""What is seen of a simulation besides the hand: the object as it is, and forces that add up."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+import trimesh
+
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.hand.frames import pose_in_hand, pose_matrix
+from rtee.hand.load import load_hand
+from rtee.messages.convert import OBJECT
+from rtee.object_description import BASE_POSE, CONTACTS, MOST_CONTACTS, OBJECT_POSE, contact_rows
+
+GRIPPER = "robotiq_2f_85"
+PERIOD = 0.005
+
+
+def simulated(**options: object) -> Simulation:
+    hand = load_hand(GRIPPER)
+    return make_simulation(hand, SimOptions(**options), hand.actuator_names, PERIOD)
+
+
+def squeezed(**options: object) -> Simulation:
+    simulation = simulated(**options)
+    for _ in range(400):
+        simulation.command(np.array([0.8]), np.array([5.0]), np.array([True]))
+        simulation.advance()
+    return simulation
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("sphere:0.03", [("sphere", (0.03,))]),
+        ("cylinder:0.02x0.1", [("cylinder", (0.02, 0.1))]),
+        ("box:0.02x0.03x0.1", [("box", (0.02, 0.03, 0.1))]),
+    ],
+)
+def test_a_shape_is_described_as_it_was_asked(
+    text: str, parts: list[tuple[str, tuple[float, ...]]]
+) -> None:
+    thing = simulated(object=text, object_mass=0.25).object_description
+    assert thing is not None
+    assert (thing.name, thing.mass) == (text, pytest.approx(0.25))
+    assert [part.kind for part in thing.parts] == [kind for kind, _ in parts]
+    assert thing.parts[0].size == pytest.approx(parts[0][1])
+    assert thing.parts[0].pose == pytest.approx([0, 0, 0, 1, 0, 0, 0])
+
+
+def test_without_an_object_there_is_none() -> None:
+    simulation = simulated()
+    assert simulation.object_description is None
+    assert OBJECT_POSE not in simulation.seen
+
+
+def test_a_mesh_is_described_where_its_file_puts_it(tmp_path: Path) -> None:
+    """MuJoCo moves a mesh to its centre of mass; its description must not."""
+    mesh = trimesh.creation.cone(radius=0.02, height=0.05)
+    mesh.apply_translation([0.01, 0.02, 0.0])
+    mesh.export(tmp_path / "cone.stl")
+    thing = simulated(object=str(tmp_path / "cone.stl")).object_description
+    assert thing is not None
+    assert thing.name == "cone.stl", "the folder is nobody's business"
+    (part,) = OBJECT.decode(OBJECT.encode(thing)).parts
+    pose = pose_matrix(part.pose)
+    corners = part.vertices[part.faces].reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
+    assert corners.min(axis=0) == pytest.approx(mesh.bounds[0], abs=1e-5)
+    assert corners.max(axis=0) == pytest.approx(mesh.bounds[1], abs=1e-5)
+
+
+def test_a_mesh_with_too_many_triangles_is_described_by_its_hull(tmp_path: Path) -> None:
+    mesh = trimesh.creation.icosphere(subdivisions=6, radius=0.02)
+    assert len(mesh.faces) > 20_000
+    # A dent, so that the hull has fewer triangles than the mesh.
+    below = mesh.vertices[:, 2] < 0.0
+    mesh.vertices[below, 2] *= 0.1
+    mesh.vertices[:, :2] *= np.where(mesh.vertices[:, 2:] > 0.01, 0.5, 1.0)
+    mesh.export(tmp_path / "ball.stl")
+    thing = simulated(object=str(tmp_path / "ball.stl")).object_description
+    assert thing is not None
+    (part,) = thing.parts
+    assert 0 < len(part.faces) <= 20_000
+    corners = part.vertices[np.unique(part.faces)] @ pose_matrix(part.pose)[:3, :3].T
+    assert np.ptp(corners, axis=0) == pytest.approx(np.ptp(mesh.vertices, axis=0), abs=1e-4)
+
+
+def test_a_drill_has_a_handle_a_motor_and_a_trigger() -> None:
+    thing = simulated(object="drill").object_description
+    assert thing is not None
+    handle, motor, trigger = thing.parts
+    assert motor.pose[2] > handle.pose[2]
+    assert trigger.pose[1] > 0.02
+
+
+def test_contact_forces_are_on_the_object_from_both_sides_and_carry_it() -> None:
+    simulation = squeezed(object="box:0.04x0.04x0.1", object_mass=0.3)
+    assert simulation.surroundings.unsupported
+    rows = contact_rows(simulation.seen[CONTACTS])
+    assert 2 <= len(rows) <= MOST_CONTACTS
+    links = list(load_hand(GRIPPER).urdf.links)
+    sides = {links[int(row[6])] for row in rows}
+    assert len(sides) >= 2
+    strength = np.linalg.norm(rows[:, 3:6], axis=1)
+    assert (np.diff(strength) <= 1e-9).all(), "the strongest first"
+    # They press towards the object's middle, and together carry its weight.
+    pose = pose_in_hand(simulation.seen)
+    assert pose is not None
+    strong = rows[strength > 1.0]
+    assert ((pose[:3] - strong[:, :3]) * strong[:, 3:6]).sum() > 0.0
+    assert rows[:, 3:6].sum(axis=0) == pytest.approx([0.0, 0.0, 0.3 * 9.81], abs=0.3)
+
+
+def test_contacts_are_renewed_thirty_times_a_second_at_most() -> None:
+    simulation = simulated(object="sphere:0.03")
+    seen = []
+    for _ in range(200):
+        simulation.advance()
+        seen.append(simulation.seen[CONTACTS])
+    renewed = sum(one is not other for one, other in pairwise(seen))
+    assert renewed <= 30 * 200 * PERIOD
+
+
+def test_a_carried_hand_says_where_it_is() -> None:
+    simulation = squeezed(object="sphere:0.025", carrier="arm")
+    before = pose_in_hand(simulation.seen)
+    base = simulation.seen[BASE_POSE]
+    lift = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    for _ in range(400):
+        simulation.surroundings.carry(lift)
+        simulation.advance()
+    after = pose_in_hand(simulation.seen)
+    assert simulation.seen[BASE_POSE][2] - base[2] == pytest.approx(0.1, abs=0.01)
+    assert before is not None
+    assert after is not None
+    assert after[:3] == pytest.approx(before[:3], abs=0.02), "it came along"

@@ -1,0 +1,230 @@
+"""Streams of set-points over a real network, into a real loop."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from pathlib import Path
+
+import anyio
+import anyio.lowlevel
+import anyio.to_thread
+import pytest
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.commands import STREAM_ENDED
+from rtee.errors import GoalRejected, LeaseHeld, RequestRejected
+from rtee.hand.model import Hand
+from rtee.messages.convert import STREAM_TARGETS
+from rtee.remote.client import RemoteHand
+from rtee.remote.stream import Stream
+from rtee.types import StreamTargets
+
+from .serving import Served, serving, until
+from .test_remote_lost import started
+
+pytestmark = pytest.mark.anyio
+
+STREAMER = """
+import math, anyio, rtee
+async def main():
+    async with rtee.connect("small") as hand, hand.stream(rate=50) as stream:
+        for k in range(10**6):
+            await stream.send({"near": 0.7 + 0.5 * math.sin(0.06 * k)})
+            if k == 20:
+                print("there", flush=True)
+            await anyio.sleep(0.02)
+anyio.run(main)
+"""
+
+
+def position(served: Served, name: str = "near") -> float:
+    loop = served.loop
+    return float(loop.snapshot().reference_position[loop.hand.actuator_index(name)])
+
+
+async def sent(stream: Stream, count: int, **to: float) -> None:
+    for _ in range(count):
+        await stream.send(to)
+        await anyio.sleep(0.02)
+
+
+async def refused(remote: RemoteHand, stream: Stream) -> str:
+    """Wait until the refusal of a sample has come, and return what it says."""
+    with anyio.fail_after(5):
+        while True:
+            try:
+                stream.check()
+            except RequestRejected as error:
+                return str(error)
+            await anyio.sleep(0.005)
+
+
+async def test_actuators_joints_and_blends(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        async with remote.stream(rate=50) as stream:
+            await sent(stream, 40, near=0.9, push=0.02)
+            assert position(served) == pytest.approx(0.9, abs=1e-3)
+            assert position(served, "push") == pytest.approx(0.02, abs=1e-4)
+            await sent(stream, 40, far=0.4)  # 0.5 near + 0.1
+            assert position(served) == pytest.approx(0.6, abs=1e-3)
+            blend = {"PinchTight index thumb": 0.5, "Trig thumb": 0.25}
+            for _ in range(40):
+                await stream.send(blend, velocity=dict.fromkeys(blend, 0.0))
+                await anyio.sleep(0.02)
+            assert position(served) == pytest.approx(0.5, abs=1e-3)
+            assert position(served, "thumb") == pytest.approx(0.65, abs=1e-3)
+            status = await stream.status()
+            assert status.stream == stream.name
+            assert status.samples == 120
+            assert 0.0 < status.lag < 0.1
+            assert (await remote.status()).holder == remote.client
+            state = await remote.state()
+            assert len(state.channels["stream/lag"]) == 2
+        await until(lambda: served.loop.controller.stream is None)
+        status = (await remote.status()).stream
+        assert status.stream == ""
+        assert (await remote.status()).holder == ""
+
+
+async def test_bad_samples_are_refused_in_one_sentence(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        now = time.monotonic()
+        async with remote.stream(rate=50, deadline=0.5) as stream:
+            with pytest.raises(GoalRejected, match="finite"):
+                await stream.send({"near": math.nan})
+            with pytest.raises(GoalRejected, match="finite"):
+                await stream.send({"near": 0.1}, stamp=math.inf)
+            for targets, stamp, said in (
+                ({"near": 57.0}, now, "degrees"),
+                ({"nose": 0.1}, now, "neither an actuator"),
+                ({"Trig index": 40.0}, now, "0 to 1"),
+                ({}, now, "at least one target"),
+            ):
+                await stream.send(targets, stamp=stamp)
+                assert said in await refused(remote, stream)
+                await anyio.sleep(0.11)  # refusals in quick succession are only counted
+            await stream.send({"near": 0.0}, stamp=now)
+            await stream.send({"near": 1.0}, stamp=now + 3600.0)
+            assert "in the future" in await refused(remote, stream)
+            await anyio.sleep(0.2)
+            assert position(served) == 0.0
+            await stream.send({"near": 57.0}, stamp=now + 0.3)
+            await until(lambda: stream._refused is not None)
+            with pytest.raises(RequestRejected, match="degrees"):
+                await stream.send({"near": 0.1})
+
+
+async def flooded(served: Served, remote: RemoteHand, stream: Stream) -> None:
+    """Send 2000 samples as fast as possible, and check that hardly any of them is read."""
+    begin, ticks = time.monotonic(), served.watcher.ticks
+    for k in range(2000):
+        sample = StreamTargets(stream.name, k * 1e-4, {"near": 0.5}, {}, remote.client)
+        remote._link.put("sample", STREAM_TARGETS.encode(sample), stream._number)
+        await anyio.lowlevel.checkpoint()
+    with anyio.fail_after(10):
+        while True:
+            status = await stream.status()
+            if status.samples + status.thinned + status.refused == 2000:
+                break
+    lasted = time.monotonic() - begin
+    assert status.samples + status.refused <= 21 + 75 * lasted
+    assert served.watcher.ticks > ticks
+
+
+async def test_a_stream_at_10_khz_is_refused_or_thinned(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        with pytest.raises(RequestRejected, match="up to 200 samples a second, not 10000"):
+            async with remote.stream(rate=10_000):
+                pass
+        async with remote.stream(rate=50) as stream:
+            await flooded(served, remote, stream)
+            assert "faster than the 50 a second" in await refused(remote, stream)
+
+
+async def test_others_are_kept_out(hand: Hand, library: ActionLibrary) -> None:
+    async with (
+        serving(hand, library) as served,
+        rtee.connect("small") as one,
+        rtee.connect("small") as other,
+    ):
+        async with one.stream() as stream:
+            await sent(stream, 5, near=0.3)
+            with pytest.raises(LeaseHeld):
+                await other.do("open")
+            with pytest.raises(LeaseHeld):
+                async with other.stream():
+                    pass
+            data = STREAM_TARGETS.encode(
+                StreamTargets(stream.name, time.monotonic(), {"near": 1.5}, {}, other.client)
+            )
+            for _ in range(5):
+                other._link.put("sample", data, "s9")
+                await stream.send({"near": 0.3})
+                await anyio.sleep(0.02)
+            await sent(stream, 15, near=0.3)
+            assert position(served) == pytest.approx(0.3, abs=1e-3)
+            await other.stop()  # always possible
+            await until(lambda: bool(stream.ended))
+            with pytest.raises(RequestRejected, match="the stream ended: stopped by"):
+                await stream.send({"near": 0.5})
+        async with other.stream() as stream:
+            await sent(stream, 3, near=0.5)
+
+
+async def test_a_goal_takes_over(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        running = await remote.start("fist", speed=0.1)
+        async with remote.stream() as stream:
+            assert not running.done
+            await sent(stream, 5, near=0.3)
+            assert (await running.result()).preempted
+            assert (await remote.do("poke")).reached
+            assert "poke took over" in stream.ended
+            with pytest.raises(RequestRejected, match="poke took over"):
+                await stream.send({"near": 0.5})
+        assert [event.kind for event in served.watcher.events].count(STREAM_ENDED) == 1
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+async def test_a_dead_client_is_noticed(hand: Hand, library: ActionLibrary, how: int) -> None:
+    async with serving(hand, library) as served:
+        process = await started(STREAMER)
+        async with rtee.connect("small") as remote:
+            assert (await remote.status()).stream.samples > 0
+            os.kill(process.pid, how)
+            await served.event("client_lost")
+            if how == signal.SIGSTOP:
+                process.kill()
+            await process.aclose()
+            assert "is lost" in (await served.event(STREAM_ENDED)).text
+            await until(lambda: not served.loop.controller.moving)
+            assert (await remote.status()).holder == ""
+            assert (await remote.do("poke")).reached
+        if how == signal.SIGSTOP:  # the network takes a second to notice, the hand brakes before
+            kinds = [event.kind for event in served.watcher.events]
+            assert kinds.index("stream_paused") < kinds.index("client_lost")
+
+
+async def test_the_blocking_twin(hand: Hand, library: ActionLibrary, tmp_path: Path) -> None:
+    def use() -> None:
+        with rtee.connect_blocking("small") as remote, remote.stream(rate=50) as stream:
+            for _ in range(30):
+                stream.send({"near": 0.4}, {"near": 0.0})
+                time.sleep(0.02)
+            assert stream.status().samples == 30
+            assert stream.ended == ""
+            remote.hold()
+            for _ in range(100):
+                if stream.ended:
+                    break
+                time.sleep(0.01)
+            with pytest.raises(RequestRejected, match="asked to hold"):
+                stream.send({"near": 0.4})
+
+    async with serving(hand, library) as served:
+        await anyio.to_thread.run_sync(use)
+        assert position(served) == pytest.approx(0.4, abs=1e-2)

@@ -1,0 +1,231 @@
+"""Gamepad, keyboard and recorded samples, into a hand that runs."""
+
+from __future__ import annotations
+
+import os
+import pty
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import anyio
+import pytest
+from remote.serving import make_hand, make_library, serving, until
+
+import rtee
+from rtee.errors import ConfigError, LogError
+from rtee.hand.model import Hand
+from rtee.log import Recorder, RecorderSettings
+from rtee.teleop.drive import Played, assigned, play, rate_of, recorded, samples_of
+from rtee.teleop.inputs import EV_ABS, EV_KEY, Gamepad, Keyboard
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(autouse=True)
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path / "run"))
+    monkeypatch.delenv("RTEE_CONNECT", raising=False)
+    monkeypatch.delenv("RTEE_HAND", raising=False)
+
+
+@pytest.fixture
+def hand(tmp_path: Path) -> Hand:
+    return make_hand(tmp_path)
+
+
+@dataclass
+class Moved:
+    type: int
+    code: int
+    value: int
+
+
+@dataclass
+class Range:
+    min: int
+    max: int
+
+
+class Pad:
+    """A device of input events: triggers of 0 to 255, sticks of -32768 to 32767."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Moved] = []
+        self.gone = False
+
+    def read(self) -> Iterator[Moved]:
+        if self.gone:
+            raise OSError(19, "No such device")
+        if not self.waiting:
+            raise BlockingIOError
+        waiting, self.waiting = self.waiting, []
+        return iter(waiting)
+
+    def absinfo(self, axis_num: int) -> Range:
+        return Range(0, 255) if axis_num in (2, 5, 9, 10) else Range(-32768, 32767)
+
+
+def test_a_gamepads_axes() -> None:
+    pad = Pad()
+    gamepad = Gamepad(pad)
+    assert dict(gamepad.read()) == {}
+    pad.waiting = [
+        Moved(EV_ABS, 5, 255),
+        Moved(EV_ABS, 2, 10),  # nearly at rest
+        Moved(EV_ABS, 1, -32768),
+        Moved(EV_ABS, 3, 0),
+        Moved(EV_KEY, 304, 1),
+        Moved(EV_KEY, 999, 1),
+        Moved(0, 0, 0),
+    ]
+    found = dict(gamepad.read())
+    assert found["rt"] == found["up"] == found["a"] == 1.0
+    assert found["lt"] == found["right_right"] == 0.0
+    pad.waiting = [Moved(EV_ABS, 9, 128), Moved(EV_KEY, 304, 0)]
+    assert gamepad.read()["rt"] == pytest.approx((128 / 255 - 0.08) / 0.92)
+    assert gamepad.read()["a"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("actions", "found"),
+    [
+        (["Grasp"], {"rt": "Grasp"}),
+        (["lt=Trig ring", "Grasp"], {"lt": "Trig ring", "rt": "Grasp"}),
+        (["a", "b"], {"rt": "a", "lt": "b"}),
+    ],
+)
+def test_axes_are_assigned(actions: list[str], found: dict[str, str]) -> None:
+    assert assigned(actions, ["rt", "lt", "up"]) == found
+
+
+@pytest.mark.parametrize(
+    ("actions", "said"),
+    [
+        (["zz=Grasp"], "no axis 'zz'"),
+        (["rt=a", "rt=b"], "given twice"),
+        (["rt=a", "lt=a"], "given twice"),
+        (["a", "b", "c", "d"], "no axis left for 'd'"),
+    ],
+)
+def test_axes_that_cannot_be_assigned(actions: list[str], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        assigned(actions, ["rt", "lt", "up"])
+
+
+async def test_a_trigger_moves_an_action(hand: Hand) -> None:
+    pad = Pad()
+    async with serving(hand, make_library(hand)) as served, rtee.connect("small") as remote:
+        rest = list(served.loop.controller.reference_position)
+
+        async def drive() -> None:
+            async with remote.stream(rate=50) as stream:
+                async for targets in samples_of(Gamepad(pad), {"rt": "Trig index"}):
+                    await stream.send(targets)
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(drive)
+            await anyio.sleep(0.15)
+            assert served.loop.controller.reference_position == rest  # nothing was moved yet
+            pad.waiting = [Moved(EV_ABS, 5, 128)]
+            share = (128 / 255 - 0.08) / 0.92
+            controller = served.loop.controller
+            await until(lambda: abs(controller.reference_position[0] - 1.5 * share) < 1e-3)
+            group.cancel_scope.cancel()
+        await until(lambda: controller.stream is None)
+
+
+def left(keyboard: Keyboard) -> None:
+    while True:
+        keyboard.read()
+
+
+async def test_the_keyboard_moves_an_action(hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs, "r") as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        with Keyboard(2) as keyboard:
+            assert list(keyboard.axes) == ["q/a", "w/s"]
+            assert dict(keyboard.read()) == {}
+            os.write(ours, b"qqqqa?w")
+            found: dict[str, float] = {}
+            while len(found) < 2:
+                found = dict(keyboard.read())
+            assert found == pytest.approx({"q/a": 0.15, "w/s": 0.05})
+            os.write(ours, b" ")
+            while any(found.values()):
+                found = dict(keyboard.read())
+            os.write(ours, b"\x1b")
+            with pytest.raises(KeyboardInterrupt):
+                left(keyboard)
+        with pytest.raises(ConfigError, match="keys for 6"):
+            Keyboard(7)
+    os.close(ours)
+
+
+async def test_a_recorded_stream_is_played_again(hand: Hand, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    async with serving(hand, make_library(hand)) as served:
+        recorder = Recorder(hand, RecorderSettings(folder), rate=200.0, loop=served.loop.settings)
+        async with recorder:
+            served.loop.add_observer(recorder)
+            async with rtee.connect("small") as remote, remote.stream(rate=50) as stream:
+                for k in range(40):
+                    await stream.send({"Trig index": k / 40}, {"Trig index": 1.25}, stamp=k / 50)
+                    await anyio.sleep(0.02)
+            await until(lambda: served.loop.controller.stream is None)
+            served.loop.remove_observer(recorder)
+        samples = recorded(folder)
+        assert [each.time for each in samples] == pytest.approx([k / 50 for k in range(40)])
+        assert samples[20] == Played(samples[20].time, {"Trig index": 0.5}, {"Trig index": 1.25})
+        assert rate_of(samples) == pytest.approx(50.0)
+        async with rtee.connect("small") as remote:
+            await remote.do("open")
+            async with remote.stream(rate=100) as stream:
+                await play(samples, stream, speed=2.0)
+                await anyio.sleep(0.1)  # the last one is taken at the next tick
+                assert (await stream.status()).samples == 40
+                with pytest.raises(ConfigError, match="speed"):
+                    await play(samples, stream, speed=0.0)
+
+
+def test_a_table_of_samples(tmp_path: Path) -> None:
+    table = tmp_path / "wave.csv"
+    table.write_text("t,near,Trig thumb\n5.0,0.1,0.2\n5.02,0.3,\n5.5,,0.4\n")
+    assert recorded(table) == [
+        Played(0.0, {"near": 0.1, "Trig thumb": 0.2}, {}),
+        Played(pytest.approx(0.02), {"near": 0.3}, {}),
+        Played(pytest.approx(0.5), {"Trig thumb": 0.4}, {}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "'t'"),
+        ("near,t\n0,0\n", "'t'"),
+        ("t,near\n", "holds no samples"),
+        ("t,near\n0,0.1\n0,0.2\n", "wave.csv:3: makes no sense: the times must rise"),
+        ("t,near\n0,0.1,5\n", "3 cells for 2 names"),
+        ("t,near\n0,much\n", "makes no sense"),
+    ],
+)
+def test_tables_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None:
+    table = tmp_path / "wave.csv"
+    table.write_text(text)
+    with pytest.raises(LogError, match=said):
+        recorded(table)
+
+
+async def test_a_gap_is_filled(hand: Hand) -> None:
+    """A pause of the person is no pause of the stream."""
+    samples = [Played(0.0, {"near": 0.1}, {}), Played(0.4, {"near": 0.2}, {})]
+    async with (
+        serving(hand, make_library(hand)) as served,
+        rtee.connect("small") as remote,
+        remote.stream(rate=50, deadline=0.25) as stream,
+    ):
+        await play(samples, stream)
+        assert (await stream.status()).samples > 4
+    assert "stream_paused" not in [event.kind for event in served.watcher.events]
