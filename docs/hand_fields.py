@@ -92,6 +92,8 @@ def _kind(schema: dict[str, Any], field: dict[str, Any]) -> str:
     if "properties" in field:
         return "section"
     kind = str(field.get("type", "anything"))
+    if "prefixItems" in field:
+        return "pair: " + ", ".join(_kind(schema, item) for item in field["prefixItems"])
     if kind == "array":
         return f"list: {_kind(schema, field['items'])}"
     if kind == "object":

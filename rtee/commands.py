@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,3 +191,56 @@ class CommandRecord:
     tick: int
     stamp: float
     command: Command
+
+
+@dataclass(frozen=True, slots=True)
+class StreamTargets:
+    """A sample of a stream of set-points, as its client means it.
+
+    Attributes:
+        stream: The stream's identifier.
+        stamp: When it is meant, by a clock of the client that never jumps [s].
+        targets: Actuators and joints [rad | m], or actions with their elements, such as
+            ``PinchTight index thumb``, by intensity, 0 to 1.
+        velocity: Velocities of some of them [rad/s | m/s], of actions [1/s].
+        client: Who sends it.
+    """
+
+    stream: str
+    stamp: float
+    targets: Mapping[str, float]
+    velocity: Mapping[str, float] = field(default_factory=dict)
+    client: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamStatus:
+    """How a stream of set-points is doing.
+
+    Attributes:
+        stream: Its identifier; empty: none runs.
+        rate: Measured rate of its samples [Hz].
+        lag: Time from a sample's stamp, as the fastest of them arrive, to its set-point [s].
+        jitter: Mean deviation of the samples' delays [s].
+        samples: Samples that were taken.
+        duplicates: Samples dropped that had the stamp of the one before.
+        out_of_order: Samples dropped that were older than the one before.
+        outliers: Samples dropped that were too far from those around.
+        late: Samples taken that came after their turn.
+        thinned: Samples dropped unread since they were more than the stream's rate.
+        refused: Samples refused: names, numbers or stamps that make no sense.
+        pauses: Times that no sample came within the deadline.
+    """
+
+    stream: str = ""
+    rate: float = 0.0
+    lag: float = 0.0
+    jitter: float = 0.0
+    samples: int = 0
+    duplicates: int = 0
+    out_of_order: int = 0
+    outliers: int = 0
+    late: int = 0
+    thinned: int = 0
+    refused: int = 0
+    pauses: int = 0

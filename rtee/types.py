@@ -140,6 +140,41 @@ class DeviceSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class GripForce:
+    """Force at the fingertips by an actuator's effort limit, linear in it, from a device's sheet.
+
+    Attributes:
+        effort: Effort limits of the weakest and of the strongest grip [N·m | N].
+        weakest: Force at the first of them ``(k,)`` [N].
+        strongest: Force at the second ``(k,)`` [N].
+        position: Positions of the actuator there ``(k,)``, rising [rad | m]; empty: ``k`` is 1.
+    """
+
+    effort: tuple[float, float]
+    weakest: tuple[float, ...]
+    strongest: tuple[float, ...]
+    position: tuple[float, ...] = ()
+
+    def range_at(self, position: float) -> tuple[float, float]:
+        """Return the weakest and the strongest force at a position [rad | m] in newtons."""
+        at = self.position or (0.0,)
+        low, high = (np.interp(position, at, force) for force in (self.weakest, self.strongest))
+        return float(low), float(high)
+
+    def effort_for(self, force: float, position: float) -> float:
+        """Return the effort limit that gives a force [N] at a position [rad | m]."""
+        low, high = self.range_at(position)
+        share = (force - low) / (high - low)
+        return self.effort[0] + share * (self.effort[1] - self.effort[0])
+
+    def force_for(self, effort: float, position: float) -> float:
+        """Return the force [N] that an effort limit gives at a position [rad | m]."""
+        low, high = self.range_at(position)
+        share = (effort - self.effort[0]) / (self.effort[1] - self.effort[0])
+        return low + min(max(share, 0.0), 1.0) * (high - low)
+
+
+@dataclass(frozen=True, slots=True)
 class Capabilities:
     """What a device measures and accepts.
 
@@ -153,6 +188,8 @@ class Capabilities:
         recoverable: ``recover()`` can clear faults.
         gains: Names of gains that can be tuned while it runs.
         identity: Model, firmware, serial number and the like, as the device reports them.
+        grip: Force at the fingertips by effort limit from the device's sheet, by actuator.
+        unlimited: Actuators whose effort it cannot limit, though it limits that of others.
     """
 
     measures: frozenset[str] = frozenset({"position"})
@@ -164,6 +201,8 @@ class Capabilities:
     recoverable: bool = False
     gains: tuple[str, ...] = ()
     identity: Mapping[str, str] = field(default_factory=_nothing)
+    grip: Mapping[str, GripForce] = field(default_factory=_nothing)
+    unlimited: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,6 +339,14 @@ class Goal:
         stage: How far a pinch goes.
         goal_id: Its identifier.
         client: Who asks.
+        opening: Opening of the fingertips to go to, instead of an intensity; with ``grasp``, width
+            of the object [m].
+        force: Force between the fingertips, kept as long as they hold something [N].
+        grasp: Open wider than the object, then close on it. Without an action, the hand's best one
+            for the width and the fingers in ``elements`` is taken.
+        tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
+        narrower: An object held at less than ``opening`` by up to this is the one meant [m].
+        wider: The same for more than ``opening`` [m].
     """
 
     action: str
@@ -313,6 +360,12 @@ class Goal:
     stage: Stage = Stage.BOTH
     goal_id: str = field(default_factory=new_goal_id)
     client: str = ""
+    opening: float | None = None
+    force: float | None = None
+    grasp: bool = False
+    tip_speed: float | None = None
+    narrower: float = 0.005
+    wider: float = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,6 +406,12 @@ class Result:
         error: Norm of the remaining error over the involved actuators [rad | m].
         duration: From acceptance to the end [s].
         position: Measured actuator positions at the end, by name.
+        elements: Elements of the action, where the goal was one for an opening or a force.
+        opening: Opening of the fingertips at the end [m]; ``None``: not known.
+        force: Estimated force between the fingertips [N]; ``None``: not known.
+        force_error: How far the estimate may be off [N].
+        force_source: What it is estimated from: ``tip forces``, ``effort`` or ``effort limit``.
+        within: Something is held, and the opening is the object's width within the tolerance.
     """
 
     goal_id: str
@@ -369,6 +428,12 @@ class Result:
     error: float = 0.0
     duration: float = 0.0
     position: Mapping[str, float] = field(default_factory=_nothing)
+    elements: tuple[str, ...] = ()
+    opening: float | None = None
+    force: float | None = None
+    force_error: float | None = None
+    force_source: str = ""
+    within: bool = False
 
     @property
     def succeeded(self) -> bool:
@@ -432,59 +497,3 @@ class LoopStatistics:
     busy_p999: float = 0.0
     busy_max: float = 0.0
     dropped: int = 0
-
-
-# --- streams ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class StreamTargets:
-    """A sample of a stream of set-points, as its client means it.
-
-    Attributes:
-        stream: The stream's identifier.
-        stamp: When it is meant, by a clock of the client that never jumps [s].
-        targets: Actuators and joints [rad | m], or actions with their elements, such as
-            ``PinchTight index thumb``, by intensity, 0 to 1.
-        velocity: Velocities of some of them [rad/s | m/s], of actions [1/s].
-        client: Who sends it.
-    """
-
-    stream: str
-    stamp: float
-    targets: Mapping[str, float]
-    velocity: Mapping[str, float] = field(default_factory=_nothing)
-    client: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class StreamStatus:
-    """How a stream of set-points is doing.
-
-    Attributes:
-        stream: Its identifier; empty: none runs.
-        rate: Measured rate of its samples [Hz].
-        lag: Time from a sample's stamp, as the fastest of them arrive, to its set-point [s].
-        jitter: Mean deviation of the samples' delays [s].
-        samples: Samples that were taken.
-        duplicates: Samples dropped that had the stamp of the one before.
-        out_of_order: Samples dropped that were older than the one before.
-        outliers: Samples dropped that were too far from those around.
-        late: Samples taken that came after their turn.
-        thinned: Samples dropped unread since they were more than the stream's rate.
-        refused: Samples refused: names, numbers or stamps that make no sense.
-        pauses: Times that no sample came within the deadline.
-    """
-
-    stream: str = ""
-    rate: float = 0.0
-    lag: float = 0.0
-    jitter: float = 0.0
-    samples: int = 0
-    duplicates: int = 0
-    out_of_order: int = 0
-    outliers: int = 0
-    late: int = 0
-    thinned: int = 0
-    refused: int = 0
-    pauses: int = 0

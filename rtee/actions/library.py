@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from rtee.hand.model import Hand
 
 if TYPE_CHECKING:
     from rtee.actions.action_files import ActionFiles
+    from rtee.actions.openings import Openings
 
 log = logging.getLogger(__name__)
 
@@ -56,6 +58,7 @@ class ActionLibrary:
         self.version = 0
         self._index = Index(hand, tuple(actions))
         self._stored = None if folder is None else _files_in(hand, folder)
+        self._openings: tuple[int | None, Openings] | None = None
         for action in self._index.custom.values():
             for use in action.uses:
                 self.find(use.action, use.elements)
@@ -82,6 +85,27 @@ class ActionLibrary:
     def folder(self) -> Path | None:
         """Where the actions are stored; ``None`` if they are kept in memory."""
         return None if self._stored is None else self._stored.folder
+
+    @property
+    def openings(self) -> Openings:
+        """The openings of its actions, as the file beside them holds them now.
+
+        Raises:
+            ConfigError: if the file holds something else.
+        """
+        # Imported only here: a client's library needs no YAML.
+        from rtee.actions.openings import FILE_NAME, Openings, read_openings
+
+        if self._stored is None:
+            return Openings(self.hand, made=False) if self._openings is None else self._openings[1]
+        home = self._stored.folder.parent
+        try:
+            stamp: int | None = os.stat(home / FILE_NAME).st_mtime_ns
+        except OSError:
+            stamp = None
+        if self._openings is None or self._openings[0] != stamp:
+            self._openings = stamp, read_openings(home, self.hand)
+        return self._openings[1]
 
     @property
     def _files(self) -> ActionFiles:

@@ -27,7 +27,7 @@ from rtee.types import Stage
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
-    from rtee.remote.goal import RunningGoal
+    from rtee.remote.goal import GoalOptions, RunningGoal
     from rtee.types import Feedback, Result
 
 
@@ -68,6 +68,17 @@ def do(
     kind: Annotated[
         str | None, typer.Option(help="Kind of the action, where its name is ambiguous.")
     ] = None,
+    opening: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH",
+            help="Opening of the fingertips instead of an intensity, such as 30mm.",
+        ),
+    ] = None,
+    force: Annotated[
+        str | None,
+        typer.Option(metavar="FORCE", help="Force between the fingertips, such as 10N."),
+    ] = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,
@@ -79,9 +90,22 @@ def do(
     """
     from rtee.actions.cli_syntax import read_efforts
     from rtee.actions.naming import label
+    from rtee.units import FORCE, LENGTH, quantity
 
     efforts = read_efforts(effort or [])
     chosen = tuple(elements or ())
+    options: GoalOptions = {
+        "intensity": intensity,
+        "speed": speed,
+        "tolerance": tolerance,
+        "timeout": timeout,
+        "stage": stage,
+        "kind": kind,
+    }
+    if opening is not None:
+        options["opening"] = quantity(opening, LENGTH, "opening")
+    if force is not None:
+        options["force"] = quantity(force, FORCE, "force")
 
     async def execute(remote: RemoteHand) -> Result:
         limits = dict(efforts.limits)
@@ -89,18 +113,9 @@ def do(
             limits |= await remote.effort_limits(share, only=[name])
         if efforts.share is not None:
             limits = await remote.effort_limits(efforts.share, besides=list(limits)) | limits
-        running = await remote.start(
-            action,
-            *chosen,
-            intensity=intensity,
-            effort=limits,
-            speed=speed,
-            tolerance=tolerance,
-            timeout=timeout,
-            stage=stage,
-            kind=kind,
-        )
-        return await _follow(running, label(action, chosen))
+        options["effort"] = limits
+        running = await remote.start(action, *chosen, **options)
+        return await follow(running, label(action, chosen))
 
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
@@ -116,14 +131,14 @@ def open_(
     """Bring the hand to its rest posture, or do its action "open" if it has one."""
 
     async def execute(remote: RemoteHand) -> Result:
-        return await _follow(await remote.start("open"), "open")
+        return await follow(await remote.start("open"), "open")
 
     result = with_hand(hand, connect, "open", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result))
     raise typer.Exit(0 if result.succeeded else 1)
 
 
-async def _follow(running: RunningGoal, title: str) -> Result:
+async def follow(running: RunningGoal, title: str) -> Result:
     """Show a goal's progress until its result; Ctrl-C cancels it, a second Ctrl-C leaves it."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())

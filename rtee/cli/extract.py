@@ -95,7 +95,7 @@ def extract(
         with needing_extra("the extraction", "extract"):
             from rtee.extract.extraction import extract as run
         model = _load(folder, urdf, srdf, package_dir or [])
-        with _progress() as progress:
+        with progress_bar() as progress:
             found = run(model, jobs=jobs, rank=rank.value, progress=progress)
     page = {} if report is None else {report: _report(model, found, folder, jobs)}
     if home is not None and folder is not None:
@@ -134,7 +134,7 @@ def _report(hand: HandModel, found: Extraction, folder: Path | None, jobs: int) 
     custom = ActionLibrary.load(hand, folder / "actions") if folder is not None else None
     tried, notes = _tried(folder)
     found = replace(found, notes=(*found.notes, *notes))
-    with _progress("taking pictures") as progress:
+    with progress_bar("taking pictures") as progress:
         return make_report(hand, found, custom, trials=tried, jobs=jobs, progress=progress)
 
 
@@ -185,7 +185,7 @@ def _uncollected() -> Iterator[None]:
 
 
 @contextmanager
-def _progress(what: str = "searching pinches") -> Iterator[Callable[[int, int], None] | None]:
+def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int], None] | None]:
     """Provide a function that shows progress on a terminal if the work takes over a second."""
     if not sys.stderr.isatty():
         yield None

@@ -23,11 +23,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compose": ("rtee.cli.define:compose", "Define a composed action."),
     "time": ("rtee.cli.define:time", "Define a timed action."),
     "generic": ("rtee.cli.define:generic", "Define a generic action."),
+    "openings": ("rtee.cli.openings:openings", "List how far fingertips open."),
     "grasp-plan": ("rtee.cli.grasp_plan:grasp_plan", "Rank the actions of a hand for an object."),
     "import": ("rtee.cli.import_:import_", "Import action files of ROS End-Effector."),
     # online
     "run": ("rtee.cli.run:run", "Run one hand or several."),
     "do": ("rtee.cli.do:do", "Execute a grasping action."),
+    "grasp": ("rtee.cli.grasp:grasp", "Hold an object of a width with a force."),
     "open": ("rtee.cli.do:open_", "Open the hand."),
     "stop": ("rtee.cli.stop:stop", "Stop the hand."),
     "recover": ("rtee.cli.stop:recover", "Bring devices out of a fault."),

@@ -72,6 +72,9 @@ def _plain(name: str, found: State) -> dict[str, Any]:
             actuator: {column: getattr(found, column)[i].item() for column in columns}
             for i, actuator in enumerate(found.names)
         },
+        "opening": found.opening,
+        "force": found.force,
+        "force_error": found.force_error,
         "joints": found.joints,
         "channels": {channel: values.tolist() for channel, values in found.channels.items()},
     }
@@ -83,6 +86,10 @@ def _table(name: str, found: State) -> Table:
     title = f"{name}, tick {found.tick}"
     if prefix:
         title += f" (names of actuators begin with {prefix})"
+    if not math.isnan(found.opening):
+        title += f"; opening {1e3 * found.opening:.1f} mm"
+    if not math.isnan(found.force):
+        title += f", force {found.force:.1f} ± {found.force_error:.1f} N"
     # Quantities that no actuator measures are left out.
     measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
     columns = [Column("actuator", whole=True)]

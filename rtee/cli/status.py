@@ -9,8 +9,8 @@ from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table, on_terminal
 
 if TYPE_CHECKING:
+    from rtee.commands import StreamStatus
     from rtee.remote.monitoring import HandStatus
-    from rtee.types import StreamStatus
 
 
 def status(

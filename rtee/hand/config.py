@@ -34,6 +34,13 @@ from rtee.types import FORMER_NAMES
 _CONFIG = typing.cast("ConfigDict", {**Section.__pydantic_config__, "frozen": True})
 
 
+MeasuredOpening = Annotated[
+    tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=2)]],
+    Field(strict=False),
+]
+"""An intensity and the opening measured there [m]."""
+
+
 class LimitsSection(BaseModel):
     """Limits by actuator, and those of all others under ``defaults``."""
 
@@ -93,6 +100,9 @@ class HandConfig(BaseModel):
     tip_friction: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default={})
     """Coefficient of friction of the fingertips' surfaces by finger, ``defaults``: of all others;
     for planners that ask for the hand's description. Unless given, the URDF's ``mu1``, if any."""
+    openings: dict[str, list[MeasuredOpening]] = Field(default={})
+    """Openings measured on the real hand, by action and elements, such as ``PinchTight index
+    thumb``: pairs of intensity and opening [m]."""
     clearance: Annotated[float, Field(ge=0, le=0.1)] = CLEARANCE
     """Distance that clear poses and the ways to them keep from all links that they are not to touch
     [m]; links that have hardly more at rest keep four fifths of what they have there."""

@@ -137,7 +137,10 @@ class ActuatorDynamics(Section):
     damping: NotNegative | None = None
     """Viscous friction of the joint [N·m·s/rad | N·s/m]."""
     dry_friction: NotNegative | None = None
-    """Dry friction of the joint [N·m | N]."""
+    """Dry friction of the joint [N·m | N]; forces at fingertips are reckoned with it, too."""
+    efficiency: Annotated[float, Interval(gt=0, le=1)] | None = None
+    """Share of its effort that reaches the fingertips, besides dry friction; 1 unless given. Forces
+    at fingertips are reckoned with it; the simulation has none."""
     coupling: Following | None = None
     """How joints follow it: ``rigid``: as geared, unless given; ``spring``: each on a spring of its
     own; ``tendon``: on springs, and one tendon shares the effort among them, so that those that are

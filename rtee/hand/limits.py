@@ -48,6 +48,7 @@ class Overrides:
         tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
         clearance: Distance that clear poses keep from other links [m].
         payload: Largest mass that it may hold [kg].
+        openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
         ignore: Actuators that stay fixed at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
         error: Makes the error for a value of the configuration, from its place and a message.
@@ -64,6 +65,7 @@ class Overrides:
     tip_friction: Mapping[str, float] = field(default_factory=dict)
     clearance: float = CLEARANCE
     payload: float = math.inf
+    openings: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     ignore: tuple[str, ...] = ()
     passive: frozenset[str] = frozenset()
     error: Callable[[tuple[str | int, ...], str], UserError] | None = None

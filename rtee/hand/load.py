@@ -116,6 +116,7 @@ def load_configured(
         tip_friction=config.tip_friction,
         clearance=config.clearance,
         payload=math.inf if config.payload is None else config.payload,
+        openings={name: tuple(pairs) for name, pairs in config.openings.items()},
         ignore=tuple(config.ignore),
         error=document.error,
     )
@@ -245,6 +246,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         description=overrides.title,
         clearance=overrides.clearance,
         payload=overrides.payload,
+        openings=overrides.openings,
         dynamics=make_dynamics(
             overrides.dynamics,
             overrides.default_dynamics,

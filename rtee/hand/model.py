@@ -98,6 +98,7 @@ class Hand:
         clearance: Distance that clear poses and their ways keep from all other links [m].
         dynamics: What the actuators are like inside, by name; nothing of one that is missing.
         payload: Largest mass that it may hold [kg]; infinite where that is not known.
+        openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
         tip_friction: Coefficient of friction of the fingertips, by finger, where it is known.
     """
 
@@ -116,6 +117,9 @@ class Hand:
     clearance: float = field(default=CLEARANCE, kw_only=True)
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict, kw_only=True)
     payload: float = field(default=math.inf, kw_only=True)
+    openings: Mapping[str, tuple[tuple[float, float], ...]] = field(
+        default_factory=dict, kw_only=True
+    )
     tip_friction: Mapping[str, float] = field(default_factory=dict, kw_only=True)
 
     @cached_property

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rtee.errors import MessageError
+from rtee.loop.grip import Grip
 from rtee.loop.plan import Leg, Plan
 from rtee.messages.codec import header
 from rtee.messages.schema import message_type
-from rtee.types import Goal
+from rtee.types import Goal, GripForce
 
 _PLAN = message_type("rtee_msgs/msg/Plan")
 
@@ -43,6 +44,8 @@ def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int)
                 }
                 for leg in plan.legs
             ],
+            "elements": list(plan.elements),
+            "grip": [] if plan.grip is None else [_grip_fields(plan.grip, actuators)],
         }
     )
 
@@ -78,4 +81,75 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
         effort=indexed(fields["effort_name"], fields["effort"]),
         timeout=fields["timeout"],
         timed=fields["timed"],
+        elements=tuple(fields["elements"]),
+        grip=_grip_of(fields["grip"][0], actuators) if fields["grip"] else None,
+    )
+
+
+_SIDES = -1
+"""Stands between the fingers of the first side and those of the others."""
+
+
+def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of a ``rtee_msgs/GripMap``."""
+    sheet = grip.sheet
+    table: list[float] = []
+    if sheet is not None:
+        rows = zip(sheet.position or (0.0,), sheet.weakest, sheet.strongest, strict=True)
+        table = [*sheet.effort, float(bool(sheet.position)), *(v for row in rows for v in row)]
+    return {
+        "actuator": [actuators[index] for index in grip.indices],
+        "rest": list(grip.rest),
+        "target": list(grip.target),
+        "intensity": list(grip.intensity),
+        "opening": list(grip.width),
+        "lever": [value for row in grip.lever for value in row],
+        "friction": list(grip.friction),
+        "efficiency": list(grip.efficiency),
+        "finger": [*grip.fingers, _SIDES, *grip.others],
+        "around": grip.around,
+        "sheet": table,
+    }
+
+
+def _grip_of(fields: Mapping[str, Any], actuators: Sequence[str]) -> Grip:
+    """Return the grip in the fields of a ``rtee_msgs/GripMap``; raises `MessageError`."""
+    try:
+        indices = tuple(actuators.index(name) for name in fields["actuator"])
+        rows, columns = len(fields["intensity"]), len(indices)
+        lever = fields["lever"].reshape(rows, columns).tolist()
+        fingers = fields["finger"].tolist()
+        between = fingers.index(_SIDES)
+        values = {
+            name: tuple(fields[name].tolist())
+            for name in ("rest", "target", "intensity", "friction", "efficiency")
+        }
+        sheet = _sheet(fields["sheet"].tolist())
+    except (ValueError, IndexError) as error:
+        raise MessageError(f"the grip of a plan does not fit the hand: {error}") from None
+    return Grip(
+        indices,
+        values["rest"],
+        values["target"],
+        values["intensity"],
+        tuple(fields["opening"].tolist()),
+        tuple(tuple(row) for row in lever),
+        values["friction"],
+        values["efficiency"],
+        tuple(fingers[:between]),
+        tuple(fingers[between + 1 :]),
+        fields["around"],
+        sheet,
+    )
+
+
+def _sheet(table: Sequence[float]) -> GripForce | None:
+    if not table:
+        return None
+    (weak, strong, placed), rows = table[:3], table[3:]
+    return GripForce(
+        (weak, strong),
+        tuple(rows[1::3]),
+        tuple(rows[2::3]),
+        tuple(rows[0::3]) if placed else (),
     )

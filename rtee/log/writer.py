@@ -18,6 +18,7 @@ from rtee.log.plans import encode_plan
 from rtee.log.settings import RecorderSettings
 from rtee.log.sink import DiskSink
 from rtee.log.tick_messages import LinkTransforms, TickEncoder
+from rtee.loop.grip import grip_at
 from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
 from rtee.messages.codec import Codec, channel_fields, header
@@ -58,6 +59,10 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
 """What is recorded besides ticks and plans: its topic, and what encodes it."""
 
 _CHANNELS = message_type("rtee_msgs/msg/Channels")
+_GRIP = message_type("rtee_msgs/msg/Grip")
+_GRIP_PERIOD = 0.02
+"""Time between recorded openings and forces [s]: grips build up in tenths of seconds."""
+
 _SECOND = 1_000_000_000
 _FLIGHT_FILES = 20  # names that are kept of files that the flight recorder wrote, newest last
 
@@ -121,6 +126,8 @@ class LogWriter:
         self._anchor = 0
         self._sequence = 0
         self._extras: dict[str, FloatArray] = {}
+        self._plan: Plan | None = None
+        self._grip_due = -float("inf")
         self._lost_told = 0
         self._dropped_told = 0
         self._flight_due: float | None = None
@@ -166,6 +173,8 @@ class LogWriter:
         self._builder.add_block(wall, self._encoder.encode(record, wall))
         if record.channels:
             self._add_extras(record, wall)
+        if self._plan is not None and record.stamp >= self._grip_due:
+            self._add_grip(self._plan, record, wall)
         if self._transforms.due(record.tick):
             self._add(topics.TF, wall, self._transforms.encode(record.position, wall))
         self._begun()
@@ -187,6 +196,21 @@ class LogWriter:
         }
         self._add(topics.CHANNELS, wall, _CHANNELS.encode(fields))
 
+    def _add_grip(self, plan: Plan, record: TickRecord, wall: int) -> None:
+        """Record the opening and the force of the fingertips."""
+        self._grip_due = record.stamp + _GRIP_PERIOD
+        opening, force, error, source = grip_at(plan.grip, record)
+        fields = {
+            "header": header(wall),
+            "time": record.stamp,
+            "action": plan.action,
+            "opening": opening,
+            "force": force,
+            "force_error": error,
+            "force_source": source,
+        }
+        self._add(topics.GRIP, wall, _GRIP.encode(fields))
+
     def item(self, item: Item, stamp: float) -> None:
         """Take anything else that came at ``stamp``, CLOCK_MONOTONIC [s]."""
         if isinstance(item, ObjectDescription):  # also for files that are begun later
@@ -195,6 +219,7 @@ class LogWriter:
             return
         wall = self.wall_of(stamp)
         if isinstance(item, Plan):
+            self._plan = item if item.grip is not None else None
             self._add(topics.PLANS, wall, encode_plan(item, self._actuators, time=stamp, wall=wall))
         else:
             topic, codec = _CODECS[type(item)]

@@ -110,6 +110,7 @@ class Controller:
         self._seeding: set[int] = set()
         self._goal_effort: dict[int, float] = {}
         self._holding: set[int] = set()
+        self._kept: frozenset[int] = frozenset()
         self._settling: dict[int, float] = {}
         self._thermal_due = -math.inf
         self._limited_reported = -math.inf
@@ -172,6 +173,11 @@ class Controller:
         self._goal_effort = {
             i: e for i, e in self._goal_effort.items() if i not in plan.involved
         } | dict(plan.effort)
+        self._let_go(plan.involved)
+        # A force that was asked for is kept; other efforts are lowered while something is held.
+        self._kept -= plan.involved
+        if plan.goal.force is not None:
+            self._kept |= plan.involved
         for i, actuator in enumerate(self.hand.actuators):
             self.max_velocity[i] = plan.goal.speed * actuator.velocity
         self._executor.start(plan, stamp, self._measured)
@@ -181,6 +187,18 @@ class Controller:
             self._fail(
                 list(plan.involved), stamp, f"the device of {lost[0]} is not active any more"
             )
+
+    def _let_go(self, indices: Iterable[int]) -> None:
+        """Have references that press with a force begin anew where the actuators are.
+
+        They lie far inside of what is held: on the way back from there, they would press with
+        whatever effort the next goal allows.
+        """
+        there = {i: self._measured.position[i] for i in self._kept.intersection(indices)}
+        there = {i: position for i, position in there.items() if math.isfinite(position)}
+        self._profile.seed(there)
+        for i, position in there.items():
+            self._limiter.seed(i, position)
 
     def apply(self, command: Command, stamp: float) -> None:
         """Do what a command says at a time [s]; one that concerns nothing does nothing."""
@@ -410,7 +428,7 @@ class Controller:
         """Reduce the effort of blocked actuators after a time; report when a grasp is lost."""
         grasp = self._grasp
         for i in self._contact.blocked_longer_than(grasp.grip_after, stamp):
-            if i in self._holding:
+            if i in self._holding or i in self._kept:
                 continue
             self._holding.add(i)
             if not (self._accepts[i] and math.isfinite(self._effort_limit(i))):

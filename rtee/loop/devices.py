@@ -13,6 +13,7 @@ from rtee.commands import Abort, Command, Freeze, SetAcceptsEffort, SetActive
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
 from rtee.hand.model import Hand
+from rtee.loop.opening_plan import DeviceForces
 from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
@@ -165,6 +166,19 @@ class Devices:
             if "max_effort" not in device.driver.capabilities.accepts
             for index in device.indices
         }
+
+    def forces(self) -> DeviceForces:
+        """Return what the devices do about efforts and forces."""
+        names = self._hand.actuator_names
+        grips = {
+            i: device.driver.capabilities.grip[names[i]]
+            for device in self._all
+            for i in device.indices
+            if names[i] in device.driver.capabilities.grip
+        }
+        unlimited = [name for device in self._all for name in device.driver.capabilities.unlimited]
+        indices = frozenset(self._hand.actuator_index(name) for name in unlimited)
+        return DeviceForces(self.refuse_effort(), grips, indices)
 
     # --- at a tick ---------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TypedDict
 
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
@@ -21,6 +22,17 @@ _RANGE_SHARE = 0.05
 
 _REST_IN = 0.05
 """A goal is reached when the reference would not leave the tolerance within this time [s]."""
+
+
+class GripValues(TypedDict, total=False):
+    """What a result says of the opening and the force of the fingertips; see `Result`."""
+
+    elements: tuple[str, ...]
+    opening: float | None
+    force: float | None
+    force_error: float | None
+    force_source: str
+    within: bool
 
 
 class Phase(Enum):
@@ -45,6 +57,7 @@ class _Run:
     shares: dict[int, float] = field(default_factory=dict)
     length: float = 0.0
     reported: float = -math.inf
+    touched: tuple[float, ...] = ()
 
     @property
     def present(self) -> Leg:
@@ -82,6 +95,7 @@ class Executor:
         self._on_feedback = on_feedback
         self._on_result = on_result
         self._run: _Run | None = None
+        self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
         self._prismatic = tuple(a.kind is JointKind.PRISMATIC for a in hand.actuators)
 
     @property
@@ -125,10 +139,13 @@ class Executor:
             limits: Effort limits sent last [N·m | N].
         """
         run = self._run
+        self._limits = limits
         if run is None:
             return
         targets = run.present.targets
         if run.phase is Phase.MOVING:
+            if run.plan.goal.grasp:
+                self._note_touch(run, measured, limits)
             self._contact.update(stamp, measured, reference, limits, targets)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
@@ -175,13 +192,14 @@ class Executor:
         targets = run.present.targets
         fingers = self._contact.fingers
         plan = run.plan
+        grasped = any(self._contact.grasping(i) for i in plan.involved)
         self._on_result(
             Result(
                 goal_id=plan.goal.goal_id,
                 action=plan.action,
                 reached=all(run.reached),
                 stalled=any(run.stalled),
-                grasped=any(self._contact.grasping(i) for i in plan.involved),
+                grasped=grasped,
                 grasped_fingers=fingers,
                 preempted=preempted,
                 cancelled=cancelled,
@@ -193,8 +211,46 @@ class Executor:
                 position=dict(
                     zip(self._hand.actuator_names, map(float, measured.position), strict=True)
                 ),
+                **self._gripped(run, measured, grasped),
             )
         )
+
+    def _note_touch(self, run: _Run, measured: Measured, limits: Sequence[float]) -> None:
+        """Note where the actuators were when the fingertips met something.
+
+        From there on, adaptive fingers bend while the force builds up: their actuators go on, and
+        no longer tell the width of what is held.
+        """
+        grip = run.plan.grip
+        least = self._settings.grasp.touch
+        if grip is None or not grip.touches(
+            measured.position, measured.effort, limits, measured.touch, least
+        ):
+            run.touched = ()
+        elif not run.touched:
+            run.touched = tuple(measured.position)
+
+    def _gripped(self, run: _Run, measured: Measured, grasped: bool) -> GripValues:
+        """Return what a result says of the opening and the force of the fingertips."""
+        plan = run.plan
+        grip, goal = plan.grip, plan.goal
+        if grip is None:
+            return {}
+        blocked = any(self._contact.blocked(i) for i in grip.indices)
+        width = grip.opening(run.touched if run.touched and grasped else measured.position)
+        force, error, source = grip.force(
+            measured.position, measured.effort, self._limits, measured.touch, blocked
+        )
+        held = goal.grasp and grasped and goal.opening is not None
+        off = width - goal.opening if goal.opening is not None else math.nan
+        return {
+            "elements": plan.elements,
+            "opening": None if math.isnan(width) else width,
+            "force": None if math.isnan(force) else force,
+            "force_error": None if math.isnan(error) else error,
+            "force_source": source,
+            "within": held and -goal.narrower <= off <= goal.wider,
+        }
 
     def _wait(self, run: _Run, stamp: float) -> None:
         run.phase = Phase.BEFORE

@@ -23,7 +23,8 @@ from rtee.loop.controller import Controller
 from rtee.loop.devices import CONFIRM_WITHIN, Devices
 from rtee.loop.histogram import TickStatistics
 from rtee.loop.observer import LoopObserver, Observers
-from rtee.loop.plan import OPEN, Plan, make_plan
+from rtee.loop.opening_plan import wants_opening
+from rtee.loop.plan import NO_DEVICES, OPEN, Plan, make_plan
 from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
 from rtee.loop.streams.intake import StreamIntake
 from rtee.loop.supervisor import Supervisor
@@ -289,7 +290,7 @@ class HandLoop:
             self.hand,
             self.library,
             self.settings,
-            effort_refused=self._devices.refuse_effort() if goal.effort else None,
+            devices=self._devices.forces() if goal.effort or wants_opening(goal) else NO_DEVICES,
         )
         movable = self._devices.movable()
         if partly and not plan.involved.isdisjoint(movable) and not plan.involved <= movable:

@@ -10,6 +10,13 @@ from typing import TYPE_CHECKING
 from rtee.actions.types import Action, Generic, Posture, Timed
 from rtee.errors import GoalRejected, UnknownAction, suggestion
 from rtee.hand.model import Hand
+from rtee.loop.grip import Grip
+from rtee.loop.opening_plan import (
+    DeviceForces,
+    check_opening,
+    plan_opening,
+    wants_opening,
+)
 from rtee.types import Goal, Stage, from_rest
 
 if TYPE_CHECKING:
@@ -18,6 +25,9 @@ if TYPE_CHECKING:
 
 OPEN = "open"
 """The action that every hand has: to the rest posture, unless its library defines another one."""
+
+NO_DEVICES = DeviceForces()
+"""Devices that take all effort limits, and of whose forces nothing is known."""
 
 PRE_GRASP_GAP = 0.05
 """The pre-grasp of a pinch is this much intensity before the first contact."""
@@ -52,6 +62,8 @@ class Plan:
         effort: Effort limits of the goal by actuator index [N·m | N].
         timeout: Longest time [s].
         timed: Whether the legs are inner actions.
+        elements: Elements of the action, for a goal with an opening or a force.
+        grip: Tells the opening and the force of the fingertips, for such a goal.
     """
 
     goal: Goal
@@ -61,6 +73,8 @@ class Plan:
     effort: Mapping[int, float]
     timeout: float
     timed: bool = False
+    elements: tuple[str, ...] = ()
+    grip: Grip | None = None
 
     def only(self, indices: Collection[int]) -> Plan:
         """Return what is left of it with some of its actuators, at least one in every leg."""
@@ -78,7 +92,7 @@ def make_plan(
     library: ActionLibrary,
     settings: LoopSettings,
     *,
-    effort_refused: Mapping[int, str] | None = None,
+    devices: DeviceForces = NO_DEVICES,
 ) -> Plan:
     """Check a goal and make the plan for it.
 
@@ -87,8 +101,7 @@ def make_plan(
         hand: The hand.
         library: Its actions.
         settings: Timeouts.
-        effort_refused: Actuators whose device takes no effort limit, with its reason in words, or
-            nothing; ``None``: none.
+        devices: What the devices do about efforts and forces.
 
     Raises:
         GoalRejected: if a value of the goal cannot be used.
@@ -96,7 +109,9 @@ def make_plan(
         ActionError: if the action doesn't exist with these elements.
     """
     _check_numbers(goal)
-    effort = _effort(goal, hand, effort_refused or {})
+    effort = _effort(goal, hand, devices.refused)
+    if wants_opening(goal):
+        return _opening_plan(goal, hand, library, settings, devices, effort)
     action = _find(goal, hand, library)
     if isinstance(action, Timed):
         legs = _timed_legs(goal, action, hand)
@@ -105,12 +120,47 @@ def make_plan(
         intensity = _intensity(goal, action)
         legs = (Leg("", _targets(action.posture, hand, intensity)),)
         timed = False
+    return _made(goal, action, legs, effort, settings, timed)
+
+
+def _made(
+    goal: Goal,
+    action: Action,
+    legs: tuple[Leg, ...],
+    effort: Mapping[int, float],
+    settings: LoopSettings,
+    timed: bool,
+) -> Plan:
     involved = frozenset().union(*[leg.targets for leg in legs])
     timeout = goal.timeout
     if timeout is None:
         margins = sum([leg.before + leg.after for leg in legs])
         timeout = settings.goal_timeout * len(legs) + margins
     return Plan(goal, action.name, legs, involved, effort, timeout, timed)
+
+
+def _opening_plan(
+    goal: Goal,
+    hand: Hand,
+    library: ActionLibrary,
+    settings: LoopSettings,
+    devices: DeviceForces,
+    effort: Mapping[int, float],
+) -> Plan:
+    """Make the plan for a goal in millimetres and newtons."""
+    check_opening(goal)
+    found = plan_opening(
+        goal,
+        hand,
+        library,
+        devices,
+        lambda: _find(goal, hand, library),
+        lambda action: _targets(action.waypoints[-1], hand, 1.0),
+    )
+    posture = found.action.waypoints[-1]
+    legs = tuple(Leg("", _targets(posture, hand, at)) for at in found.intensities)
+    plan = _made(found.goal, found.action, legs, {**effort, **found.effort}, settings, False)
+    return replace(plan, elements=found.action.elements, grip=found.grip)
 
 
 def _check_numbers(goal: Goal) -> None:

@@ -22,24 +22,24 @@ from rtee.commands import (
     SetActive,
     SetGripEffort,
     StreamSample,
+    StreamTargets,
 )
 from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
 from rtee.object_description import ObjectDescription, ObjectPart
-from rtee.types import (
-    DeviceStatus,
-    Event,
-    Feedback,
-    Goal,
-    Lifecycle,
-    LoopStatistics,
-    Result,
-    Stage,
-    StreamTargets,
-)
+from rtee.types import DeviceStatus, Event, Feedback, Goal, Lifecycle, LoopStatistics, Result, Stage
 
 _STRING = message_type("std_msgs/msg/String")
+
+
+def _number(name: str) -> As:
+    """Return how a number is held that may be missing: as ``NaN`` then."""
+    return As(
+        {name: lambda number: math.nan if number is None else number},
+        lambda number: None if math.isnan(number) else number,
+    )
+
 
 GOAL = Codec(
     "rtee_msgs/msg/Goal",
@@ -47,10 +47,10 @@ GOAL = Codec(
     elements=field("elements", tuple),
     kind=As({"kind": lambda kind: kind or ""}, lambda text: text or None),
     effort=mapping("effort_name", "effort"),
-    timeout=As(
-        {"timeout": lambda timeout: math.nan if timeout is None else timeout},
-        lambda number: None if math.isnan(number) else number,
-    ),
+    timeout=_number("timeout"),
+    opening=_number("opening"),
+    force=_number("force"),
+    tip_speed=_number("tip_speed"),
     stage=word("stage", Stage, "stage '{}' is none of both, pre_grasp, grasp"),
 )
 FEEDBACK = Codec(
@@ -64,6 +64,10 @@ RESULT = Codec(
     Result,
     grasped_fingers=field("grasped_fingers", tuple),
     position=mapping("position_name", "position"),
+    elements=field("elements", tuple),
+    opening=_number("opening"),
+    force=_number("force"),
+    force_error=_number("force_error"),
 )
 EVENT = Codec("rtee_msgs/msg/Event", Event, stamp=field("time"))
 DEVICE_STATUS = Codec(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,10 @@ STATE = message_type("rtee_msgs/msg/State")
 ACTUATOR_COLUMNS = (*MEASURED, "grasped", "fresh")
 """The quantities in a ``rtee_msgs/ActuatorState``, in order."""
 
+UNKNOWN_GRIP = (math.nan, math.nan, math.nan)
+"""Opening, force and its error, where none is known."""
+
+_GRIP_FIELDS = ("opening", "force", "force_error")
 _TICK = struct.Struct("<Q")
 _TIME = struct.Struct("<d")
 _actuator_arrays = attrgetter(*ACTUATOR_COLUMNS)
@@ -37,11 +42,18 @@ class State(TickRecord):
         names: The actuators, in the order of the arrays.
         joint_names: All moving joints.
         joint_position: Their positions ``(m,)`` [rad | m].
+        opening: Opening of the fingertips of the last action that was given one [m]; ``NaN``: not
+            known.
+        force: Estimated force between them [N]; ``NaN``: not known.
+        force_error: How far that may be off [N].
     """
 
     names: tuple[str, ...]
     joint_names: tuple[str, ...]
     joint_position: FloatArray
+    opening: float = math.nan
+    force: float = math.nan
+    force_error: float = math.nan
 
     @property
     def positions(self) -> dict[str, float]:
@@ -90,6 +102,7 @@ class StateEncoder:
     def __init__(self, names: Sequence[str], joints: Sequence[str]) -> None:
         self._fields = _fields(names, COLUMNS)
         self._fields |= {"joint": list(joints), "joint_position": np.zeros(len(joints))}
+        self._fields |= dict.fromkeys(_GRIP_FIELDS, 0.0)
         self._templates: dict[tuple[tuple[str, int], ...], Template] = {}
 
     def _template(self, channels: Mapping[str, FloatArray]) -> Template:
@@ -99,16 +112,25 @@ class StateEncoder:
         if found is None:
             held = ("channel", "channel_length", "channel_value")
             fields = self._fields | dict(zip(held, channel_fields(channels), strict=True))
-            changing = (STAMP, "tick", "time", *COLUMNS, "joint_position", "channel_value")
+            changing = (
+                *(STAMP, "tick", "time", *COLUMNS, "joint_position", "channel_value"),
+                *_GRIP_FIELDS,
+            )
             found = self._templates[key] = Template(STATE, fields, changing)
         return found
 
-    def encode(self, record: TickRecord, joint_position: FloatArray) -> bytes:
+    def encode(
+        self,
+        record: TickRecord,
+        joint_position: FloatArray,
+        grip: tuple[float, float, float] = UNKNOWN_GRIP,
+    ) -> bytes:
         """Return the bytes of a message.
 
         Args:
             record: What was known at the tick.
             joint_position: The positions of all moving joints ``(m,)`` [rad | m].
+            grip: Opening of the fingertips [m], force between them and its error [N].
 
         Raises:
             ValueError: if an array has another length or type.
@@ -116,7 +138,8 @@ class StateEncoder:
         times = stamp_bytes(record.wall_ns), _TICK.pack(record.tick), _TIME.pack(record.stamp)
         arrays = [array.tobytes() for array in (*_arrays(record), joint_position)]
         channels = b"".join([values.tobytes() for values in record.channels.values()])
-        return self._template(record.channels).filled((*times, *arrays, channels))
+        three = [_TIME.pack(value) for value in grip]
+        return self._template(record.channels).filled((*times, *arrays, channels, *three))
 
 
 def decode_state(data: Data) -> State:
@@ -134,5 +157,6 @@ def decode_state(data: Data) -> State:
         joint_names=joints,
         joint_position=fields["joint_position"],
         channels=channels_of(fields["channel"], fields["channel_length"], fields["channel_value"]),
+        **{name: fields[name] for name in _GRIP_FIELDS},
         **{name: fields[name] for name in COLUMNS},
     )

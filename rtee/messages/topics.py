@@ -24,6 +24,7 @@ ROBOT_DESCRIPTION = "robot_description"
 URDF = "urdf"
 TF = "tf"
 TF_STATIC = "tf_static"
+GRIP = "grip"
 
 TYPES: dict[str, str] = {
     JOINT_STATES: "sensor_msgs/msg/JointState",
@@ -44,6 +45,7 @@ TYPES: dict[str, str] = {
     TF: "tf2_msgs/msg/TFMessage",
     TF_STATIC: "tf2_msgs/msg/TFMessage",
     STREAM_SAMPLES: "rtee_msgs/msg/StreamSample",
+    GRIP: "rtee_msgs/msg/Grip",
 }
 """Name of a topic to the type of its messages."""
 

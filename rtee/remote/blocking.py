@@ -25,10 +25,11 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
 import anyio
 from anyio.from_thread import BlockingPortal
 
+from rtee.commands import StreamStatus
 from rtee.remote.client import RemoteHand, connect
 from rtee.remote.goal import GoalOptions, RunningGoal
 from rtee.remote.stream import Stream
-from rtee.types import Feedback, Result, StreamStatus
+from rtee.types import Feedback, Result
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -193,6 +194,8 @@ class BlockingHand:
         with self._portal.wrap_async_context_manager(self._hand.held()):
             yield
 
+    move_opening = _waiting(RemoteHand.move_opening)
+    grasp = _waiting(RemoteHand.grasp)
     cancel = _waiting(RemoteHand.cancel)
     effort_limits = _waiting(RemoteHand.effort_limits)
     hold = _waiting(RemoteHand.hold)

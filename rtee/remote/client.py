@@ -123,6 +123,9 @@ class RemoteHand:
     start = _part("_goals", GoalClient.start)
     do = _part("_goals", GoalClient.do)
     open = _part("_goals", GoalClient.open)
+    move_opening = _part("_goals", GoalClient.move_opening)
+    start_grasp = _part("_goals", GoalClient.start_grasp)
+    grasp = _part("_goals", GoalClient.grasp)
     cancel = _part("_goals", GoalClient.cancel)
     effort_limits = _part("_goals", GoalClient.effort_limits)
 

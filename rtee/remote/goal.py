@@ -16,6 +16,7 @@ from rtee.messages import decode_feedback, decode_result, encode_goal, topics
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo
 from rtee.types import Feedback, Goal, Result, Stage
+from rtee.units import FORCE, LENGTH, SPEED, quantity
 
 
 class GoalOptions(TypedDict, total=False):
@@ -30,6 +31,9 @@ class GoalOptions(TypedDict, total=False):
         timeout: Longest time the goal may take [s]; by default as configured for the hand.
         stage: How far a pinch goes: both, pre_grasp or grasp; both by default.
         kind: Kind of the action, where its name is ambiguous.
+        opening: Opening of the fingertips to go to, instead of an intensity [m].
+        force: Force between the fingertips, with an opening [N].
+        tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
     """
 
     intensity: float
@@ -39,6 +43,9 @@ class GoalOptions(TypedDict, total=False):
     timeout: float | None
     stage: Stage | str
     kind: str | None
+    opening: float | str
+    force: float | str
+    tip_speed: float | str
 
 
 class RunningGoal:
@@ -166,7 +173,9 @@ class GoalClient:
         effort = options.get("effort")
         if isinstance(effort, float | int):
             options["effort"] = await self.effort_limits(effort)
-        goal = _goal(action, elements, self._link.client, options)
+        return await self._begin(_goal(action, elements, self._link.client, options))
+
+    async def _begin(self, goal: Goal) -> RunningGoal:
         # Sent before anything else is prepared. The answer, and what follows it, come through this
         # event loop and so cannot arrive before the goal is registered.
         answer = self._link.send("do", encode_goal(goal))
@@ -193,6 +202,12 @@ class GoalClient:
         feedback meanwhile.
         """
         running = await self.start(action, *elements, **options)
+        return await self._followed(running, on_feedback)
+
+    async def _followed(
+        self, running: RunningGoal, on_feedback: Callable[[Feedback], object] | None
+    ) -> Result:
+        """Return the result of a goal; being cancelled cancels the goal."""
         try:
             return await running.result(on_feedback)
         except anyio.get_cancelled_exc_class():
@@ -203,6 +218,104 @@ class GoalClient:
     async def open(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
         """Go to the rest posture and wait for the result. See `do`."""
         return await self.do("open", on_feedback=on_feedback)
+
+    async def move_opening(
+        self,
+        opening: float | str,
+        fingers: Sequence[str] | None = None,
+        *,
+        speed: float | str | None = None,
+        on_feedback: Callable[[Feedback], object] | None = None,
+    ) -> Result:
+        """Open or close the fingertips to an opening and wait for the result.
+
+        Args:
+            opening: The opening [m]; or a text such as ``40mm``.
+            fingers: The fingers whose tips are meant; by default those of the hand's best action
+                for that opening.
+            speed: Speed at which the opening changes [m/s]; by default as fast as the hand goes.
+            on_feedback: Called with the feedback meanwhile.
+
+        Raises:
+            GoalRejected: if a value is no such quantity.
+            RequestRejected: if the hand refuses the goal, with the reason.
+            LeaseHeld: if another client holds the lease.
+            NoHand: if the hand has gone.
+        """
+        options: GoalOptions = {"opening": opening}
+        if speed is not None:
+            options["tip_speed"] = speed
+        return await self.do("", *(fingers or ()), on_feedback=on_feedback, **options)
+
+    async def start_grasp(
+        self,
+        width: float | str,
+        force: float | str | None = None,
+        speed: float | str | None = None,
+        fingers: Sequence[str] | None = None,
+        tolerance: tuple[float | str, float | str] = (0.005, 0.005),
+        *,
+        action: str = "",
+        timeout: float | None = None,
+    ) -> RunningGoal:
+        """Begin to grasp an object and return at once; see `grasp`."""
+        inner, outer = tolerance
+        goal = Goal(
+            action,
+            tuple(fingers or ()),
+            timeout=timeout,
+            client=self._link.client,
+            opening=quantity(width, LENGTH, "width"),
+            force=None if force is None else quantity(force, FORCE, "force"),
+            tip_speed=None if speed is None else quantity(speed, SPEED, "speed"),
+            grasp=True,
+            narrower=quantity(inner, LENGTH, "tolerance"),
+            wider=quantity(outer, LENGTH, "tolerance"),
+        )
+        return await self._begin(goal)
+
+    async def grasp(
+        self,
+        width: float | str,
+        force: float | str | None = None,
+        speed: float | str | None = None,
+        fingers: Sequence[str] | None = None,
+        tolerance: tuple[float | str, float | str] = (0.005, 0.005),
+        *,
+        action: str = "",
+        timeout: float | None = None,
+        on_feedback: Callable[[Feedback], object] | None = None,
+    ) -> Result:
+        """Grasp an object of a width and hold it with a force; wait for the result.
+
+        The hand opens to the width plus a margin, closes until the fingertips meet the object,
+        builds up the force and keeps it. ``result.within`` says whether something is held at a
+        width from ``width - tolerance[0]`` to ``width + tolerance[1]``, as libfranka defines
+        *grasped*; ``result.opening`` is the width at which it is held, ``result.force`` the force
+        as estimated, give or take ``result.force_error``.
+
+        Args:
+            width: Width of the object [m]; or a text such as ``30mm``.
+            force: Force between the fingertips [N]; by default what the effort limits give.
+            speed: Speed at which the opening changes [m/s]; by default as fast as the hand goes.
+            fingers: The fingers whose tips hold it; by default those of the hand's best action for
+                that width, which ``result.action`` and ``result.elements`` tell.
+            tolerance: How much narrower and wider than the width the object may be held [m].
+            action: The action to close with, instead of the best one.
+            timeout: Longest time it may take [s]; by default as configured for the hand.
+            on_feedback: Called with the feedback meanwhile.
+
+        Raises:
+            GoalRejected: if a value is no such quantity.
+            RequestRejected: if the hand refuses the goal, with the reason and the nearest that it
+                can do.
+            LeaseHeld: if another client holds the lease.
+            NoHand: if the hand has gone.
+        """
+        running = await self.start_grasp(
+            width, force, speed, fingers, tolerance, action=action, timeout=timeout
+        )
+        return await self._followed(running, on_feedback)
 
     async def cancel(self, goal_id: str = "") -> None:
         """Cancel a goal, by default the running one: the hand brakes and holds its posture."""
@@ -244,8 +357,19 @@ class GoalClient:
         return {name: share * known[name] for name in chosen}
 
 
+_QUANTITIES: Mapping[str, tuple[Mapping[str, float], str]] = {
+    "opening": (LENGTH, "opening"),
+    "force": (FORCE, "force"),
+    "tip_speed": (SPEED, "speed"),
+}
+"""The options that may have units, with those, and how they are called."""
+
+
 def _goal(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
     values: dict[str, Any] = dict(options)
+    for name, (units, what) in _QUANTITIES.items():
+        if values.get(name) is not None:
+            values[name] = quantity(values[name], units, what)
     if "stage" in values:
         try:
             values["stage"] = Stage(values["stage"])

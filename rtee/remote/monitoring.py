@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import anyio
 
+from rtee.commands import StreamStatus
 from rtee.errors import MessageError, NoHand, NotReady
 from rtee.messages import decode_event, topics
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
@@ -20,7 +21,7 @@ from rtee.messages.state import State, decode_state
 from rtee.object_description import ObjectDescription
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
-from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, StreamStatus
+from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics
 
 T = TypeVar("T")
 

@@ -19,7 +19,9 @@ import zenoh
 from rtee.commands import STREAM_ENDED
 from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
+from rtee.loop.grip import Grip, grip_at
 from rtee.loop.observer import Observer
+from rtee.loop.plan import Plan
 from rtee.messages import (
     JointStateEncoder,
     encode_device_status,
@@ -58,9 +60,14 @@ _MOST_WAITING = 20
 
 
 class StateMessages:
-    """Encodes the records of ticks."""
+    """Encodes the records of ticks.
+
+    Attributes:
+        grip: Tells opening and force of the fingertips of the last action that was given one.
+    """
 
     def __init__(self, hand: Hand) -> None:
+        self.grip: Grip | None = None
         self._transmission = hand.transmission
         self._state = StateEncoder(hand.actuator_names, hand.joint_names)
         self._joint_state = JointStateEncoder(hand.joint_names)
@@ -68,7 +75,8 @@ class StateMessages:
 
     def state(self, record: TickRecord) -> bytes:
         """Return a ``rtee_msgs/State``."""
-        return self._state.encode(record, self._transmission.joints(record.position))
+        joints = self._transmission.joints(record.position)
+        return self._state.encode(record, joints, grip_at(self.grip, record)[:3])
 
     def joint_state(self, record: TickRecord) -> bytes:
         """Return a ``sensor_msgs/JointState`` of all joints; efforts of joints are not known."""
@@ -244,6 +252,10 @@ class Publisher(Observer):
     def on_goal(self, goal: Goal, stamp: float) -> None:
         """Publish that a goal begins."""
         self._put(topics.GOALS, encode_goal, goal, time=stamp)
+
+    def on_plan(self, plan: Plan, stamp: float) -> None:
+        """Note which opening and force the states are to tell."""
+        self._streams.messages.grip = plan.grip
 
     def on_feedback(self, feedback: Feedback) -> None:
         """Publish a goal's progress."""

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from rtee.commands import STREAM_ENDED
+from rtee.commands import STREAM_ENDED, StreamStatus, StreamTargets
 from rtee.errors import GoalRejected, RemoteError, RequestRejected
 from rtee.messages import decode_event, topics
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.link import Link
-from rtee.types import StreamStatus, StreamTargets
 
 if TYPE_CHECKING:
     from rtee.remote.monitoring import Monitoring

@@ -156,7 +156,7 @@ class HeadlessHand(Generic[P]):
         """Begin a goal without waiting for its end; raises as `do`."""
         plan = make_plan(goal, self.hand, self.library, self._settings)
         for observer in self.observers:
-            observer.on_goal(goal, self.time)
+            observer.on_goal(plan.goal, self.time)
             tell = getattr(observer, "on_plan", None)
             if tell is not None:
                 tell(plan, self.time)

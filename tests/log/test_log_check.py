@@ -21,6 +21,7 @@ from rtee.commands import (
     Jog,
     SetAcceptsEffort,
     StreamSample,
+    StreamTargets,
 )
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import LogError, UnknownActuator
@@ -32,7 +33,7 @@ from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
 from rtee.messages.convert import plain
-from rtee.types import ActuatorState, Goal, StreamTargets
+from rtee.types import ActuatorState, Goal
 
 pytestmark = pytest.mark.anyio
 

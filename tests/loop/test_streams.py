@@ -22,6 +22,7 @@ from rtee.commands import (
     Jog,
     SetActive,
     StreamSample,
+    StreamTargets,
 )
 from rtee.errors import GoalRejected
 from rtee.hand.load import load_model
@@ -31,7 +32,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings, StreamSettings
 from rtee.loop.streams.targets import Targets
-from rtee.types import Event, Goal, Result, StreamTargets
+from rtee.types import Event, Goal, Result
 
 from .hands import running
 

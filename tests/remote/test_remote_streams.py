@@ -15,13 +15,12 @@ import pytest
 
 import rtee
 from rtee.actions.library import ActionLibrary
-from rtee.commands import STREAM_ENDED
+from rtee.commands import STREAM_ENDED, StreamTargets
 from rtee.errors import GoalRejected, LeaseHeld, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.client import RemoteHand
 from rtee.remote.stream import Stream
-from rtee.types import StreamTargets
 
 from .serving import Served, serving, until
 from .test_remote_lost import started

@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from rtee.cli._common import app_of
 from rtee.cli.status import _stream
 from rtee.cli.teleop import play, teleop
+from rtee.commands import StreamStatus
 from rtee.errors import ConfigError, LogError, RequestRejected
-from rtee.types import StreamStatus
 
 
 @pytest.fixture

@@ -179,12 +179,30 @@ class Fingers:
         cosine = (radius**2 - _PIVOT**2 - self.lever**2) / (2.0 * _PIVOT * self.lever)
         return math.acos(min(max(cosine, -1.0), 1.0))
 
+    def leverage(self, raw_diameter: float) -> float:
+        """Return the share of the largest force that the fingers give at a raw diameter.
+
+        The manual draws the total force over the angle of the fingers: the lower the angle, the
+        more force, and an external grip begins at 30°. A motor of constant torque does that by
+        virtual work on the lever, which is assumed here; the manual gives no numbers.
+        """
+        angle = max(self.angle(raw_diameter), _LOWEST)
+        return min(1.0, self._way(_LOWEST) / max(self._way(angle), 1e-9))
+
+    def _way(self, angle: float) -> float:
+        """Return how much the radius loses by a turn of the pivots [m/rad]."""
+        radius = self.raw_diameter(angle) / 2.0
+        return _PIVOT * self.lever * math.sin(angle) / max(radius, 1e-9)
+
     def diameter(self, raw_diameter: float, grip_type: GripType) -> float:
         """Return the diameter of what fits between (or into) the fingertips [m]."""
         return raw_diameter + grip_type.sign * 2.0 * self.offset
 
 
 _PIVOT = 0.037  # radius on which the fingers turn [m], of published geometry; no manual gives it
+
+_LOWEST = math.radians(30.0)
+"""Lowest angle of the fingers in an external grip; the manual's range is 30° to 165°."""
 
 
 class Scale:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, Literal
 
+import numpy as np
 from pydantic import BaseModel, Field
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
@@ -25,6 +26,7 @@ from rtee.drivers.onrobot_3fg.codec import (
     TARGETS,
     Command,
     Control,
+    Fingers,
     GripType,
     Scale,
     Status,
@@ -43,7 +45,7 @@ from rtee.errors import (
     HandshakeError,
     NotConnected,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.types import ActuatorState, Capabilities, DeviceSpec, GripForce, Reference
 
 _SAME = 10
 """A diameter this near to the measured one asks for no motion [0.1 mm].
@@ -56,6 +58,9 @@ _REACHED = 3
 
 _STUCK_BUSY = 0.5
 """Busy without moving for this long, it is stopped before it is asked to grip [s]."""
+
+_GRIP_POINTS = 33
+"""Diameters at which the force is worked out: between them it is straight to 1 %."""
 
 _GATEWAY = (0x0A, 0x0B)
 """Exceptions by which the Compute Box reports that no tool answers."""
@@ -117,6 +122,7 @@ class OnRobot3FGDriver(BlocksDriver):
                 key=f"devices.{spec.name}.actuators",
             )
         self.scale = self._scaled(self.options.largest or 0.150)
+        self._fingers = Fingers()
         self._kind = GripType[self.options.grip.upper()]
         self._status = Status()
         self._sent: Command | None = None
@@ -138,8 +144,18 @@ class OnRobot3FGDriver(BlocksDriver):
             accepts=frozenset({"position", "max_effort"}),
             best_rate=best_rate,
             recoverable=True,
+            grip={self.spec.actuators[0].name: self._grip_force()},
             identity={"model": "OnRobot 3FG", "address": f"unit {self.options.unit}", **identity},
         )
+
+    def _grip_force(self) -> GripForce:
+        """Return the total force of the three fingers by diameter; see `Fingers.leverage`."""
+        actuator, scale = self.spec.actuators[0], self.scale
+        positions = np.linspace(actuator.lower, actuator.upper, _GRIP_POINTS)
+        diameters = [metres(1) * scale.position.to_raw(q) for q in positions.tolist()]
+        most = tuple(self.options.force * self._fingers.leverage(d) for d in diameters)
+        none = (0.0,) * _GRIP_POINTS
+        return GripForce(scale.effort.si, none, most, tuple(positions.tolist()))
 
     # --- life --------------------------------------------------------------------------------
 
@@ -199,6 +215,7 @@ class OnRobot3FGDriver(BlocksDriver):
                 f"a tool with finger position {hole} and diameters {smallest} to {largest}",
                 hint="is another tool mounted?",
             )
+        self._fingers = Fingers(metres(length), hole, abs(offset_metres(offset)))
         if self.options.target == "tips":
             self._tips = round(self._kind.sign * 2.0 * offset_metres(offset) / metres(1))
         self.scale = self._scaled(self.options.largest or metres(largest))

@@ -31,7 +31,7 @@ from rtee.drivers.robotiq_2f.codec import (
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
-from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
+from rtee.types import ActuatorState, DeviceSpec, FloatArray, GripForce, Reference
 
 _MORE = 6
 """Registers that published programs read from a two-finger gripper, too."""
@@ -106,6 +106,9 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
             stops = read_end_stops(options.calibration, self.spec.name, options.model, options.unit)
             self.scale = self._scaled(stops.open_count, stops.closed_count)
         await super().configure()
+        weak, strong = MODELS[self.options.model].force
+        grip = GripForce(self.scale.effort.si, (weak,), (strong,))
+        self.capabilities = replace(self.capabilities, grip={self.spec.actuators[0].name: grip})
 
     async def _identify(self) -> None:
         await super()._identify()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 from pydantic import BaseModel
@@ -13,6 +14,7 @@ from rtee.drivers.robotiq_3f.codec import (
     AXES,
     COUNT,
     FAULTS,
+    FORCE,
     SCALES,
     AxisStatus,
     Command,
@@ -25,7 +27,7 @@ from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import DeviceFault, HandshakeError
-from rtee.types import ActuatorState, DeviceSpec, Reference
+from rtee.types import ActuatorState, DeviceSpec, GripForce, Reference
 
 _PRESSING = (Contact.OPENING, Contact.CLOSING)
 _SIMPLE = 3
@@ -70,6 +72,18 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
                 hint="for a 2-finger gripper set 'driver: robotiq_2f'; if it has three fingers, "
                 "'check_fingers: false'",
             )
+
+    async def configure(self) -> None:
+        """Open the line and check that such a gripper answers; moves nothing."""
+        await super().configure()
+        # All fingers by one actuator: what presses on one side is what the other one takes.
+        grip = GripForce(SCALES["fingers"].effort.si, FORCE[:1], FORCE[1:])
+        fingers = [
+            a.name
+            for a, role in zip(self.spec.actuators, self.roles, strict=True)
+            if role == "fingers"
+        ]
+        self.capabilities = replace(self.capabilities, grip=dict.fromkeys(fingers, grip))
 
     def _decoded(self, block: Sequence[int]) -> Status:
         return Status.from_registers(block, self.options.port) if block else Status()

@@ -136,8 +136,10 @@ class SchunkSvhDriver(Driver):
 
     def _adopt(self, firmware: codec.FirmwareInfo) -> None:
         self._table = self.options.applied_to(channels_for(firmware.version))
+        used = zip(self.spec.actuators, self._used(), strict=True)
         self.capabilities = replace(
             self.capabilities,
+            unlimited=frozenset(a.name for a, channel in used if channel.force_slope == 0.0),
             identity={
                 "model": "SCHUNK SVH",
                 "firmware": f"{firmware.major}.{firmware.minor}",

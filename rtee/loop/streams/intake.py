@@ -7,10 +7,9 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rtee.commands import BeginStream, Command, EndStream, StreamSample
+from rtee.commands import BeginStream, Command, EndStream, StreamSample, StreamStatus, StreamTargets
 from rtee.errors import GoalRejected
 from rtee.loop.streams.targets import Targets
-from rtee.types import StreamStatus, StreamTargets
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary

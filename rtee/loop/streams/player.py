@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rtee.commands import BeginStream, StreamSample
+from rtee.commands import BeginStream, StreamSample, StreamStatus
 from rtee.loop.motion import Limits
 from rtee.loop.streams.interpolator import Interpolator
 from rtee.loop.streams.playout import Playout
-from rtee.types import FloatArray, StreamStatus, readonly
+from rtee.types import FloatArray, readonly
 
 CHANNEL = "stream/lag"
 """The channel of the state that has lag and jitter of a stream [s], while it plays."""

@@ -1,0 +1,106 @@
+"""Measure which force hands hold with, beside the one that was asked for, in MuJoCo.
+
+Each hand grasps an object that floats between its fingertips, by width and force, as `rtee grasp`
+does. The force that counts is that of the contacts half a second later: half the sum over the
+fingertips. Run: python benchmarks/grasp_force.py
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.errors import GoalRejected
+from rtee.hand.load import load_configured
+from rtee.loop.configure import loop_settings
+from rtee.trials.grasp_placement import Places
+from rtee.trials.headless import HeadlessHand
+from rtee.types import Goal
+
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+RATE = 500.0
+SETTLE = 0.5
+SPEED = 0.05
+
+
+@dataclass(frozen=True)
+class Case:
+    """A hand, the action it closes with, an object of a width [m], and forces asked for [N]."""
+
+    hand: str
+    action: str
+    elements: tuple[str, ...]
+    object: str
+    width: float
+    forces: tuple[float, ...]
+
+
+CASES = (
+    Case("robotiq_2f_85", "Grasp", (), "box:0.03x0.03x0.03", 0.03, (5.0, 10.0, 20.0, 60.0, 150.0)),
+    Case("robotiq_3f", "Grasp", (), "box:0.05x0.05x0.05", 0.05, (5.0, 10.0, 15.0, 20.0)),
+    Case(
+        "schunk_svh", "PinchTight", ("index", "thumb"), "sphere:0.015", 0.03, (1.0, 2.0, 3.0, 4.0)
+    ),
+    Case(
+        "heri_ii", "PinchTight", ("finger_2", "thumb"), "sphere:0.02", 0.04, (2.0, 5.0, 10.0, 20.0)
+    ),
+)
+
+
+def measure(case: Case, force: float) -> str:
+    """Return a row of the table: what one grasp came to."""
+    folder = CONFIG / case.hand
+    hand, config = load_configured(folder)
+    library, settings = (
+        ActionLibrary.load(hand, folder / "actions"),
+        loop_settings(config, rate=RATE),
+    )
+    # Without gravity, so that nothing but the grasp presses on the fingertips.
+    options = SimOptions(object=case.object, object_mass=0.05, support="floating", gravity=0.0)
+    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+    place = Places(simulation, hand, library.find(case.action, case.elements)).find(1)[0]
+    simulation.reset()
+    simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
+    headless = HeadlessHand(hand, library, settings, simulation)
+    goal = Goal(
+        case.action,
+        case.elements,
+        opening=case.width,
+        force=force,
+        grasp=True,
+        tip_speed=SPEED,
+    )
+    try:
+        result = headless.do(goal)
+    except GoalRejected as error:
+        return f"| {case.hand} | {force:g} | refused: {error} | | | |"
+    headless.wait(SETTLE)
+    held = float(simulation.contact_forces.sum()) / 2.0
+    width = float("nan") if result.opening is None else 1e3 * result.opening
+    return (
+        f"| {case.hand} | {force:g} | {held:.2f} | {held / force - 1.0:+.1%} | "
+        f"{width:.1f} of {1e3 * case.width:g} | {'yes' if result.within else 'no'} |"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hand", help="this hand only")
+    parser.add_argument("--quick", action="store_true", help="one force per hand")
+    arguments = parser.parse_args()
+    print("| hand | asked N | held N | off | width mm | within |")
+    print("| --- | ---: | ---: | ---: | ---: | --- |")
+    for case in CASES:
+        if arguments.hand not in (None, case.hand):
+            continue
+        for force in case.forces[:1] if arguments.quick else case.forces:
+            print(measure(case, force), flush=True)
+
+
+if __name__ == "__main__":
+    main()

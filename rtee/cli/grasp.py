@@ -1,0 +1,73 @@
+"""`rtee grasp`: hold an object of a width with a force."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import ConnectOption, JsonOption, RunningOption, WaitOption
+from rtee.cli._online import result_json, sentence, with_hand
+from rtee.cli.do import follow
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+    from rtee.types import Result
+
+
+def grasp(
+    width: Annotated[
+        str, typer.Option(metavar="LENGTH", help="Width of the object, such as 30mm, 3cm or 0.03.")
+    ],
+    fingers: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="FINGER…", help="Fingers to hold it with; the hand's best action unless given."
+        ),
+    ] = None,
+    force: Annotated[
+        str | None, typer.Option(metavar="FORCE", help="Force to hold it with, such as 10N.")
+    ] = None,
+    speed: Annotated[
+        str | None,
+        typer.Option(metavar="SPEED", help="Speed of opening and closing, such as 50mm/s."),
+    ] = None,
+    narrower: Annotated[
+        str, typer.Option(metavar="LENGTH", help="It may be held at less than its width by this.")
+    ] = "5mm",
+    wider: Annotated[
+        str, typer.Option(metavar="LENGTH", help="It may be held at more than its width by this.")
+    ] = "5mm",
+    action: Annotated[
+        str, typer.Option(help="The action to close with, instead of the best one.")
+    ] = "",
+    timeout: Annotated[
+        float | None, typer.Option(metavar="S", help="Longest time it may take.")
+    ] = None,
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Open wider than an object, close on it, and keep a force; Ctrl-C cancels it.
+
+    Exit status 1 when nothing of that width is held.
+
+    Example: rtee grasp --width 30mm --force 10N index thumb
+    """
+    from rtee.units import FORCE, LENGTH, SPEED, quantity
+
+    wanted = quantity(width, LENGTH, "width")
+    newtons = None if force is None else quantity(force, FORCE, "force")
+    fast = None if speed is None else quantity(speed, SPEED, "speed")
+    within = quantity(narrower, LENGTH, "tolerance"), quantity(wider, LENGTH, "tolerance")
+
+    async def execute(remote: RemoteHand) -> Result:
+        running = await remote.start_grasp(
+            wanted, newtons, fast, fingers, within, action=action, timeout=timeout
+        )
+        return await follow(running, f"grasp {wanted * 1e3:g} mm")
+
+    result = with_hand(hand, connect, "grasp", execute, wait=wait)
+    print(result_json(result) if as_json else sentence(result, result.elements))
+    raise typer.Exit(0 if result.within else 1)

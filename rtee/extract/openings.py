@@ -1,0 +1,441 @@
+"""The openings of a hand's actions: how far opposing fingertips are apart on the way from rest.
+
+Distances are those of the geometry as given, measured by Coal. Levers follow from the Jacobians of
+the tips' nearest points and the transmission: the opening loses ``-dw/du`` per unit of an actuator,
+and a force ``F`` that presses the sides apart takes the effort ``-F dw/du`` of it (virtual work).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise, product
+from typing import Final
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from rtee.actions.openings import Opening, fingerprint_of
+from rtee.actions.types import Action, Timed
+from rtee.extract.jobs import Progress
+from rtee.hand.geometry import HandGeometry, Shape
+from rtee.hand.model import Hand
+from rtee.types import FloatArray, from_rest, readonly
+
+ERROR: Final = 2e-5
+"""With one actuator, the table is made finer until interpolating is off by less than this [m]: a
+fifth of the 0.1 mm that parallel grippers are exact to."""
+
+ERROR_OF_FINGERS: Final = 1e-4
+"""The same for several actuators [m], whose errors alone move a fingertip by more."""
+
+_FIRST: Final = 17
+"""Points of the first, even table."""
+
+_FINEST: Final = 1.0 / 2048
+"""Points are not put nearer to each other than this intensity."""
+
+_CLOSES: Final = 2e-3
+"""Tips that come nearer to each other by less than this do not oppose each other [m]."""
+
+_SHARE: Final = 0.3
+"""A pair of tips opposes each other if it closes by this share of what the pair does that closes
+most: neighbours that are drawn together a little by the way do not."""
+
+_PARTS: Final = 0.9
+"""Of two tips, only the shapes count that close by this share of what the two shapes do that close
+most: hinges and levers that belong to the tips' links stay near each other all the way."""
+
+_BUMP: Final = 1e-4
+"""An opening that grows by less than this on the way still counts as falling [m]."""
+
+_STEP: Final = 1e-6
+"""From one point of the table to the next the opening falls at least by this, its rounding [m]."""
+
+_TOUCH: Final = 1e-6
+"""Surfaces nearer than this touch [m]; the line between their nearest points is undefined."""
+
+_ROUNDS: Final = 30
+"""Steps in which the middle of tips that close from all around is found; three suffice for those
+of a symmetric gripper."""
+
+_WORTH: Final = 0.005
+"""A part of the way that is left out is told from this size on."""
+
+_STILL: Final = 1e-9
+"""A tip slower than this does not move [m per unit of intensity]."""
+
+
+@dataclass(frozen=True)
+class _Gap:
+    """Two surfaces: their distance [m], nearest points and the unit normal from first to second."""
+
+    distance: float
+    first: FloatArray
+    second: FloatArray
+    normal: FloatArray
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """What was found at one intensity."""
+
+    width: float
+    lever: FloatArray
+    angle: float
+
+
+def make_openings(
+    hand: Hand, actions: Iterable[Action], progress: Progress | None = None
+) -> list[Opening]:
+    """Return the openings of the actions that have one, in their order.
+
+    Args:
+        hand: The hand.
+        actions: Its actions.
+        progress: Called with the number of actions done and their total.
+
+    Raises:
+        ModelError: A mesh is missing or cannot be read.
+    """
+    chosen = list(actions)
+    geometry = HandGeometry(hand)
+    found = []
+    for number, action in enumerate(chosen, 1):
+        table = opening_of(geometry, action)
+        if table is not None:
+            found.append(table)
+        if progress is not None:
+            progress(number, len(chosen))
+    return found
+
+
+def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
+    """Return the opening of an action; ``None`` if no tips oppose each other on its way.
+
+    Where two sides of tips oppose each other, the opening is the least distance between a tip of
+    one side and a tip of the other. Tips that close from more than two sides leave room for a ball:
+    the opening is the diameter of the smallest one that reaches all of them.
+
+    Args:
+        geometry: The hand's geometry.
+        action: The action.
+    """
+    if isinstance(action, Timed):
+        return None
+    fingers = _fingers(geometry.hand, action)
+    if len(fingers) < 2:
+        return None
+    way = _Way(geometry, action, fingers)
+    sides = way.sides()
+    if not sides:
+        return None
+    return _Table(way, sides).opening()
+
+
+def _fingers(hand: Hand, action: Action) -> tuple[str, ...]:
+    """Return the fingers with a tip that take part; a lone one may close on one that is fixed."""
+    tipped = [finger for finger in hand.fingers if finger.tip]
+    moved = set(action.waypoints[-1].involved)
+    named = [f.name for f in tipped if f.name in action.fingers]
+    found = named or [f.name for f in tipped if moved.intersection(f.actuators)]
+    if len(found) == 1:
+        found += [f.name for f in tipped if not f.actuators]
+    return tuple(found)
+
+
+class _Way:
+    """The way of an action from rest, with what its tips do there."""
+
+    def __init__(self, geometry: HandGeometry, action: Action, fingers: Sequence[str]) -> None:
+        hand = geometry.hand
+        self.geometry, self.action, self.fingers = geometry, action, tuple(fingers)
+        self.actuators = tuple(
+            name
+            for name in action.waypoints[-1].involved
+            if action.waypoints[-1].position[name] != hand.actuator(name).rest
+        )
+        self._columns = [hand.actuator_index(name) for name in self.actuators]
+        goal = np.array(hand.rest)
+        for name in self.actuators:
+            goal[hand.actuator_index(name)] = action.waypoints[-1].position[name]
+        self._goal = np.clip(goal, hand.lower, hand.upper)
+        self.direction: FloatArray = (self._goal - hand.rest)[self._columns]
+        self._kinematics = geometry.kinematics
+        self.tips = {name: str(hand.finger(name).tip) for name in self.fingers}
+        shapes = {
+            name: [geometry.shapes[i] for i in geometry.of_link(tip)]
+            for name, tip in self.tips.items()
+        }
+        self._couples = {
+            (one, other): list(product(shapes[one], shapes[other]))
+            for one, other in combinations(self.fingers, 2)
+        }
+        self._parts: dict[str, list[Shape]] = shapes
+        self._slopes = np.zeros((0, 0))
+        self._normals: dict[tuple[str, str], FloatArray] = {}
+
+    def go(self, intensity: float) -> None:
+        """Place the hand at an intensity."""
+        hand, robot = self.geometry.hand, self._kinematics
+        u = from_rest(np.array(hand.rest), self._goal, intensity)
+        pin.computeJointJacobians(robot.model, robot.data, hand.transmission.joints(u))
+        self._slopes = hand.transmission.jacobian(u)[:, self._columns]
+
+    def _pose(self, shape: Shape) -> coal.Transform3s:
+        at = self._kinematics.data.oMi[shape.body] * shape.placement
+        return coal.Transform3s(at.rotation, at.translation)
+
+    def _between(self, one: Shape, other: Shape) -> tuple[float, coal.DistanceResult]:
+        result = coal.DistanceResult()
+        places = self._pose(one), self._pose(other)
+        distance = coal.distance(
+            one.exact, places[0], other.exact, places[1], coal.DistanceRequest(), result
+        )
+        return max(float(distance), 0.0), result
+
+    def gap(self, first: str, second: str) -> _Gap:
+        """Return the gap between the tips of two fingers where the hand is placed."""
+        found = (self._between(*couple) for couple in self._couples[first, second])
+        distance, result = min(found, key=lambda each: each[0])
+        points = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
+        if distance > _TOUCH:
+            between = points[1] - points[0]
+            self._normals[first, second] = between / np.linalg.norm(between)
+        normal = self._normals.get((first, second), np.zeros(3))
+        return _Gap(distance, *points, normal)
+
+    def from_point(self, finger: str, centre: FloatArray) -> tuple[float, FloatArray]:
+        """Return how far a tip is from a point [m], and its point that is nearest to that."""
+        point, at = coal.Sphere(_TOUCH), coal.Transform3s(np.eye(3), centre)
+        best, nearest = math.inf, centre
+        for shape in self._parts[finger]:
+            result = coal.DistanceResult()
+            distance = coal.distance(
+                shape.exact, self._pose(shape), point, at, coal.DistanceRequest(), result
+            )
+            if distance < best:
+                best, nearest = distance, np.array(result.getNearestPoint1())
+        return max(best + _TOUCH, 0.0), nearest
+
+    def jacobian(self, finger: str, point: FloatArray) -> FloatArray:
+        """Return how a point of a tip moves with the actuators ``(3, a)``."""
+        robot = self._kinematics
+        body = robot.body(self.tips[finger])
+        if body == 0:  # the base, which nothing moves
+            return np.zeros((3, len(self.actuators)))
+        joint = pin.getJointJacobian(
+            robot.model, robot.data, body, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        ).reshape(6, -1)  # Pinocchio drops the axis of a single joint
+        offset = point - robot.data.oMi[body].translation
+        linear = joint[:3] + np.cross(joint[3:].T, offset).T
+        moved: FloatArray = linear @ self._slopes
+        return moved
+
+    def sides(self) -> tuple[tuple[str, ...], ...]:
+        """Return the sides on which the tips oppose each other; none if they do not."""
+        closes = self._closings()
+        most = {pair: max(found) for pair, found in closes.items()}
+        least = max(_CLOSES, _SHARE * max(most.values()))
+        opposed = [pair for pair, by in most.items() if by >= least]
+        for pair in opposed:
+            couples = zip(self._couples[pair], closes[pair], strict=True)
+            self._couples[pair] = [couple for couple, by in couples if by >= _PARTS * most[pair]]
+        for finger in self.fingers:
+            met = [c[p.index(finger)] for p in opposed if finger in p for c in self._couples[p]]
+            self._parts[finger] = list(dict.fromkeys(met))
+        there = [f for f in self.fingers if any(f in pair for pair in opposed)]
+        return _two_sides(there, opposed) or tuple((finger,) for finger in there)
+
+    def _closings(self) -> dict[tuple[str, str], list[float]]:
+        """Return how much nearer each two shapes of two tips come after they were farthest [m]."""
+        farthest = {pair: [0.0] * len(couples) for pair, couples in self._couples.items()}
+        closes = {pair: [0.0] * len(couples) for pair, couples in self._couples.items()}
+        for s in np.linspace(0.0, 1.0, _FIRST).tolist():
+            self.go(s)
+            for pair, couples in self._couples.items():
+                for k, couple in enumerate(couples):
+                    distance = self._between(*couple)[0]
+                    farthest[pair][k] = max(farthest[pair][k], distance)
+                    closes[pair][k] = max(closes[pair][k], farthest[pair][k] - distance)
+        return closes
+
+
+def _two_sides(
+    fingers: Sequence[str], opposed: Sequence[tuple[str, str]]
+) -> tuple[tuple[str, ...], ...]:
+    """Return the fingers on two sides, with all opposed pairs across; nothing if there are more."""
+    partners: dict[str, list[str]] = {finger: [] for finger in fingers}
+    for a, b in opposed:
+        partners[a].append(b)
+        partners[b].append(a)
+    side: dict[str, int] = {}
+    for start in fingers:
+        waiting = [] if start in side else [start]
+        side.setdefault(start, 0)
+        while waiting:
+            finger = waiting.pop()
+            for other in partners[finger]:
+                if other not in side:
+                    side[other] = 1 - side[finger]
+                    waiting.append(other)
+                elif side[other] == side[finger]:
+                    return ()
+    return tuple(tuple(f for f in fingers if side[f] == k) for k in (0, 1)) if fingers else ()
+
+
+class _Table:
+    """Samples the opening of one action, finer where it bends."""
+
+    def __init__(self, way: _Way, sides: tuple[tuple[str, ...], ...]) -> None:
+        self._way, self._sides = way, sides
+        self._known: dict[float, _Sample] = {}
+
+    def at(self, intensity: float) -> _Sample:
+        """Return what is found at an intensity."""
+        if intensity not in self._known:
+            self._way.go(intensity)
+            found = self._around() if len(self._sides) > 2 else self._between()
+            self._known[intensity] = found
+        return self._known[intensity]
+
+    def opening(self) -> Opening | None:
+        """Return the table of the part of the way on which the opening falls."""
+        for s in np.linspace(0.0, 1.0, _FIRST).tolist():
+            self.at(s)
+        self._refine()
+        grid = sorted(self._known)
+        falling = _falling([self._known[s].width for s in grid])
+        part = [grid[i] for i in falling]
+        rows = [self._known[s] for s in part]
+        if len(rows) < 2 or rows[0].width - rows[-1].width < _CLOSES:
+            return None
+        action = self._way.action
+        return Opening(
+            action.name,
+            action.elements,
+            fingerprint_of(self._way.geometry.hand, action),
+            self._sides,
+            self._way.actuators,
+            readonly(part),
+            readonly([row.width for row in rows]),
+            np.array([row.lever for row in rows]),
+            readonly([row.angle for row in rows]),
+            _note(part[0], part[-1], rows[-1].width),
+        )
+
+    def _refine(self) -> None:
+        """Halve the steps within which the opening is not straight enough."""
+        error = ERROR if len(self._way.actuators) == 1 else ERROR_OF_FINGERS
+        waiting = list(_steps(sorted(self._known)))
+        while waiting:
+            low, high = waiting.pop()
+            if high - low <= _FINEST:
+                continue
+            middle = (low + high) / 2.0
+            straight = (self._known[low].width + self._known[high].width) / 2.0
+            if abs(self.at(middle).width - straight) > error:
+                waiting += [(low, middle), (middle, high)]
+
+    def _between(self) -> _Sample:
+        """Return what is found between two sides."""
+        way, (one, other) = self._way, self._sides
+        gaps = {(a, b): way.gap(a, b) for a in one for b in other}
+        lever = np.zeros(len(way.actuators))
+        angle = 0.0
+        for k, side in enumerate(self._sides):
+            for finger in side:
+                near = min(
+                    (gap for pair, gap in gaps.items() if pair[k] == finger),
+                    key=lambda gap: gap.distance,
+                )
+                point, towards = (
+                    (near.first, near.normal) if k == 0 else (near.second, -near.normal)
+                )
+                moved = way.jacobian(finger, point)
+                lever += towards @ moved / len(side)
+                angle = max(angle, _angle(moved @ way.direction, towards))
+        return _Sample(min(gap.distance for gap in gaps.values()), lever, angle)
+
+    def _around(self) -> _Sample:
+        """Return what is found around a middle."""
+        way, fingers = self._way, [side[0] for side in self._sides]
+        gap = way.gap(fingers[0], fingers[1])
+        centre = (gap.first + gap.second) / 2.0
+        reach: list[tuple[float, FloatArray]] = []
+        for _ in range(_ROUNDS):
+            reach = [way.from_point(finger, centre) for finger in fingers]
+            moved = _middle(np.array([point for _, point in reach]))
+            if float(np.linalg.norm(moved - centre)) < _TOUCH:
+                break
+            centre = moved
+        lever, angle = np.zeros(len(way.actuators)), 0.0
+        for finger, (distance, point) in zip(fingers, reach, strict=True):
+            if distance < _STEP:  # no direction any more
+                continue
+            towards = (centre - point) / distance
+            moved = way.jacobian(finger, point)
+            lever += 2.0 * (towards @ moved) / len(fingers)
+            angle = max(angle, _angle(moved @ way.direction, towards))
+        return _Sample(2.0 * max(distance for distance, _ in reach), lever, angle)
+
+
+def _steps(grid: Sequence[float]) -> Iterator[tuple[float, float]]:
+    return pairwise(grid)
+
+
+def _falling(width: Sequence[float]) -> list[int]:
+    """Return where the opening falls by most, as indices at which it falls strictly."""
+    best: list[int] = [0]
+    run: list[int] = [0]
+    for i in range(1, len(width)):
+        if width[i] > width[run[-1]] + _BUMP:
+            run = [i]
+        elif width[i] < width[run[-1]] - _STEP:
+            run = [*run, i]
+        if width[run[0]] - width[run[-1]] > width[best[0]] - width[best[-1]]:
+            best = run
+    return best
+
+
+def _note(first: float, last: float, width: float) -> str:
+    said = []
+    if first > _WORTH:
+        said.append(f"the tips first part: used from {first:.0%} of the way on")
+    if last < 1.0 - _WORTH and width > _TOUCH:
+        said.append(f"the tips part again: used up to {last:.0%} of the way")
+    return "; ".join(said)
+
+
+def _angle(motion: FloatArray, towards: FloatArray) -> float:
+    """Return the angle between a tip's motion and a unit vector [rad]; 0 for one that is still."""
+    speed = float(np.linalg.norm(motion))
+    if speed < _STILL:
+        return 0.0
+    return math.acos(min(1.0, max(-1.0, float(motion @ towards) / speed)))
+
+
+def _middle(points: FloatArray) -> FloatArray:
+    """Return the centre of the smallest ball that holds a few points ``(k, 3)``."""
+    best: float = math.inf
+    centre: FloatArray = points.mean(axis=0)
+    for size in (2, 3):
+        for chosen in combinations(points, size):
+            middle = _circumcentre(np.array(chosen))
+            radius = float(np.linalg.norm(chosen[0] - middle))
+            inside = np.linalg.norm(points - middle, axis=1).max() <= radius * (1.0 + 1e-9) + 1e-12
+            if inside and radius < best:
+                best, centre = radius, middle
+    return centre
+
+
+def _circumcentre(points: FloatArray) -> FloatArray:
+    """Return the centre of the smallest sphere through two or three points ``(k, 3)``."""
+    edges = points[1:] - points[0]
+    weights: FloatArray = np.linalg.lstsq(
+        2.0 * edges @ edges.T, (edges**2).sum(axis=1), rcond=None
+    )[0]
+    found: FloatArray = points[0] + weights @ edges
+    return found

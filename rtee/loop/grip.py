@@ -1,0 +1,381 @@
+"""The opening of the fingertips and the force between them, from what is measured of actuators.
+
+All that is needed is worked out when a goal begins: a few small tables, from which both follow by a
+handful of sums, in the loop and in the threads that publish and record.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from rtee.actions.openings import Opening
+from rtee.errors import GoalRejected
+from rtee.hand.config_schema import ActuatorDynamics
+from rtee.hand.model import Hand
+from rtee.loop.contact import TIP_FORCE, tip_forces
+from rtee.sample import TickRecord
+from rtee.types import GripForce
+
+TIPS: Final = "tip forces"
+"""The force is the sum of what sensors at the fingertips measure."""
+
+EFFORT: Final = "effort"
+"""The force is estimated from the efforts that the devices measure."""
+
+LIMIT: Final = "effort limit"
+"""The force is estimated from the effort limits of actuators that are blocked."""
+
+_EFFORT_SHARE: Final = 0.15
+"""How far an estimate from measured efforts may be off, as a share of it, besides dry friction: the
+object is seldom exactly where the table has the tips meet."""
+
+_LIMIT_SHARE: Final = 0.25
+"""The same for an estimate from effort limits: motors keep to theirs no better."""
+
+_TIP_SHARE: Final = 0.05
+"""The same for sensors at the fingertips."""
+
+_SQUEEZES: Final = 0.1
+"""An actuator takes part in squeezing if it closes the tips by this share of what the actuator does
+that closes them most; the others would need efforts smaller than their friction."""
+
+_PRESSES: Final = 0.5
+"""Without sensors at the tips, an actuator presses from this share of its effort limit on."""
+
+_AHEAD: Final = 0.01
+"""A reference presses that leads on by this share of the action's way: more than rounding."""
+
+_LEAST_TRAVEL: Final = 1e-9
+"""A way of the actuators shorter than this is none [rad² | m²]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grip:
+    """The opening and the force of one action's fingertips.
+
+    Attributes:
+        indices: The actuators that move on the action's way.
+        rest: Their positions at intensity 0 [rad | m].
+        target: Their positions at intensity 1 [rad | m].
+        intensity: Intensities of the table, rising.
+        width: The opening there [m].
+        lever: What it loses by a unit of each actuator there [m/rad | 1].
+        friction: Effort that each loses to dry friction [N·m | N].
+        efficiency: Share of the effort of each that reaches the fingertips.
+        fingers: Indices of the fingers on the first side.
+        others: Indices of those on the other sides.
+        around: The tips close from more than two sides.
+        sheet: Force by effort limit from the device's sheet, for a single actuator.
+    """
+
+    indices: tuple[int, ...]
+    rest: tuple[float, ...]
+    target: tuple[float, ...]
+    intensity: tuple[float, ...]
+    width: tuple[float, ...]
+    lever: tuple[tuple[float, ...], ...]
+    friction: tuple[float, ...]
+    efficiency: tuple[float, ...]
+    fingers: tuple[int, ...]
+    others: tuple[int, ...]
+    around: bool = False
+    sheet: GripForce | None = None
+
+    @classmethod
+    def of(
+        cls,
+        hand: Hand,
+        opening: Opening,
+        targets: Mapping[int, float],
+        grips: Mapping[int, GripForce],
+    ) -> Grip:
+        """Return the grip of an action.
+
+        Args:
+            hand: The hand.
+            opening: The action's table.
+            targets: Where the action's actuators go at intensity 1, by index [rad | m].
+            grips: What the devices' sheets say, by actuator.
+        """
+        indices = tuple(hand.actuator_index(name) for name in opening.actuators)
+        known = [hand.dynamics.get(name, ActuatorDynamics()) for name in opening.actuators]
+        names = hand.finger_names
+        sides = [[names.index(finger) for finger in side] for side in opening.sides]
+        single = grips.get(indices[0]) if len(indices) == 1 else None
+        return cls(
+            indices,
+            tuple(float(hand.rest[i]) for i in indices),
+            tuple(targets[i] for i in indices),
+            tuple(opening.intensity.tolist()),
+            tuple(opening.width.tolist()),
+            tuple(tuple(row) for row in opening.lever.tolist()),
+            tuple(k.dry_friction or 0.0 for k in known),
+            tuple(1.0 if k.efficiency is None else k.efficiency for k in known),
+            tuple(sides[0]),
+            tuple(finger for side in sides[1:] for finger in side),
+            opening.around,
+            single,
+        )
+
+    # --- the opening -------------------------------------------------------------------------
+
+    def opening(self, position: Sequence[float]) -> float:
+        """Return the opening at actuator positions of the hand [m]; ``NaN`` if unknown.
+
+        The table gives it at the point of the way that is nearest, and the levers what the
+        actuators' distances from that point add.
+
+        Args:
+            position: Positions of all actuators of the hand [rad | m].
+        """
+        share = self._nearest(position)
+        if share != share:
+            return math.nan
+        low, high = self.intensity[0], self.intensity[-1]
+        at = min(max(share, low), high)
+        width = self._interpolated(self.width, at)
+        for i, rest, target, lever in zip(
+            self.indices, self.rest, self.target, self._levers(at), strict=True
+        ):
+            width -= lever * (position[i] - rest - at * (target - rest))
+        return max(width, 0.0)
+
+    def _nearest(self, position: Sequence[float]) -> float:
+        """Return the intensity whose posture is nearest to actuator positions."""
+        along = length = 0.0
+        for i, rest, target in zip(self.indices, self.rest, self.target, strict=True):
+            way = target - rest
+            along += (position[i] - rest) * way
+            length += way * way
+        return along / length if length > _LEAST_TRAVEL else math.nan
+
+    def intensity_at(self, width: float) -> float:
+        """Return the intensity of an opening [m]; beyond the table, that at its end."""
+        widths = self.width
+        if width >= widths[0]:
+            return self.intensity[0]
+        if width <= widths[-1]:
+            return self.intensity[-1]
+        k = bisect_right(widths, -width, key=lambda each: -each) - 1
+        share = (widths[k] - width) / (widths[k] - widths[k + 1])
+        return self.intensity[k] + share * (self.intensity[k + 1] - self.intensity[k])
+
+    def position_at(self, intensity: float) -> dict[int, float]:
+        """Return the actuators' positions at an intensity, by index [rad | m]."""
+        return {
+            i: rest + intensity * (target - rest)
+            for i, rest, target in zip(self.indices, self.rest, self.target, strict=True)
+        }
+
+    def width_at(self, intensity: float) -> float:
+        """Return the opening at an intensity of the table [m]."""
+        return self._interpolated(self.width, intensity)
+
+    def slope_at(self, intensity: float) -> float:
+        """Return how fast the opening falls at an intensity [m per unit of intensity]."""
+        k, _ = self._cell(intensity)
+        # Over a few cells, since a single one may be as short as rounding allows.
+        low, high = max(k - 2, 0), min(k + 3, len(self.width) - 1)
+        way = self.intensity[high] - self.intensity[low]
+        return (self.width[low] - self.width[high]) / way
+
+    def _cell(self, intensity: float) -> tuple[int, float]:
+        grid = self.intensity
+        k = min(max(bisect_right(grid, intensity) - 1, 0), len(grid) - 2)
+        return k, (intensity - grid[k]) / (grid[k + 1] - grid[k])
+
+    def _interpolated(self, column: Sequence[float], intensity: float) -> float:
+        k, share = self._cell(intensity)
+        return column[k] + share * (column[k + 1] - column[k])
+
+    def _levers(self, intensity: float) -> list[float]:
+        k, share = self._cell(intensity)
+        return [a + share * (b - a) for a, b in zip(self.lever[k], self.lever[k + 1], strict=True)]
+
+    # --- the force ---------------------------------------------------------------------------
+
+    def squeezing(self, intensity: float) -> list[tuple[int, int, float]]:
+        """Return the actuators that press the tips together at an intensity.
+
+        Returns:
+            Number within ``indices``, index in the hand and size of the lever [m/rad | 1] of each.
+        """
+        closes = [
+            lever * (target - rest)
+            for lever, rest, target in zip(
+                self._levers(intensity), self.rest, self.target, strict=True
+            )
+        ]
+        least = max(_SQUEEZES * max(closes), _LEAST_TRAVEL)
+        levers = self._levers(intensity)
+        return [(k, self.indices[k], abs(levers[k])) for k, by in enumerate(closes) if by >= least]
+
+    def forces(self, hand: Hand, intensity: float) -> tuple[float, float]:
+        """Return the weakest and the strongest force that can be asked for at an intensity [N]."""
+        if self.sheet is not None:
+            where = self.position_at(intensity)[self.indices[0]]
+            low, high = self.sheet.range_at(where)
+            limit = hand.actuators[self.indices[0]].effort
+            if limit < self.sheet.effort[1]:
+                high = self.sheet.force_for(limit, where)
+            return low, high
+        strongest = math.inf
+        for k, i, lever in self.squeezing(intensity):
+            left = hand.actuators[i].effort - self.friction[k]
+            strongest = min(strongest, max(left, 0.0) * self.efficiency[k] / lever)
+        return 0.0, strongest
+
+    def efforts(self, force: float, intensity: float) -> dict[int, float]:
+        """Return the effort limits, by index, that give a force [N] at an intensity [N·m | N]."""
+        if self.sheet is not None:
+            where = self.position_at(intensity)[self.indices[0]]
+            return {self.indices[0]: self.sheet.effort_for(force, where)}
+        return {
+            i: force * lever / self.efficiency[k] + self.friction[k]
+            for k, i, lever in self.squeezing(intensity)
+        }
+
+    def touches(
+        self,
+        position: Sequence[float],
+        effort: Sequence[float],
+        limits: Sequence[float],
+        touch: Sequence[float],
+        least: float,
+    ) -> bool:
+        """Return whether the tips seem to press on something from both sides.
+
+        Args:
+            position: Positions of all actuators of the hand [rad | m].
+            effort: Measured efforts [N·m | N]; ``NaN``: not measured.
+            limits: Effort limits sent [N·m | N].
+            touch: Forces at the fingertips [N], if they are measured.
+            least: Force from which on a fingertip touches [N].
+        """
+        sides = [[touch[i] for i in side if i < len(touch)] for side in (self.fingers, self.others)]
+        felt = [[force for force in side if force == force] for side in sides]
+        if all(felt):
+            return all(max(side) >= least for side in felt)
+        share = self._nearest(position)
+        if share != share:
+            return False
+        chosen = self.squeezing(min(max(share, self.intensity[0]), self.intensity[-1]))
+        return any(abs(effort[i]) >= _PRESSES * limits[i] for _, i, _ in chosen)
+
+    def force(
+        self,
+        position: Sequence[float],
+        effort: Sequence[float],
+        limits: Sequence[float],
+        touch: Sequence[float],
+        pressing: bool,
+    ) -> tuple[float, float, str]:
+        """Return the force between the tips, how far it may be off [N], and what it is from.
+
+        Args:
+            position: Positions of all actuators of the hand [rad | m].
+            effort: Measured efforts [N·m | N]; ``NaN``: not measured.
+            limits: Effort limits sent [N·m | N].
+            touch: Forces at the fingertips [N], if they are measured.
+            pressing: Whether actuators are known to be blocked, so that they exert their limits.
+        """
+        tips = [touch[i] for i in (*self.fingers, *self.others) if i < len(touch)]
+        if tips and all(tip == tip for tip in tips):
+            total = sum(tips) if self.around else sum(tips) / 2.0
+            return total, _TIP_SHARE * total, TIPS
+        share = self._nearest(position)
+        if share != share:
+            return math.nan, math.nan, ""
+        at = min(max(share, self.intensity[0]), self.intensity[-1])
+        chosen = self.squeezing(at)
+        if self.sheet is not None and effort[self.indices[0]] == effort[self.indices[0]]:
+            i = self.indices[0]
+            found = self.sheet.force_for(abs(effort[i]), position[i])
+            return found, _EFFORT_SHARE * found, EFFORT
+        if chosen and all(effort[i] == effort[i] for _, i, _ in chosen):
+            return self._from_efforts(chosen, effort)
+        if pressing and chosen and all(math.isfinite(limits[i]) for _, i, _ in chosen):
+            if self.sheet is not None:
+                i = self.indices[0]
+                found = self.sheet.force_for(limits[i], position[i])
+            else:
+                found = min(
+                    max(limits[i] - self.friction[k], 0.0) * self.efficiency[k] / lever
+                    for k, i, lever in chosen
+                )
+            return found, _LIMIT_SHARE * found, LIMIT
+        return math.nan, math.nan, ""
+
+    def _from_efforts(
+        self, chosen: Sequence[tuple[int, int, float]], effort: Sequence[float]
+    ) -> tuple[float, float, str]:
+        """Return the force that fits measured efforts best (least squares)."""
+        along = square = lost = 0.0
+        for k, i, lever in chosen:
+            closing = math.copysign(1.0, self.target[k] - self.rest[k])
+            held = max(effort[i] * closing, 0.0)
+            along += lever * max(held - self.friction[k], 0.0) * self.efficiency[k]
+            lost += lever * self.friction[k] * self.efficiency[k]
+            square += lever * lever
+        found = along / square
+        return found, lost / square + _EFFORT_SHARE * found, EFFORT
+
+
+def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float, str]:
+    """Return the opening [m], the force and its error [N], and what that is estimated from.
+
+    Those who publish and record work it out in their own threads, not the loop.
+
+    Args:
+        grip: That of the last action that was given an opening or a force; ``None``: none was.
+        record: What was known at a tick.
+    """
+    if grip is None:
+        return math.nan, math.nan, math.nan, ""
+    position, effort = record.position.tolist(), record.effort.tolist()
+    limits = record.reference_effort.tolist()
+    felt = [values for name, values in record.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+    # A reference that leads on from where the actuator is presses, if something is in its way.
+    ahead = record.reference_position - record.position
+    pressing = any(
+        ahead[i] * (target - rest) > _AHEAD * (target - rest) ** 2 and record.grasped[i] == 1
+        for i, rest, target in zip(grip.indices, grip.rest, grip.target, strict=True)
+    )
+    return (
+        grip.opening(position),
+        *grip.force(position, effort, limits, tip_forces(felt), pressing),
+    )
+
+
+def check_force(grip: Grip, hand: Hand, label: str, force: float, intensity: float) -> None:
+    """Refuse a force that cannot be given, with the nearest that can.
+
+    Args:
+        grip: The grip.
+        hand: The hand.
+        label: The action, for the sentence.
+        force: The force asked for [N].
+        intensity: Where it is to be given.
+
+    Raises:
+        GoalRejected: if it cannot be given.
+    """
+    low, high = grip.forces(hand, intensity)
+    if math.isinf(high):
+        raise GoalRejected(
+            f"{label}: the force cannot be limited: its actuators have no effort limits; give some "
+            "under 'limits' in hand.yaml"
+        )
+    # A rounding error at the ends is not worth a refusal.
+    if low * (1.0 - 1e-9) <= force <= high * (1.0 + 1e-9):
+        return
+    width = grip.width_at(intensity)
+    reason = f"at most {high:.3g} N" if force > high else f"at least {low:.3g} N"
+    raise GoalRejected(
+        f"{label} gives {reason} at an opening of {width * 1e3:.3g} mm, not {force:g} N; "
+        f"the nearest is {high if force > high else low:.3g} N"
+    )

@@ -1,0 +1,304 @@
+"""Goals in millimetres and newtons: which action, how far, and with what efforts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+from rtee.actions.naming import label
+from rtee.actions.openings import Opening
+from rtee.actions.types import Action, Primitive
+from rtee.errors import ActionError, GoalRejected, suggestion
+from rtee.hand.model import Hand
+from rtee.loop.grip import Grip, check_force
+from rtee.types import Goal, GripForce, Stage
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+
+MARGIN: Final = 0.01
+"""Before it closes, a hand opens wider than the object by this, or as far as it can [m]."""
+
+_ROUNDING: Final = 5e-5
+"""An opening outside of the table by less than this is the one at its end [m]: what people read is
+rounded to 0.1 mm."""
+
+_SQUARE: Final = 0.1
+"""Actions whose tips move to the object at angles that differ by less than this are as good as one
+another [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceForces:
+    """What the devices of a hand do about efforts and forces.
+
+    Attributes:
+        refused: Actuators whose device takes no effort limit, with its reason in words, or nothing.
+        grips: What the devices' sheets say of forces, by actuator.
+        unlimited: Actuators whose effort their device cannot limit, though it limits others.
+    """
+
+    refused: Mapping[int, str] = field(default_factory=dict)
+    grips: Mapping[int, GripForce] = field(default_factory=dict)
+    unlimited: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class OpeningPlan:
+    """What a goal in millimetres and newtons comes to.
+
+    Attributes:
+        goal: The goal, with its speed.
+        action: The action.
+        intensities: The intensities to go to, one after the other.
+        effort: Effort limits by actuator index [N·m | N].
+        grip: Tells opening and force from what is measured.
+    """
+
+    goal: Goal
+    action: Action
+    intensities: tuple[float, ...]
+    effort: Mapping[int, float]
+    grip: Grip
+
+
+def wants_opening(goal: Goal) -> bool:
+    """Return whether a goal is one in millimetres or newtons."""
+    given = (goal.opening, goal.force, goal.tip_speed)
+    return goal.grasp or any(value is not None for value in given)
+
+
+def check_opening(goal: Goal) -> None:
+    """Refuse a goal in millimetres and newtons whose values cannot be used.
+
+    Raises:
+        GoalRejected: if a value cannot be used.
+    """
+    if goal.opening is None:
+        what = (
+            "a grasp" if goal.grasp else "a force" if goal.force is not None else "a speed in m/s"
+        )
+        raise GoalRejected(f"{what} needs the opening, or the width of the object, in metres")
+    name = "width" if goal.grasp else "opening"
+    if not 0.0 <= goal.opening < math.inf:
+        raise GoalRejected(f"the {name} must be 0 m or more, not {goal.opening:g}")
+    if goal.force is not None and not 0.0 < goal.force < math.inf:
+        raise GoalRejected(f"the force must be above 0 N, not {goal.force:g}")
+    if goal.tip_speed is not None and not 0.0 < goal.tip_speed < math.inf:
+        raise GoalRejected(f"the speed must be above 0 m/s, not {goal.tip_speed:g}")
+    for side, value in (("narrower", goal.narrower), ("wider", goal.wider)):
+        if not 0.0 <= value < math.inf:
+            raise GoalRejected(f"the tolerance '{side}' must be 0 m or more, not {value:g}")
+    if goal.intensity != 1.0:
+        raise GoalRejected("give an intensity or an opening, not both")
+    if goal.stage is not Stage.BOTH:
+        raise GoalRejected("give a stage or an opening, not both")
+    if goal.force is not None and goal.effort:
+        raise GoalRejected("give efforts or a force, not both")
+    if goal.tip_speed is not None and goal.speed != 1.0:
+        raise GoalRejected("give the speed as a share or in m/s, not both")
+
+
+def plan_opening(
+    goal: Goal,
+    hand: Hand,
+    library: ActionLibrary,
+    devices: DeviceForces,
+    find: Callable[[], Action],
+    targets: Callable[[Action], Mapping[int, float]],
+) -> OpeningPlan:
+    """Work out a goal in millimetres and newtons.
+
+    Args:
+        goal: The goal; `check_opening` has passed it.
+        hand: The hand.
+        library: Its actions.
+        devices: What its devices do about forces.
+        find: Returns the action of a goal that names one.
+        targets: Returns where an action's actuators go at intensity 1, by index [rad | m].
+
+    Raises:
+        GoalRejected: if the opening, the force or the speed is beyond the hand.
+        UnknownAction: if there is no such action.
+        ActionError: if it has no opening.
+    """
+    assert goal.opening is not None  # noqa: S101 - `check_opening` has seen to that
+    width = goal.opening
+
+    def grip_of(action: Action, opening: Opening) -> Grip:
+        return Grip.of(hand, opening, targets(action), devices.grips)
+
+    if goal.action:
+        action = find()
+        opening = library.openings.of(action)
+        _check_width(opening, goal)
+    else:
+        action, opening = _best(goal, hand, library, devices, grip_of)
+    grip = grip_of(action, opening)
+    at = grip.intensity_at(width)
+    effort: dict[int, float] = {}
+    if goal.force is not None:
+        check_force(grip, hand, opening.label, goal.force, at)
+        effort = grip.efforts(goal.force, at)
+        _check_devices(hand, opening, effort, devices)
+    intensities: tuple[float, ...] = (at,)
+    if goal.grasp:
+        wider = min(width + MARGIN, opening.widest)
+        intensities = (grip.intensity_at(wider), grip.intensity[-1])
+    if goal.tip_speed is not None:
+        goal = replace(goal, speed=_speed(goal.tip_speed, hand, grip, at, opening.label))
+    return OpeningPlan(goal, action, intensities, effort, grip)
+
+
+def _check_width(opening: Opening, goal: Goal) -> None:
+    """Refuse an opening that an action does not have, with the nearest that it has."""
+    width = goal.opening or 0.0
+    least = opening.narrowest - (goal.narrower if goal.grasp else 0.0)
+    if least - _ROUNDING <= width <= opening.widest + _ROUNDING:
+        return
+    nearest = opening.widest if width > opening.widest else opening.narrowest
+    raise GoalRejected(
+        f"{opening.label} opens {opening.narrowest * 1e3:.1f} to {opening.widest * 1e3:.1f} mm, "
+        f"not {width * 1e3:.1f} mm; the nearest is {nearest * 1e3:.1f} mm"
+    )
+
+
+def _check_devices(
+    hand: Hand, opening: Opening, effort: Mapping[int, float], devices: DeviceForces
+) -> None:
+    """Refuse a force where a device takes no effort limit, or none of what it takes to limit it."""
+    nearest = "the nearest is the same without a force"
+    for i in effort:
+        if i in devices.refused:
+            why = f": {devices.refused[i]}" if devices.refused[i] else ""
+            raise GoalRejected(
+                f"the device of '{hand.actuators[i].name}' takes no effort limit{why}; {nearest}"
+            )
+    # Two sides press equally: it is enough that one of them gives way at the force.
+    if all(_unlimited(hand, side, effort, devices) for side in opening.sides):
+        names = ", ".join(hand.actuators[i].name for i in effort if i in devices.unlimited)
+        raise GoalRejected(
+            f"the force of {opening.label} cannot be limited: its device knows no effort of "
+            f"{names}; {nearest}"
+        )
+
+
+def _can(hand: Hand, opening: Opening, effort: Mapping[int, float], devices: DeviceForces) -> bool:
+    """Return whether the devices can limit a force."""
+    try:
+        _check_devices(hand, opening, effort, devices)
+    except GoalRejected:
+        return False
+    return True
+
+
+def _unlimited(
+    hand: Hand, side: Sequence[str], effort: Mapping[int, float], devices: DeviceForces
+) -> bool:
+    """Return whether a side presses with an actuator that cannot be limited, or with none."""
+    presses = [i for i in effort if set(side).intersection(hand.actuators[i].fingers)]
+    return not presses or any(i in devices.unlimited for i in presses)
+
+
+def _speed(speed: float, hand: Hand, grip: Grip, at: float, name: str) -> float:
+    """Return the share of the velocity limits at which the opening changes at a speed [m/s]."""
+    slope = grip.slope_at(at)  # of the opening [m per unit of intensity]
+    most = max(
+        abs(target - rest) / hand.actuators[i].velocity
+        for i, rest, target in zip(grip.indices, grip.rest, grip.target, strict=True)
+    )
+    share = speed * most / slope
+    if share > 1.0 + 1e-9:
+        raise GoalRejected(
+            f"{name} opens and closes at {1e3 * speed / share:.3g} mm/s at most there, "
+            f"not {1e3 * speed:g} mm/s"
+        )
+    return min(share, 1.0)
+
+
+def _best(
+    goal: Goal,
+    hand: Hand,
+    library: ActionLibrary,
+    devices: DeviceForces,
+    grip_of: Callable[[Action, Opening], Grip],
+) -> tuple[Action, Opening]:
+    """Return the action that suits an object's width, the force and the fingers best.
+
+    The order is: what can give the force, was found clear and in force closure; where the hand
+    opens by the whole margin; then the tips that meet the object most squarely; then the fewest
+    actuators.
+
+    Raises:
+        GoalRejected: if there is none, with what comes nearest.
+    """
+    for name in goal.elements:
+        if name not in hand.finger_names:
+            raise GoalRejected(f"unknown finger '{name}'; {suggestion(name, hand.finger_names)}")
+    width = goal.opening or 0.0
+    openings = _openings(library, goal.elements)
+    found: list[tuple[tuple[float, ...], Action, Opening]] = []
+    for order, (action, opening) in enumerate(openings):
+        if not opening.narrowest - goal.narrower <= width < opening.widest:
+            continue
+        at = opening.intensity_at(width)
+        grip = grip_of(action, opening)
+        weak = False
+        if goal.force is not None:
+            low, high = grip.forces(hand, at)
+            efforts = grip.efforts(goal.force, at)
+            weak = not low <= goal.force <= high or not _can(hand, opening, efforts, devices)
+        short = max(0.0, width + MARGIN - opening.widest)
+        square = round(opening.angle_at(at) / _SQUARE)
+        doubtful = _doubtful(action)
+        key = (weak, doubtful, short > 0.0, square, len(opening.actuators), order)
+        found.append((key, action, opening))
+    if not found:
+        raise GoalRejected(_nothing(goal, hand, [opening for _, opening in openings]))
+    _, action, opening = min(found, key=lambda each: each[0])
+    return action, opening
+
+
+def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Action, Opening]]:
+    """Return the actions with an opening, of some fingers if they are given."""
+    found, reason = [], ""
+    for action in library:
+        try:
+            opening = library.openings.of(action)
+        except ActionError as error:
+            reason = reason or str(error)
+            continue
+        if not fingers or set(fingers) == set(opening.fingers):
+            found.append((action, opening))
+    if not found and not library.openings.tables:
+        raise GoalRejected(reason or "the hand has no actions")
+    return found
+
+
+def _doubtful(action: Action) -> bool:
+    """Return whether links collide at a primitive's posture, or its tips would not hold a ball."""
+    if not (isinstance(action, Primitive) and action.evidence):
+        return False
+    evidence = action.evidence[0]
+    opposed = evidence.opposition is None or evidence.opposition.force_closure
+    return not (evidence.clear and opposed)
+
+
+def _nothing(goal: Goal, hand: Hand, openings: Sequence[Opening]) -> str:
+    """Return the sentence that says that no action suits, and what comes nearest."""
+    width = goal.opening or 0.0
+    fingers = f" of {', '.join(goal.elements)}" if goal.elements else ""
+    if not openings:
+        return f"no action of '{hand.name}' has an opening between tips{fingers}"
+
+    def off(opening: Opening) -> float:
+        return max(opening.narrowest - width, width - opening.widest)
+
+    nearest = min(openings, key=off)
+    at = nearest.widest if width > nearest.widest else nearest.narrowest
+    return (
+        f"no action{fingers} of '{hand.name}' holds an object of {width * 1e3:.1f} mm; the nearest "
+        f"is {at * 1e3:.1f} mm, by {label(nearest.action, nearest.elements)}"
+    )

@@ -1,0 +1,61 @@
+"""Quantities as people write them: ``30mm``, ``3cm``, ``0.03``, ``10N``, ``50mm/s``."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from rtee.errors import GoalRejected, suggestion
+
+LENGTH: Final[Mapping[str, float]] = MappingProxyType(
+    {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
+)
+"""Units of length, in metres."""
+
+FORCE: Final[Mapping[str, float]] = MappingProxyType({"N": 1.0, "kN": 1e3, "mN": 1e-3})
+"""Units of force, in newtons."""
+
+SPEED: Final[Mapping[str, float]] = MappingProxyType(
+    {f"{unit}/s": size for unit, size in LENGTH.items()}
+)
+"""Units of speed, in m/s."""
+
+_WORDS: Final = {id(LENGTH): "a length", id(FORCE): "a force", id(SPEED): "a speed"}
+
+_QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
+
+
+def quantity(value: str | float, units: Mapping[str, float], name: str) -> float:
+    """Return a quantity in its SI unit.
+
+    Args:
+        value: A number in the SI unit, or a text with or without a unit.
+        units: Its units: `LENGTH`, `FORCE` or `SPEED`.
+        name: What it is, for the message.
+
+    Raises:
+        GoalRejected: if it is no such quantity, not finite, or negative.
+    """
+    what = _WORDS[id(units)]
+    if isinstance(value, str):
+        match = _QUANTITY.fullmatch(value)
+        if match is None:
+            example = next(unit for unit in units if unit not in ("m", "m/s"))
+            raise GoalRejected(f"the {name} must be {what}, such as 30{example}, not '{value}'")
+        number, unit = float(match[1]), match[2]
+        if unit and unit not in units:
+            raise GoalRejected(
+                f"the {name} must be {what}, and '{unit}' is no unit of one; "
+                f"{suggestion(unit, units)}"
+            )
+        found = number * units.get(unit, 1.0)
+    else:
+        found = float(value)
+    if not math.isfinite(found):
+        raise GoalRejected(f"the {name} must be {what}, not {found:g}")
+    if found < 0.0:
+        raise GoalRejected(f"the {name} must not be negative, not {value}")
+    return found

@@ -1,0 +1,140 @@
+"""Goals in millimetres and newtons: refusals, best action, results, and replays bit for bit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rtee.actions.library import ActionLibrary
+from rtee.errors import ActionError, GoalRejected
+from rtee.hand.load import load_configured
+from rtee.log.plans import encode_plan, plan_of
+from rtee.loop.configure import loop_settings
+from rtee.loop.grip import EFFORT, LIMIT, TIPS, Grip
+from rtee.loop.opening_plan import DeviceForces
+from rtee.loop.plan import NO_DEVICES, Plan, make_plan
+from rtee.messages.schema import message_type
+from rtee.types import Goal, GripForce, Stage
+
+CONFIG = Path(__file__).parents[2] / "config"
+NAN = float("nan")
+
+
+def plan(name: str, goal: Goal, devices: DeviceForces = NO_DEVICES) -> Plan:
+    hand, config = load_configured(CONFIG / name)
+    library = ActionLibrary.load(hand, CONFIG / name / "actions")
+    return make_plan(goal, hand, library, loop_settings(config), devices=devices)
+
+
+def grasp(width: float, force: float | None = None, *, action: str = "Grasp") -> Goal:
+    return Goal(action, opening=width, force=force, grasp=True)
+
+
+@pytest.mark.parametrize(
+    ("goal", "reason"),
+    [
+        (grasp(NAN), "the width must be 0 m or more, not nan"),
+        (grasp(-0.01), "the width must be 0 m or more"),
+        (grasp(0.2), r"opens 0.0 to 86.0 mm, not 200.0 mm; the nearest is 86.0 mm"),
+        (grasp(0.2, action=""), r"no action of 'robotiq_2f_85' holds .* nearest is 86.0 mm, by"),
+        (grasp(0.03, 900.0), r"at most 222 N at an opening of 30 mm, not 900 N; the nearest is"),
+        (grasp(0.03, NAN), "the force must be above 0 N, not nan"),
+        (grasp(0.03, 0.0), "the force must be above 0 N"),
+        (grasp(0.03, math.inf), "the force must be above 0 N, not inf"),
+        (replace(grasp(0.03), tip_speed=9.0), "opens and closes at .* mm/s at most"),
+        (replace(grasp(0.03), tip_speed=NAN), "the speed must be above 0 m/s"),
+        (replace(grasp(0.03), narrower=NAN), "the tolerance 'narrower' must be 0 m or more"),
+        (replace(grasp(0.03), intensity=0.5), "an intensity or an opening, not both"),
+        (replace(grasp(0.03), stage=Stage.GRASP), "a stage or an opening, not both"),
+        (replace(grasp(0.03), elements=("ring",), action=""), "unknown finger 'ring'"),
+        (Goal("Grasp", force=10.0), "a force needs the opening"),
+        (Goal("Grasp", tip_speed=0.1), "a speed in m/s needs the opening"),
+        (
+            replace(grasp(0.03, 30.0), effort={"finger_joint": 1.0}),
+            "efforts or a force, not both",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_nearest_that_can(goal: Goal, reason: str) -> None:
+    with pytest.raises(GoalRejected, match=reason):
+        plan("robotiq_2f_85", goal)
+
+
+def test_an_action_without_an_opening_is_refused_with_the_command_that_makes_one() -> None:
+    with pytest.raises(ActionError, match="`rtee openings schunk_svh --save`"):
+        plan("schunk_svh", Goal("Trig", ("index",), opening=0.03))
+
+
+def test_an_opening_is_a_single_way_to_its_intensity() -> None:
+    found = plan("robotiq_2f_85", Goal("Grasp", opening=0.04))
+    [leg] = found.legs
+    assert found.grip is not None
+    assert found.grip.opening([leg.targets[0]]) == pytest.approx(0.04, abs=1e-4)
+    assert not found.effort
+
+
+def test_a_grasp_opens_by_a_margin_then_closes_with_the_effort_of_the_force() -> None:
+    found = plan("robotiq_2f_85", replace(grasp(0.03, 50.0), tip_speed=0.05))
+    opens, closes = found.legs
+    assert found.grip is not None
+    assert found.grip.opening([opens.targets[0]]) == pytest.approx(0.04, abs=1e-4)
+    assert closes.targets[0] > 0.8
+    # By virtual work: 50 N times the slope of the opening, 111 mm/rad.
+    assert found.effort[0] == pytest.approx(50.0 * 0.1126, rel=0.02)
+    assert 0.0 < found.goal.speed < 1.0
+
+
+def test_the_sheet_of_a_device_comes_before_the_geometry() -> None:
+    sheet = GripForce((2.0, 24.0), (20.0,), (235.0,))
+    devices = DeviceForces(grips={0: sheet})
+    assert plan("robotiq_2f_85", grasp(0.03, 20.0), devices).effort == {0: pytest.approx(2.0)}
+    with pytest.raises(GoalRejected, match=r"at least 20 N .*not 10 N; the nearest is 20 N"):
+        plan("robotiq_2f_85", grasp(0.03, 10.0), devices)
+
+
+def test_devices_that_cannot_limit_an_effort_refuse_a_force() -> None:
+    with pytest.raises(GoalRejected, match=r"takes no effort limit: none; the nearest is"):
+        plan("robotiq_2f_85", grasp(0.03, 30.0), DeviceForces(refused={0: "none"}))
+    with pytest.raises(GoalRejected, match=r"cannot be limited: its device knows no effort"):
+        plan("robotiq_2f_85", grasp(0.03, 30.0), DeviceForces(unlimited=frozenset({0})))
+
+
+def test_without_fingers_the_best_action_for_the_width_is_taken() -> None:
+    found = plan("schunk_svh", Goal("", opening=0.03, grasp=True))
+    assert "thumb" in found.elements
+    only = plan("schunk_svh", Goal("", ("ring", "thumb"), opening=0.03, grasp=True))
+    assert (only.action, set(only.elements)) == ("PinchTight", {"ring", "thumb"})
+    with pytest.raises(GoalRejected, match=r"no action of index of 'schunk_svh'|no action of"):
+        plan("schunk_svh", Goal("", ("index",), opening=0.03, grasp=True))
+
+
+def test_a_recorded_plan_tells_opening_and_force_as_before() -> None:
+    hand, _ = load_configured(CONFIG / "robotiq_2f_85")
+    sheet = GripForce((2.0, 24.0), (20.0, 10.0), (235.0, 200.0), (0.0, 0.8))
+    made = plan("robotiq_2f_85", grasp(0.03, 50.0), DeviceForces(grips={0: sheet}))
+    data = encode_plan(made, hand.actuator_names, time=1.0, wall=2)
+    read = plan_of(message_type("rtee_msgs/Plan").decode(data), made.goal, hand.actuator_names)
+    assert read == made
+
+
+def grip(hand_name: str = "robotiq_2f_85") -> Grip:
+    found = plan(hand_name, grasp(0.03, 50.0)).grip
+    assert found is not None
+    return found
+
+
+def test_the_force_is_estimated_from_the_best_that_is_measured() -> None:
+    found = grip()
+    at = [found.position_at(found.intensity_at(0.03))[0]]
+    effort = [found.efforts(50.0, found.intensity_at(0.03))[0]]
+    force, error, source = found.force(at, [NAN], effort, [50.0, 52.0], True)
+    assert (force, source) == (pytest.approx(51.0), TIPS)
+    force, error, source = found.force(at, effort, effort, [], True)
+    assert (force, source) == (pytest.approx(50.0, rel=1e-6), EFFORT)
+    assert error == pytest.approx(0.15 * 50.0)
+    force, _, source = found.force(at, [NAN], effort, [NAN, NAN], True)
+    assert (force, source) == (pytest.approx(50.0, rel=1e-6), LIMIT)
+    assert math.isnan(found.force(at, [NAN], effort, [], False)[0])

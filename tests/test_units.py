@@ -1,0 +1,52 @@
+"""Quantities as people write them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rtee.errors import GoalRejected
+from rtee.units import FORCE, LENGTH, SPEED, quantity
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [
+        ("30mm", 0.03),
+        ("3cm", 0.03),
+        ("0.03", 0.03),
+        ("3e-2m", 0.03),
+        (" 30 mm ", 0.03),
+        (0.03, 0.03),
+    ],
+)
+def test_lengths_are_read_with_and_without_units(text: str | float, metres: float) -> None:
+    assert quantity(text, LENGTH, "width") == pytest.approx(metres)
+
+
+def test_forces_and_speeds_have_units_of_their_own() -> None:
+    assert quantity("10N", FORCE, "force") == 10.0
+    assert quantity("50mm/s", SPEED, "speed") == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "units", "sentence"),
+    [
+        ("30N", LENGTH, "the width must be a length, and 'N' is no unit of one"),
+        ("10mm", FORCE, "must be a force, and 'mm' is no unit of one"),
+        ("50mm", SPEED, "must be a speed, and 'mm' is no unit of one"),
+        ("-3mm", LENGTH, "must not be negative"),
+        (-0.03, LENGTH, "must not be negative"),
+        ("nan", LENGTH, "must be a length, such as"),
+        ("", LENGTH, "must be a length, such as"),
+        ("1e999", LENGTH, "not inf"),
+        (math.nan, FORCE, "must be a force, not nan"),
+        ("10 N N", FORCE, "must be a force, such as 30N"),
+    ],
+)
+def test_what_does_not_fit_is_one_clear_sentence(
+    text: str | float, units: dict[str, float], sentence: str
+) -> None:
+    with pytest.raises(GoalRejected, match=sentence):
+        quantity(text, units, "width")
