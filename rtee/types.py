@@ -318,6 +318,17 @@ class Stage(StrEnum):
     GRASP = "grasp"
 
 
+class OnContact(StrEnum):
+    """What a finger does when it touches something; the most careful word comes first."""
+
+    STOP = "stop"
+    """It stays where it is."""
+    HOLD = "hold"
+    """It stays there, but yields to more than a light force."""
+    SQUEEZE = "squeeze"
+    """It waits like this until enough fingers touch, which then build up the force together."""
+
+
 def new_goal_id() -> str:
     """Return an identifier that no other goal has."""
     return os.urandom(8).hex()
@@ -347,6 +358,10 @@ class Goal:
         tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
         narrower: An object held at less than ``opening`` by up to this is the one meant [m].
         wider: The same for more than ``opening`` [m].
+        on_contact: What fingers do when they touch something, by name; "": all others. Those that
+            are in neither do as configured for the hand.
+        touch: Close slowly, and stop all fingers at the first contact.
+        max_force: Force up to which a slip raises ``force`` [N]; ``None``: it is not raised.
     """
 
     action: str
@@ -366,6 +381,9 @@ class Goal:
     tip_speed: float | None = None
     narrower: float = 0.005
     wider: float = 0.005
+    on_contact: Mapping[str, OnContact] = field(default_factory=_nothing)
+    touch: bool = False
+    max_force: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,6 +430,7 @@ class Result:
         force_error: How far the estimate may be off [N].
         force_source: What it is estimated from: ``tip forces``, ``effort`` or ``effort limit``.
         within: Something is held, and the opening is the object's width within the tolerance.
+        touched: Fingers that touched something, where they were to do something about it.
     """
 
     goal_id: str
@@ -434,6 +453,7 @@ class Result:
     force_error: float | None = None
     force_source: str = ""
     within: bool = False
+    touched: tuple[str, ...] = ()
 
     @property
     def succeeded(self) -> bool:
