@@ -104,23 +104,10 @@ class Controller:
         report = self.outbox.items.append
         self._plausible = Plausibility(hand.actuators, report)
         self._reflexes = Reflexes(
-            hand,
-            settings,
-            self._profile,
-            self._limiter,
-            self._contact,
-            self._effort_limit,
-            report,
+            hand, settings.grasp, self._profile, self._limiter, self._contact, self._limit, report
         )
         self._executor = Executor(
-            hand,
-            settings,
-            self._profile,
-            self._contact,
-            self._plausible,
-            self._reflexes,
-            report,
-            report,
+            hand, settings, self._profile, self._contact, self._plausible, self._reflexes, report
         )
         self.active = [False] * n
         self._accepts = [True] * n
@@ -469,6 +456,10 @@ class Controller:
 
     def _effort_limit(self, i: int) -> float:
         return self._goal_effort.get(i, self.hand.actuators[i].effort)
+
+    def _limit(self, i: int) -> float:
+        """Return the effort limit that the device of an actuator keeps [N·m | N], or ``inf``."""
+        return self._effort_limit(i) if self._accepts[i] else math.inf
 
     def _set_efforts(self) -> None:
         grasp, reflexes = self._grasp, self._reflexes.effort

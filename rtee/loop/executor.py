@@ -75,8 +75,7 @@ class Executor:
         contact: Watches the actuators that move.
         plausible: Says whether what is measured can be believed.
         reflexes: Act when fingers touch something.
-        on_feedback: Called with feedback.
-        on_result: Called with the result of every goal, exactly once.
+        report: Called with feedback, and with the result of every goal, exactly once.
     """
 
     def __init__(
@@ -87,8 +86,7 @@ class Executor:
         contact: ContactWatch,
         plausible: Plausibility,
         reflexes: Reflexes,
-        on_feedback: Callable[[Feedback], None],
-        on_result: Callable[[Result], None],
+        report: Callable[[Feedback | Result], None],
     ) -> None:
         self._hand = hand
         self._settings = settings
@@ -96,8 +94,7 @@ class Executor:
         self._contact = contact
         self._plausible = plausible
         self._reflexes = reflexes
-        self._on_feedback = on_feedback
-        self._on_result = on_result
+        self._tell = report
         self._run: _Run | None = None
         self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
         self._prismatic = tuple(a.kind is JointKind.PRISMATIC for a in hand.actuators)
@@ -203,7 +200,7 @@ class Executor:
         fingers = self._contact.fingers
         plan = run.plan
         grasped = any(self._contact.grasping(i) for i in plan.involved)
-        self._on_result(
+        self._tell(
             Result(
                 goal_id=plan.goal.goal_id,
                 action=plan.action,
@@ -386,7 +383,7 @@ class Executor:
         run.reported = stamp
         plan = run.plan
         inner = {leg.name: run.progress[k] for k, leg in enumerate(plan.legs)} if plan.timed else {}
-        self._on_feedback(
+        self._tell(
             Feedback(
                 goal_id=plan.goal.goal_id,
                 progress=sum(run.progress) / len(run.progress),

@@ -94,12 +94,15 @@ class FreeMotion:
         ahead = deviation if velocity > 0.0 else -deviation
         if self.known and ahead > _SURELY_FREE * least:
             return ahead > least
-        self._learn(deviation, self._features(velocity, acceleration))
-        size = abs(effort)
-        self.most += (size - self.most) * (1.0 if size > self.most else _STEADY)
+        self.learn(effort, velocity, acceleration)
         return False
 
-    def _learn(self, deviation: float, features: tuple[float, float, float]) -> None:
+    def learn(self, effort: float, velocity: float, acceleration: float) -> None:
+        """Learn from a measurement of free motion; arguments as for `exceeds`."""
+        deviation = effort - self.expected(velocity, acceleration)
+        features = self._features(velocity, acceleration)
+        size = abs(effort)
+        self.most += (size - self.most) * (1.0 if size > self.most else _STEADY)
         matrix = self._matrix
         along = [sum([m * x for m, x in zip(row, features, strict=True)]) for row in matrix]
         weight = _FORGET + sum([a * x for a, x in zip(along, features, strict=True)])

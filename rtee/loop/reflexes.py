@@ -15,7 +15,7 @@ from rtee.loop.free_motion import FreeMotion
 from rtee.loop.limiter import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile
-from rtee.loop.settings import LoopSettings
+from rtee.loop.settings import GraspSettings
 from rtee.types import Event, OnContact
 
 _CONFIRMED = 2
@@ -24,6 +24,9 @@ _CONFIRMED = 2
 _UNKNOWN_SHARE = 0.05
 """Where no lever is known, an actuator touches at this share of its effort limit more than it needs
 to move freely."""
+
+_SET_OUT = 0.1
+"""Efforts tell nothing for this long after an actuator has set out: it breaks loose [s]."""
 
 _RESOLUTION = 0.01
 """Less than this share of an actuator's effort limit is no contact: devices measure no better."""
@@ -65,6 +68,7 @@ class _Watched:
     threshold: float
     velocity: float = 0.0
     seen: float = math.nan
+    began: float = math.nan
     over: int = 0
     touched: bool = False
 
@@ -138,7 +142,7 @@ class Reflexes:
 
     Args:
         hand: The hand.
-        settings: The loop's settings.
+        grasp: When and how to react.
         profile: Moves the reference.
         limiter: What is sent.
         contact: Is given the actuators that have stopped.
@@ -156,14 +160,14 @@ class Reflexes:
     def __init__(
         self,
         hand: Hand,
-        settings: LoopSettings,
+        grasp: GraspSettings,
         profile: Profile,
         limiter: Limiter,
         contact: ContactWatch,
         limit: Callable[[int], float],
         report: Callable[[Event], None],
     ) -> None:
-        self._hand, self._grasp, self._limit = hand, settings.grasp, limit
+        self._hand, self._grasp, self._limit = hand, grasp, limit
         self._profile, self._limiter, self._contact = profile, limiter, contact
         self._report = report
         self._free = [
@@ -318,7 +322,13 @@ class Reflexes:
             return False
         if abs(watched.target - measured.position[i]) <= watched.tolerance:
             return False  # it brakes, or meets the end of its range
-        pushes = self._free[i].exceeds(signal, velocity, gain, threshold)
+        if watched.began != watched.began:
+            watched.began = stamp
+        free = self._free[i]
+        if stamp - watched.began < _SET_OUT:
+            free.learn(signal, velocity, gain)
+            return False
+        pushes = free.exceeds(signal, velocity, gain, threshold)
         watched.over = watched.over + 1 if pushes else 0
         return watched.over >= _CONFIRMED
 
