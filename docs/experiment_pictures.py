@@ -33,7 +33,10 @@ PLOTTED = {
 """Experiments of which a plot is shown, too, and the hand whose newest one it is."""
 
 WIDTH = 1200
-COLOURS = 128
+COLOURS = 256
+
+SWEEPS = 4
+"""Sweeps that improve the colours: without them, those of small fingers are merged."""
 
 
 def small(source: Path, target: Path) -> None:
@@ -42,7 +45,7 @@ def small(source: Path, target: Path) -> None:
         image = picture.convert("RGB")
     if image.width > WIDTH:
         image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.LANCZOS)
-    few = image.quantize(COLOURS, dither=Image.Dither.NONE)
+    few = image.quantize(COLOURS, kmeans=SWEEPS, dither=Image.Dither.NONE)
     few.save(target, optimize=True)
 
 

@@ -107,6 +107,7 @@ _ALL = (
     _request(ASK, "partners", "ActionName", "Names", "What an element can be paired with."),
     _request(ASK, "trials", "Empty", "String", "What trials of the actions found, as YAML."),
     _request(ASK, "grasp_plan", "GraspRequest", "String", "Grasps of an object, ranked, as JSON."),
+    _request(ASK, "reach", "ReachRequest", "String", "How a planner's grasp is reached, as JSON."),
     _request(ASK, "record", "RecordRequest", "Reply", "Start, stop or mark the recording."),
     _request(ASK, "add", "NewAction", "Reply", "Add an action."),
     _request(ASK, "store", "ActionName", "Reply", "Write an action to the hand's folder."),

@@ -51,10 +51,53 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
     return to_document(dataclasses.replace(ranking, plans=ranking.plans[: question["top"]]))
 
 
+def reach(question: dict[str, Any]) -> dict[str, Any]:
+    """Return how the hand reaches a planner's grasp, as plain data; see `answer`."""
+    with needing_extra("reaching a grasp", "extract"):
+        from rtee.planning.gripper_poses import GripperPose, reach_gripper_pose, with_openings
+        from rtee.planning.reach import reach_contacts
+    import numpy as np
+
+    from rtee.actions.library import ActionLibrary
+    from rtee.hand.load import load_hand
+    from rtee.planning.reached import WantedContact, to_document
+
+    folder, asked = Path(question["hand"]), question["reach"]
+    hand = load_hand(folder)
+    library = ActionLibrary.load(hand, folder / "actions")
+    pose = np.reshape(asked["pose"], (4, 4)) if asked["pose"] else None
+    approach, retreat = asked["approach"] or None, asked["retreat"]
+    if not asked["points"]:
+        assert pose is not None  # noqa: S101 - `ReachQuestion.check` has seen to that
+        actions = with_openings(library, library.openings)
+        grasp = GripperPose(pose, asked["width"])
+        found = reach_gripper_pose(
+            hand, actions, grasp, fingers=asked["fingers"], approach=approach, retreat=retreat
+        )
+        return to_document(found)
+    points = np.reshape(asked["points"], (-1, 3)).tolist()
+    normals = np.reshape(asked["normals"], (-1, 3)).tolist() or [None] * len(points)
+    fingers = asked["fingers"] or [""] * len(points)
+    contacts = [WantedContact(*each) for each in zip(points, normals, fingers, strict=True)]
+    tolerance = asked["tolerance"]
+    return to_document(
+        reach_contacts(
+            hand,
+            library,
+            contacts,
+            palm_pose=pose,
+            approach=approach,
+            retreat=retreat,
+            tolerance=tolerance,
+        )
+    )
+
+
 def main() -> None:
     """Answer the question on stdin."""
     try:
-        found: dict[str, Any] = {"ranking": answer(json.load(sys.stdin))}
+        question = json.load(sys.stdin)
+        found: dict[str, Any] = {"answer": (reach if "reach" in question else answer)(question)}
     except RteeError as error:
         found = {"error": str(error)}
     json.dump(found, sys.stdout)

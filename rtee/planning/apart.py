@@ -10,7 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +25,9 @@ _PATIENCE: Final = 60.0
 
 _NICE: Final = 10
 """How far planning's priority is below that of an ordinary program, see nice(2)."""
+
+_MOST_CONTACTS: Final = 10
+"""Most contacts of a grasp: hands have five fingers."""
 
 _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 
@@ -72,6 +75,57 @@ class Question:
         if not 0 < len(self.object) <= 500:
             raise ConfigError("which object? write its shape, such as sphere:0.03")
 
+    def words(self) -> dict[str, Any]:
+        """Return it as plain data, ready for JSON."""
+        return asdict(self) | {"mesh": base64.b64encode(self.mesh).decode("ascii")}
+
+
+@dataclass(frozen=True, slots=True)
+class ReachQuestion:
+    """Which grasp of a planner the hand is to reach: contacts, or a gripper's pose and width.
+
+    Attributes:
+        points: Points of the contacts, three numbers each [m]; none for a gripper's pose.
+        normals: Their normals into the object, three numbers each; or none.
+        fingers: The finger for each contact, or none; for a pose, the fingers to grasp with.
+        width: Width of the object, for a pose [m].
+        pose: 16 numbers, row by row: of the gripper, or of the palm for contacts; or none.
+        approach: Direction in which the palm comes; or none.
+        retreat: How far back along it the palm is before [m].
+        tolerance: Farthest that a fingertip may be from its contact [m].
+    """
+
+    points: tuple[float, ...] = ()
+    normals: tuple[float, ...] = ()
+    fingers: tuple[str, ...] = ()
+    width: float = 0.0
+    pose: tuple[float, ...] = ()
+    approach: tuple[float, ...] = ()
+    retreat: float = 0.1
+    tolerance: float = 0.003
+
+    def check(self) -> None:
+        """Raise `ConfigError` unless it can be asked; what only the hand tells is left out."""
+        numbers = (*self.points, *self.normals, *self.pose, *self.approach)
+        if not all(map(math.isfinite, (*numbers, self.width, self.retreat, self.tolerance))):
+            raise ConfigError("a grasp to reach consists of finite numbers")
+        if len(self.points) % 3 or len(self.points) > 3 * _MOST_CONTACTS:
+            raise ConfigError(f"a grasp has at most {_MOST_CONTACTS} contacts of three numbers")
+        if self.normals and len(self.normals) != len(self.points):
+            raise ConfigError("each contact has a normal, or none has one")
+        if len(self.fingers) > _MOST_CONTACTS or (
+            self.points and self.fingers and 3 * len(self.fingers) != len(self.points)
+        ):
+            raise ConfigError("each contact has a finger, or none has one")
+        if len(self.pose) not in (0, 16) or len(self.approach) not in (0, 3):
+            raise ConfigError("a pose is 4 by 4 numbers, an approach three")
+        if not self.points and not self.pose:
+            raise ConfigError("give contacts, or a gripper's pose and a width")
+
+    def words(self) -> dict[str, Any]:
+        """Return it as plain data, ready for JSON."""
+        return {"reach": asdict(self)}
+
 
 def question_about(thing: str, **options: Any) -> Question:
     """Return the question about an object, with the content of a mesh.
@@ -97,9 +151,11 @@ def question_about(thing: str, **options: Any) -> Question:
 
 
 def ask(
-    folder: Path, question: Question, started: Callable[[subprocess.Popen[str]], object]
+    folder: Path,
+    question: Question | ReachQuestion,
+    started: Callable[[subprocess.Popen[str]], object],
 ) -> str:
-    """Return a ranking as JSON; `rtee.planning.result.from_document` reads it.
+    """Return the answer as JSON; the ``from_document`` of `result` or `reached` reads it.
 
     Args:
         folder: The hand's folder.
@@ -111,11 +167,7 @@ def ask(
         RequestRejected: if there is no answer, with the reason.
     """
     question.check()
-    words = {
-        **{name: getattr(question, name) for name in Question.__dataclass_fields__},
-        "mesh": base64.b64encode(question.mesh).decode("ascii"),
-        "hand": str(folder),
-    }
+    words = {**question.words(), "hand": str(folder)}
     paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "rtee.planning"],
@@ -140,7 +192,7 @@ def ask(
         ) from None
     if "error" in found:
         raise RequestRejected(found["error"])
-    return json.dumps(found["ranking"])
+    return json.dumps(found["answer"])
 
 
 def _make_ordinary(process: int) -> None:

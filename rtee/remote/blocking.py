@@ -222,6 +222,8 @@ class BlockingHand:
     partners = _waiting(RemoteHand.partners)
     trials = _waiting(RemoteHand.trials)
     grasp_plan = _waiting(RemoteHand.grasp_plan)
+    reach = _waiting(RemoteHand.reach)
+    grasp_at = _waiting(RemoteHand.grasp_at)
     add_generic = _waiting(RemoteHand.add_generic)
     add_composed = _waiting(RemoteHand.add_composed)
     add_timed = _waiting(RemoteHand.add_timed)

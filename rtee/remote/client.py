@@ -24,6 +24,7 @@ from rtee.remote.find import open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.link import Link
 from rtee.remote.monitoring import Monitoring
+from rtee.remote.reaching import ReachClient
 from rtee.remote.stream import StreamClient
 
 P = ParamSpec("P")
@@ -99,8 +100,8 @@ def _part(
 class RemoteHand:
     """A running hand; made by `connect`.
 
-    It has all methods of `GoalClient`, `StreamClient`, `LeaseClient`, `Monitoring` and
-    `ActionClient`.
+    It has all methods of `GoalClient`, `StreamClient`, `LeaseClient`, `Monitoring`, `ActionClient`
+    and `ReachClient`.
 
     Everything that moves the hand is refused with `LeaseHeld` while another client holds the
     lease. A client holds it while its own goal or stream runs, and from `acquire` to `release`;
@@ -119,6 +120,7 @@ class RemoteHand:
         self._goals = GoalClient(link, self._monitoring.info)
         self._lease = LeaseClient(link)
         self._streams = StreamClient(link, self._monitoring)
+        self._reaching = ReachClient(link, self._actions, self._goals)
 
     start = _part("_goals", GoalClient.start)
     do = _part("_goals", GoalClient.do)
@@ -153,6 +155,8 @@ class RemoteHand:
     partners = _part("_actions", ActionClient.partners)
     trials = _part("_actions", ActionClient.trials)
     grasp_plan = _part("_actions", ActionClient.grasp_plan)
+    reach = _part("_reaching", ReachClient.reach)
+    grasp_at = _part("_reaching", ReachClient.grasp_at)
     add_generic = _part("_actions", ActionClient.add_generic)
     add_composed = _part("_actions", ActionClient.add_composed)
     add_timed = _part("_actions", ActionClient.add_timed)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtee.errors import RequestRejected
-from rtee.planning.apart import Question, ask
+from rtee.planning.apart import Question, ReachQuestion, ask
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.incoming_request import IncomingRequest
 
@@ -20,7 +20,7 @@ _WAITING: Final = 4
 
 
 class GraspPlanning:
-    """Answers the request ``grasp_plan``.
+    """Answers the requests ``grasp_plan`` and ``reach``.
 
     Args:
         hand: The hand's name.
@@ -42,7 +42,8 @@ class GraspPlanning:
         Raises:
             RteeError: if it cannot be.
         """
-        question = _question(asked.fields)
+        reach = asked.request.name == "reach"
+        question = _reach_question(asked.fields) if reach else _question(asked.fields)
         question.check()
         if actions is None:
             raise RequestRejected(f"{self._hand} has no folder with actions to plan with")
@@ -51,7 +52,9 @@ class GraspPlanning:
         if not self._queue.put(partial(self._answer, asked, actions.parent, question)):
             raise RequestRejected(f"{_WAITING} plans are waiting already")
 
-    def _answer(self, asked: IncomingRequest, folder: Path, question: Question) -> None:
+    def _answer(
+        self, asked: IncomingRequest, folder: Path, question: Question | ReachQuestion
+    ) -> None:
         try:
             if self._closed:
                 raise RequestRejected(f"{self._hand} has ended")
@@ -83,4 +86,20 @@ def _question(fields: Mapping[str, Any]) -> Question:
         scale=float(fields["scale"]),
         weight_axis=tuple(float(value) for value in fields["weight_axis"]),
         top=int(fields["top"]),
+    )
+
+
+def _reach_question(fields: Mapping[str, Any]) -> ReachQuestion:
+    points, normals, pose, approach = (
+        tuple(map(float, fields[name])) for name in ("points", "normals", "pose", "approach")
+    )
+    return ReachQuestion(
+        points=points,
+        normals=normals,
+        fingers=tuple(map(str, fields["fingers"])),
+        width=float(fields["width"]),
+        pose=pose,
+        approach=approach,
+        retreat=float(fields["retreat"]),
+        tolerance=float(fields["tolerance"]),
     )

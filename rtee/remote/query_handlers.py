@@ -134,7 +134,7 @@ class QueryHandlers:
         name, fields = asked.request.name, asked.fields
         if name == "state":
             return self._streams.messages.state(self._loop.snapshot())
-        if name == "grasp_plan":
+        if name in ("grasp_plan", "reach"):
             self._plans.handle(asked, self._library.folder)
             return None
         if name in _ABOUT_ACTIONS:

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from rtee.drivers.mujoco.objects import OBJECT
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.drivers.mujoco.surroundings import TABLE
+from rtee.drivers.mujoco.surroundings import CONTAINER, TABLE
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
@@ -91,7 +92,7 @@ class SimulationRenderer:
         found = []
         for geom in range(model.ngeom):
             name = model.geom(geom).name
-            if name == TABLE or name.startswith("object"):
+            if name == TABLE or name.startswith((OBJECT, CONTAINER)):
                 vertices, faces = _triangles(model, geom)
                 found.append((geom, vertices[faces], smooth_normals(vertices, faces)))
         return found

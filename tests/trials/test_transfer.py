@@ -13,7 +13,7 @@ from rtee.errors import UnknownAction
 from rtee.log import read
 from rtee.trials.recorded import recorder_for
 from rtee.trials.sweep import bench
-from rtee.trials.transfer import MOMENTS, Transfer, TransferResult, run_transfer
+from rtee.trials.transfer import MOMENTS, OFF, SLIDE, Transfer, TransferResult, run_transfer
 from rtee.trials.trial import Trial, run_trial
 
 GRIPPER = "robotiq_2f_85"
@@ -30,7 +30,8 @@ def test_a_box_is_carried_from_above_without_a_turn() -> None:
     what = Transfer("Grasp", object="box:0.04x0.04x0.05", by=(0.1, 0.0), turn=0.0)
     result = transfer(what, moments)
     assert result.placed, result.reason
-    assert result.off < 0.02
+    assert result.off < OFF
+    assert result.slide < SLIDE
     assert result.tilt < 0.05
     assert tuple(moments[-len(MOMENTS) :]) == MOMENTS
 
@@ -41,6 +42,21 @@ def test_what_is_wider_than_the_gripper_is_not_lifted() -> None:
     assert not result.placed
     assert result.reason == "it fell while it was lifted"
     assert moments[-1] == "lift"
+
+
+def test_variations_are_counted() -> None:
+    what = Transfer("Grasp", object="box:0.04x0.04x0.05", by=(0.1, 0.0), places=1, variations=2)
+    result = transfer(what)
+    assert len(result.varied) == 2
+    assert result.survived == sum(each.placed for each in result.varied)
+    assert result.varied[0].off != result.varied[1].off
+
+
+def test_an_object_is_put_into_the_container() -> None:
+    what = Transfer(
+        "Grasp", object="box:0.04x0.04x0.05", by=(0.3, 0.0), turn=0.0, container=True, places=2
+    )
+    assert transfer(what).placed
 
 
 def test_an_unknown_action_is_refused() -> None:

@@ -12,7 +12,7 @@ from rtee.drivers.mujoco.model import CARRIER, Built, build
 from rtee.drivers.mujoco.objects import add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.drivers.mujoco.surroundings import AXES, TABLE
+from rtee.drivers.mujoco.surroundings import AXES, CONTAINER, TABLE
 from rtee.hand.allowed_collisions import touch_at_rest
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
@@ -22,6 +22,11 @@ from rtee.types import FloatArray, from_rest
 _INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)  # of the carrier's axes [kg, kg·m²]: a small arm's
 _STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)  # of its servos [N/m, N·m/rad]: 100 N bend it by 0.5 mm
 _TABLE = (0.6, 0.6, 0.02)  # half sizes of the table's top [m]
+
+CONTAINER_SIZE = (0.34, 0.34, 0.04)
+"""Length, width and height of an open container [m]: an open hand fits between its walls."""
+
+_WALL = 0.004
 
 
 def build_hand(hand: Hand, options: SimOptions) -> Built:
@@ -121,6 +126,34 @@ def add_table(spec: mujoco.MjSpec, height: float) -> None:
     make_hard(geom, TABLE_FRICTION)
 
 
+def add_container(spec: mujoco.MjSpec, height: float, middle: tuple[float, float]) -> None:
+    """Add a container, open at the top, on a table.
+
+    Args:
+        spec: The scene.
+        height: Of the table's top [m].
+        middle: Of the container, x and y in the world [m].
+    """
+    half = 0.5 * np.array(CONTAINER_SIZE)
+    thin = 0.5 * _WALL
+    parts = [("floor", (half[0], half[1], thin), (0.0, 0.0, thin))]
+    for sign, side in ((-1.0, "one"), (1.0, "other")):
+        parts += [
+            (f"x/{side}", (thin, half[1], half[2]), (sign * (half[0] - thin), 0.0, half[2])),
+            (f"y/{side}", (half[0], thin, half[2]), (0.0, sign * (half[1] - thin), half[2])),
+        ]
+    origin = np.array([*middle, height])
+    for name, size, offset in parts:
+        geom = spec.worldbody.add_geom(
+            name=f"{CONTAINER}/{name}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=size,
+            pos=origin + offset,
+            rgba=[0.45, 0.55, 0.68, 1.0],
+        )
+        make_hard(geom, TABLE_FRICTION)
+
+
 def make_simulation(
     hand: Hand,
     options: SimOptions,
@@ -129,6 +162,7 @@ def make_simulation(
     *,
     place: FloatArray | None = None,
     mount: FloatArray | None = None,
+    container: tuple[float, float] | None = None,
 ) -> Simulation:
     """Build, compile and start the simulation that the options describe.
 
@@ -140,6 +174,8 @@ def make_simulation(
         place: Pose ``(4, 4)`` of the object in the hand's base frame; its middle is where the
             fingertips meet unless given.
         mount: How a carried hand is turned ``(3, 3)`` in the world; it reaches down unless given.
+        container: Where on the table a container has its middle, x and y in the world [m]; there is
+            none unless given.
 
     Raises:
         ModelError: if the hand cannot be simulated.
@@ -161,5 +197,7 @@ def make_simulation(
         add_object(built.spec, shape, mass=options.object_mass, pose=pose)
         if options.support == "table":
             add_table(built.spec, shape.lowest(pose))
+            if container is not None:
+                add_container(built.spec, shape.lowest(pose), container)
     model: mujoco.MjModel = built.spec.compile()
     return Simulation(model, hand, options, actuators, period, built.servos, built.notes)

@@ -17,6 +17,9 @@ AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 TABLE = "table"
 """Name of the table's geom."""
 
+CONTAINER = "container"
+"""What the names of a container's geoms begin with."""
+
 _DRAG = 4.0
 _TURN_DRAG = 0.01
 _CONFIRM = 0.3
@@ -56,7 +59,11 @@ class Surroundings:
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, OBJECT)
         self.has_object = joint >= 0
         self.unsupported = not self.has_object or options.support == "table"
-        self._table = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, TABLE)
+        self._ground = [
+            geom
+            for geom in range(model.ngeom)
+            if model.geom(geom).name == TABLE or model.geom(geom).name.startswith(CONTAINER)
+        ]
         self._motors = [
             mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, f"{CARRIER}/{axis}")
             for axis in AXES
@@ -116,12 +123,13 @@ class Surroundings:
 
     @property
     def on_table(self) -> bool:
-        """Whether the object touches the table."""
-        if self._table < 0 or not self.has_object:
+        """Whether the object touches the table, or a container on it."""
+        if not self._ground or not self.has_object:
             return False
         geoms = self._data.contact.geom
-        other = geoms[(geoms == self._table).any(axis=1)].sum(axis=1) - self._table
-        return bool(np.isin(self._model.geom_bodyid[other], self._parts).any())
+        ground = np.isin(geoms, self._ground)
+        parts = np.isin(self._model.geom_bodyid[geoms], self._parts)
+        return bool((ground[:, ::-1] & parts).any())
 
     @property
     def speed(self) -> float:

@@ -1,0 +1,77 @@
+"""What grasp planners put out, turned into postures and palm poses of a hand; nothing moves.
+
+    python examples/planner_grasps.py [HAND]
+
+The arrays in examples/planners stand in for a planner's; `hand.grasp_at` does such a grasp with a
+hand that runs.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from rtee.actions.library import ActionLibrary
+from rtee.errors import ConfigError
+from rtee.hand.load import hand_folder, load_hand
+from rtee.planning.gripper_poses import (
+    from_base_poses,
+    from_graspnet,
+    reach_gripper_pose,
+    with_openings,
+)
+from rtee.planning.joint_vectors import fit_joints
+from rtee.planning.reach import reach_contacts
+from rtee.planning.reached import ReachedGrasp, WantedContact
+from rtee.planning.tips import Fingertips
+
+PLANNERS = Path(__file__).parent / "planners"
+FRANKA = 0.1034
+"""From the base of the Franka hand, whose pose Contact-GraspNet gives, to its fingertips [m]."""
+
+
+def show(what: str, reached: ReachedGrasp) -> None:
+    """Print a grasp."""
+    with_what = f"{reached.action} at {reached.intensity:.2f}" if reached.action else "a posture"
+    where = np.array(reached.palm_pose)[:3, 3]
+    print(f"{what}: {with_what} with {', '.join(reached.fingers)}; the palm at {where.round(3)} m")
+    for left in reached.residuals:
+        print(
+            f"  {left.finger}: {1e3 * left.distance:+.1f} mm, {np.degrees(left.angle):.0f} degrees"
+        )
+
+
+def main(name: str = "schunk_svh") -> None:
+    """Read the arrays and print what they come to."""
+    folder = hand_folder(name)[0]
+    hand = load_hand(folder)
+    library, tips = ActionLibrary.load(hand, folder / "actions"), Fingertips(hand)
+    actions = with_openings(library, library.openings)
+
+    best = from_graspnet(np.load(PLANNERS / "graspnet.npy", allow_pickle=False))[0]
+    show("GraspNet, AnyGrasp", reach_gripper_pose(hand, actions, best, tips=tips))
+
+    with np.load(PLANNERS / "contact_graspnet.npz", allow_pickle=False) as found:
+        grasps = from_base_poses(
+            found["poses"], found["openings"], depth=FRANKA, scores=found["scores"]
+        )
+    show("Contact-GraspNet", reach_gripper_pose(hand, actions, grasps[0], tips=tips))
+
+    with np.load(PLANNERS / "contacts.npz", allow_pickle=False) as found:
+        pairs = zip(found["points"].tolist(), found["normals"].tolist(), strict=True)
+        contacts = [WantedContact(tuple(point), tuple(normal)) for point, normal in pairs]
+    try:
+        show("Contact points", reach_contacts(hand, library, contacts, tips=tips))
+    except ConfigError as error:  # they are the SVH's; another hand may not reach them
+        print(f"Contact points: {error}")
+
+    theirs = {f"their_{joint}": 0.1 for joint in hand.joint_names}
+    fitted = fit_joints(hand, theirs, {f"their_{joint}": joint for joint in hand.joint_names})
+    worst = max(map(abs, fitted.residuals.values()))
+    print(f"Joint vector: {len(fitted.posture)} actuators, residuals up to {worst:.3f} rad | m")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

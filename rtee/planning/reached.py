@@ -1,0 +1,115 @@
+"""What a grasp that a planner gave comes to for a hand, as data that needs no geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rtee.planning.result import Matrix, Point
+
+
+@dataclass(frozen=True, slots=True)
+class WantedContact:
+    """A contact that a planner wants, in its own frame.
+
+    Attributes:
+        point: Where the object is to be touched ``(3,)`` [m].
+        normal: Unit normal into the object ``(3,)``; ``None``: towards the middle of all contacts.
+        finger: The finger that is to touch there; empty: whichever suits best.
+    """
+
+    point: Point
+    normal: Point | None = None
+    finger: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """What is left between a wanted contact and the fingertip.
+
+    Attributes:
+        finger: The finger.
+        point: The point of the fingertip's surface that is nearest to the contact ``(3,)``, in the
+            frame of the contacts [m].
+        distance: From the contact to that surface [m]; negative: the contact is inside the tip.
+        angle: Between the wanted normal and the surface's [rad].
+    """
+
+    finger: str
+    point: Point
+    distance: float
+    angle: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReachedGrasp:
+    """How a hand takes what a planner found; lengths in metres.
+
+    Attributes:
+        hand: The hand's name.
+        fingers: The fingers that touch.
+        posture: Actuator positions of the grasp [rad | m], of the involved actuators.
+        pre_grasp: The same before it, with room between the fingers and the object.
+        palm_pose: Pose ``(4, 4)`` of the hand's base link for it, row by row, in the planner's
+            frame.
+        pre_palm_pose: Where the palm comes from along the approach.
+        residuals: One for each contact that was wanted.
+        action: The action, where a width was wanted; empty for contacts.
+        elements: Its elements.
+        intensity: Its intensity at the width.
+        pre_intensity: Its intensity before, with the margin.
+        width: The width that was wanted [m]; 0 for contacts.
+    """
+
+    hand: str
+    fingers: tuple[str, ...]
+    posture: Mapping[str, float]
+    pre_grasp: Mapping[str, float]
+    palm_pose: Matrix
+    pre_palm_pose: Matrix
+    residuals: tuple[Residual, ...] = ()
+    action: str = ""
+    elements: tuple[str, ...] = ()
+    intensity: float = 0.0
+    pre_intensity: float = 0.0
+    width: float = 0.0
+
+
+def to_document(reached: ReachedGrasp) -> dict[str, Any]:
+    """Return it as plain data, ready for JSON."""
+    return asdict(reached)
+
+
+def from_document(document: Mapping[str, Any]) -> ReachedGrasp:
+    """Return it from plain data.
+
+    Raises:
+        KeyError, TypeError, ValueError: if it is none.
+    """
+    plain = dict(document)
+    residuals = tuple(
+        Residual(str(r["finger"]), _point(r["point"]), float(r["distance"]), float(r["angle"]))
+        for r in plain.pop("residuals")
+    )
+    return ReachedGrasp(
+        hand=str(plain.pop("hand")),
+        fingers=tuple(map(str, plain.pop("fingers"))),
+        posture={str(k): float(v) for k, v in plain.pop("posture").items()},
+        pre_grasp={str(k): float(v) for k, v in plain.pop("pre_grasp").items()},
+        palm_pose=_matrix(plain.pop("palm_pose")),
+        pre_palm_pose=_matrix(plain.pop("pre_palm_pose")),
+        residuals=residuals,
+        action=str(plain.pop("action")),
+        elements=tuple(map(str, plain.pop("elements"))),
+        **{name: float(value) for name, value in plain.items()},
+    )
+
+
+def _point(values: Any) -> Point:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _matrix(rows: Any) -> Matrix:
+    return tuple(tuple(float(value) for value in row) for row in rows)

@@ -1,0 +1,200 @@
+"""Grasps that a planner gave, reached and done by a running hand."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rtee.actions.types import Generic, Posture
+from rtee.errors import ConfigError
+from rtee.planning.apart import ReachQuestion
+from rtee.planning.reached import ReachedGrasp, WantedContact, from_document
+from rtee.remote.action_client import ActionClient
+from rtee.remote.goal import GoalClient
+from rtee.remote.link import Link
+from rtee.types import Result, Stage
+
+_REACHED_WITHIN: Final = 90.0
+"""Time to wait for an answer [s]; others may wait before it."""
+
+
+class ReachClient:
+    """Asks how a hand reaches what a planner found, and does it.
+
+    Args:
+        link: The connection to the hand.
+        actions: Its actions.
+        goals: Its goals.
+    """
+
+    def __init__(self, link: Link, actions: ActionClient, goals: GoalClient) -> None:
+        self._link, self._actions, self._goals = link, actions, goals
+
+    async def reach(
+        self,
+        contacts: Sequence[WantedContact] | ArrayLike | None = None,
+        *,
+        width: float | None = None,
+        pose: ArrayLike | None = None,
+        fingers: Sequence[str] = (),
+        approach: Sequence[float] | None = None,
+        retreat: float = 0.1,
+        tolerance: float = 0.003,
+    ) -> ReachedGrasp:
+        """Return how the hand takes a grasp that a planner gave; nothing moves.
+
+        The hand works it out in a process of its own beside the loop. It needs the extra
+        ``extract`` where it runs.
+
+        Args:
+            contacts: Contacts, or their points ``(k, 3)`` [m]: fingertips are brought to them.
+            width: Width of the object for a gripper's pose [m], instead of contacts.
+            pose: Pose ``(4, 4)`` in the planner's frame: of the palm, for contacts (which are in
+                the palm's frame without one); for a width, of the gripper: x approach, y closing,
+                origin between the ends of its fingers.
+            fingers: The fingers to grasp with, for a width.
+            approach: Direction in which the palm comes.
+            retreat: How far back along it the palm is before [m].
+            tolerance: Farthest that a fingertip may be from its contact [m].
+
+        Raises:
+            ConfigError: if a value makes no sense.
+            RequestRejected: if the grasp cannot be reached, with the reason.
+        """
+        question = _question(contacts, width, pose, fingers, approach, retreat, tolerance)
+        question.check()
+        reply = await self._link.ask("reach", question.words()["reach"], within=_REACHED_WITHIN)
+        return from_document(json.loads(reply["data"]))
+
+    async def grasp_at(
+        self,
+        reached: ReachedGrasp | Sequence[WantedContact] | ArrayLike | None = None,
+        *,
+        width: float | None = None,
+        pose: ArrayLike | None = None,
+        fingers: Sequence[str] = (),
+        approach: Sequence[float] | None = None,
+        force: float | str | None = None,
+        stage: Stage | str = Stage.BOTH,
+    ) -> Result:
+        """Do a grasp that a planner gave, and wait for the result.
+
+        An arm in between takes it in two stages: ``reach``, the arm to ``pre_palm_pose``,
+        ``grasp_at(reached, stage="pre_grasp")``, the arm to ``palm_pose``, and
+        ``grasp_at(reached, stage="grasp")``.
+
+        Args:
+            reached: What `reach` returned; or contacts, as for `reach`.
+            width: As for `reach`.
+            pose: As for `reach`.
+            fingers: As for `reach`.
+            approach: As for `reach`.
+            force: Force between the fingertips, for a width [N].
+            stage: ``pre_grasp``: only open for it; ``grasp``: only close; by default both.
+
+        Raises:
+            ConfigError: if a value makes no sense.
+            RequestRejected: if the grasp cannot be reached or done, with the reason.
+            LeaseHeld: if another client holds the lease.
+        """
+        part = Stage(stage)
+        if not isinstance(reached, ReachedGrasp):
+            reached = await self.reach(
+                reached, width=width, pose=pose, fingers=fingers, approach=approach
+            )
+        elif reached.hand != self._link.hand:
+            raise ConfigError(f"the grasp was reached for '{reached.hand}'")
+        if reached.action:
+            return await self._by_action(reached, force, part)
+        if force is not None:
+            raise ConfigError("a force needs a width; contacts are grasped with the effort limits")
+        return await self._by_postures(reached, part)
+
+    async def _by_action(
+        self, reached: ReachedGrasp, force: float | str | None, part: Stage
+    ) -> Result:
+        if part is Stage.PRE_GRASP:
+            return await self._goals.do(
+                reached.action, *reached.elements, intensity=reached.pre_intensity
+            )
+        return await self._goals.grasp(
+            reached.width, force, fingers=reached.elements, action=reached.action
+        )
+
+    async def _by_postures(self, reached: ReachedGrasp, part: Stage) -> Result:
+        """Go to the postures one after the other, as actions that last as long as this takes."""
+        postures = {
+            Stage.PRE_GRASP: (reached.pre_grasp,),
+            Stage.GRASP: (reached.posture,),
+            Stage.BOTH: (reached.pre_grasp, reached.posture),
+        }[part]
+        name = f"grasp_at_{os.urandom(4).hex()}"
+        for number, posture in enumerate(postures):
+            action = Generic(name, Posture(posture, tuple(posture)), "A grasp of a planner.")
+            await self._actions.add_action(action, replace=number > 0)
+            try:
+                result = await self._goals.do(name)
+            finally:
+                await self._actions.remove_action(name)
+            if not (result.reached or result.stalled):
+                break
+        return result
+
+
+def _question(
+    contacts: Sequence[WantedContact] | ArrayLike | None,
+    width: float | None,
+    pose: ArrayLike | None,
+    fingers: Sequence[str],
+    approach: Sequence[float] | None,
+    retreat: float,
+    tolerance: float,
+) -> ReachQuestion:
+    """Return the question; raises `ConfigError` if it makes no sense."""
+    flat = tuple(_numbers(pose, (4, 4), "a pose is 4 by 4 numbers")) if pose is not None else ()
+    way = tuple(map(float, approach)) if approach is not None else ()
+    if contacts is None:
+        if width is None or pose is None:
+            raise ConfigError("give contacts, or a gripper's pose and a width")
+        return ReachQuestion((), (), tuple(fingers), float(width), flat, way, retreat, tolerance)
+    if width is not None or len(fingers):
+        raise ConfigError("contacts name their fingers themselves and have no width")
+    wanted = _contacts(contacts)
+    normals = [contact.normal for contact in wanted]
+    if any(n is None for n in normals) != all(n is None for n in normals):
+        raise ConfigError("each contact has a normal, or none has one")
+    named = [contact.finger for contact in wanted]
+    return ReachQuestion(
+        points=tuple(float(v) for contact in wanted for v in contact.point),
+        normals=tuple(float(v) for normal in normals if normal is not None for v in normal),
+        fingers=tuple(named) if any(named) else (),
+        pose=flat,
+        approach=way,
+        retreat=retreat,
+        tolerance=tolerance,
+    )
+
+
+def _contacts(contacts: Sequence[WantedContact] | ArrayLike) -> list[WantedContact]:
+    if isinstance(contacts, Sequence) and all(isinstance(c, WantedContact) for c in contacts):
+        return [c for c in contacts if isinstance(c, WantedContact)]
+    points = _numbers(contacts, (-1, 3), "points of contacts are three numbers each")
+    return [WantedContact((x, y, z)) for x, y, z in np.reshape(points, (-1, 3)).tolist()]
+
+
+def _numbers(values: object, shape: tuple[int, int], what: str) -> list[float]:
+    """Return the numbers of an array of a shape, row by row; raises `ConfigError` otherwise."""
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    fits = found.ndim == 2 and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
+    if not fits or not np.isfinite(found).all():
+        raise ConfigError(f"{what}; got {np.shape(found)}")
+    flat: list[float] = found.ravel().tolist()
+    return flat
