@@ -44,11 +44,18 @@ _EASE_STEP = 0.05
 """Share of the goal's effort limits by which it is eased."""
 
 _SLIP_STEP = 0.25
-"""Share of the goal's effort limits by which a slip raises the effort; a slip ends within a few
-steps, or what is held is gone."""
+"""Share of the goal's effort limits by which a slip raises the effort at least; a slip ends within
+a few steps, or what is held is gone."""
+
+_SLIP_SHARE = 0.5
+"""Or by this share of the present effort, if that is more: a load that grows is overtaken."""
 
 _CREEP = 0.5
 """An actuator creeps when it closes further by this share of its tolerance while it holds."""
+
+_LOAD = 1.15
+"""Something pulls at what is held when the force on a finger is above this share of what it was:
+sensors measure what pulls along the fingertip, too, before it slips."""
 
 _DROP = 0.7
 """A force has dropped when it is below this share of what it was."""
@@ -470,13 +477,14 @@ class Reflexes:
         if (position - held.position) * ahead > _CREEP * tolerance:
             return True
         dropped = effort < _DROP * held.effort or touch < _DROP * held.touch
-        held.low = held.low + 1 if dropped else 0
+        loaded = touch > max(_LOAD * held.touch, held.touch + self._grasp.touch)
+        held.low = held.low + 1 if dropped or loaded else 0
         return held.low >= _CONFIRMED
 
     def _raise(self, squeeze: _Squeeze, i: int, stamp: float) -> None:
         """Answer a slip: more effort, which is not eased again."""
         before = squeeze.level
-        level = min(before + _SLIP_STEP, squeeze.most)
+        level = min(before + max(_SLIP_STEP, _SLIP_SHARE * before), squeeze.most)
         squeeze.floor = max(squeeze.floor, level)
         self._set_level(squeeze, level, stamp)
         limited = level <= before
