@@ -104,8 +104,9 @@ def do(
         "stage": stage,
         "kind": kind,
     }
-    if on_contact:
-        options["on_contact"] = read_on_contact(on_contact)
+    words = read_on_contact(on_contact or [])
+    if words:
+        options["on_contact"] = words
     if opening is not None:
         options["opening"] = quantity(opening, LENGTH, "opening")
     if force is not None:
@@ -124,7 +125,7 @@ def do(
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
     # Fingers that are to stop on contact have done so.
-    touched = bool(result.touched) and "squeeze" not in options.get("on_contact", {}).values()
+    touched = bool(result.touched) and "squeeze" not in words.values()
     raise typer.Exit(0 if result.succeeded or touched else 1)
 
 

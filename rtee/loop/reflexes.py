@@ -16,6 +16,7 @@ from rtee.loop.limiter import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile
 from rtee.loop.settings import GraspSettings
+from rtee.loop.squeeze import Held, Squeeze, finger_forces
 from rtee.types import Event, OnContact
 
 _CONFIRMED = 2
@@ -34,35 +35,6 @@ _RESOLUTION = 0.01
 _SLOW = 0.1
 """Where efforts cannot be limited, a squeeze closes at this share of the velocity limits."""
 
-_SETTLE = 0.15
-"""After a change of force, fingers and object are given this time to come to rest [s]."""
-
-_EASE_EVERY = 0.5
-"""A grasp is eased by one step this often [s]."""
-
-_EASE_STEP = 0.05
-"""Share of the goal's effort limits by which it is eased."""
-
-_SLIP_STEP = 0.25
-"""Share of the goal's effort limits by which a slip raises the effort at least; a slip ends within
-a few steps, or what is held is gone."""
-
-_SLIP_SHARE = 0.5
-"""Or by this share of the present effort, if that is more: a load that grows is overtaken."""
-
-_CREEP = 0.5
-"""An actuator creeps when it closes further by this share of its tolerance while it holds."""
-
-_LOAD = 1.15
-"""Something pulls at what is held when the force on a finger is above this share of what it was:
-sensors measure what pulls along the fingertip, too, before it slips."""
-
-_DROP = 0.7
-"""A force has dropped when it is below this share of what it was."""
-
-_TOLD_EVERY = 0.5
-"""Slips are reported at most this often [s]."""
-
 
 @dataclass(slots=True)
 class _Watched:
@@ -78,45 +50,6 @@ class _Watched:
     began: float = math.nan
     over: int = 0
     touched: bool = False
-
-
-@dataclass(slots=True)
-class _Held:
-    """An actuator that squeezes: its effort limits at the levels 0 and 1, and what it was like."""
-
-    start: float
-    full: float
-    position: float = math.nan
-    effort: float = math.nan
-    touch: float = math.nan
-    low: int = 0
-
-
-@dataclass(slots=True)
-class _Squeeze:
-    """Actuators that squeeze something together.
-
-    Attributes:
-        since: When they began to [s].
-        held: The actuators, by index.
-        floor: Least level of effort that holding is eased to.
-        most: Highest level that a slip raises it to.
-        level: The present level; 1: the effort limits of the goal.
-        told: It was reported that this is the highest one.
-        built: The force has been built up.
-        settled: What is measured counts from here on [s].
-        ease: When to ease the grasp next [s].
-    """
-
-    since: float
-    held: dict[int, _Held]
-    floor: float
-    most: float
-    level: float = 1.0
-    told: bool = False
-    built: bool = False
-    settled: float = math.inf
-    ease: float = math.inf
 
 
 @dataclass(slots=True)
@@ -182,8 +115,7 @@ class Reflexes:
             for actuator in hand.actuators
         ]
         self._approach: _Approach | None = None
-        self._squeeze: _Squeeze | None = None
-        self._told = -math.inf
+        self._squeeze: Squeeze | None = None
         self.active = self.changed = False
         self.busy: set[int] = set()
         self.effort: dict[int, float] = {}
@@ -206,7 +138,7 @@ class Reflexes:
             if self._approach is not None:
                 self._approach.watched.pop(i, None)
             if self._squeeze is not None:
-                self._squeeze.held.pop(i, None)
+                self._squeeze.forget(i)
         if self._approach is not None and not self._approach.watched:
             self._approach = None
         if self._squeeze is not None and not self._squeeze.held:
@@ -309,12 +241,6 @@ class Reflexes:
             return min(forces) >= least if every else max(forces) >= least
         return self._pushes(i, watched, stamp, measured) or self._contact.blocked(i)
 
-    def _tip_forces(self, i: int, measured: Measured) -> list[float]:
-        names = self._hand.finger_names
-        if len(measured.touch) != len(names):
-            return []
-        return [measured.touch[names.index(f)] for f in self._hand.actuators[i].fingers]
-
     def _pushes(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> bool:
         """Return whether an actuator needs more effort than it does to move freely."""
         signal, threshold = measured.effort[i], watched.threshold
@@ -398,14 +324,14 @@ class Reflexes:
 
     def _begin_squeeze(self, approach: _Approach, stamp: float) -> None:
         """Build up the force with all that are to squeeze, together."""
-        held: dict[int, _Held] = {}
+        held: dict[int, Held] = {}
         floor, most = 0.0, math.inf
         for i, each in approach.watched.items():
             if each.mode is not OnContact.SQUEEZE:
                 continue
             full = self._limit(i)
             if math.isfinite(full) and full > 0.0:
-                held[i] = _Held(self._light(i, each), full)
+                held[i] = Held(self._light(i, each), full)
                 spec = self._hand.actuators[i]
                 floor = max(floor, self._grasp.grip_effort * spec.effort / full)
                 most = min(most, approach.most.get(i, full) / full)
@@ -418,88 +344,26 @@ class Reflexes:
         self.busy.update(held)
         most = max(most, 1.0) if math.isfinite(most) else 1.0
         floor = 1.0 if approach.kept else min(floor, 1.0)
-        self._squeeze = _Squeeze(stamp, held, floor, most)
-        if not held:
-            self._squeeze = None
+        squeeze = Squeeze(
+            self._hand, self._grasp, self._profile, self._contact, self._report, held, floor, most
+        )
+        self._squeeze = squeeze if held else None
         approach.watched = {
             i: each for i, each in approach.watched.items() if each.mode is not OnContact.SQUEEZE
         }
-        self._build(stamp)
+        squeeze.begin(stamp)
 
     def keep(self, stamp: float, measured: Measured) -> None:
         """Build up the force, and see to what is held; called at every tick while `active`."""
         squeeze = self._squeeze
         if squeeze is None:
             return
-        if not squeeze.built:
-            self._build(stamp)
-            return
-        if not any(self._contact.grasping(i) for i in squeeze.held):
-            squeeze.settled = stamp + _SETTLE
-            return
-        if stamp < squeeze.settled:
-            for held in squeeze.held.values():
-                held.position = math.nan
-            return
-        for i, held in squeeze.held.items():
-            if measured.fresh[i] and self._slips(i, held, measured):
-                self._raise(squeeze, i, stamp)
-                return
-        if squeeze.level > squeeze.floor and stamp >= squeeze.ease:
-            self._set_level(squeeze, max(squeeze.level - _EASE_STEP, squeeze.floor), stamp)
+        building = not squeeze.built
+        if squeeze.step(stamp, measured):
+            self.effort.update(squeeze.effort)
+            self.changed = True
+        if building and squeeze.built:
+            self.busy.difference_update(squeeze.held)
 
-    def _build(self, stamp: float) -> None:
-        squeeze = self._squeeze
-        if squeeze is None:
-            return
-        time = self._grasp.squeeze_time
-        share = min((stamp - squeeze.since) / time, 1.0) if time > 0.0 else 1.0
-        for i, held in squeeze.held.items():
-            self.effort[i] = held.start + share * (held.full - held.start)
-        self.changed = True
-        if share >= 1.0:
-            squeeze.built = True
-            squeeze.ease = stamp + self._grasp.grip_after
-            for i in squeeze.held:
-                self.busy.discard(i)
-                self._contact.unpin(i, stamp)
-
-    def _slips(self, i: int, held: _Held, measured: Measured) -> bool:
-        """Return whether what an actuator holds seems to slip."""
-        position, effort = measured.position[i], abs(measured.effort[i])
-        forces = self._tip_forces(i, measured)
-        touch = sum(forces) if forces else math.nan
-        if held.position != held.position:
-            held.position, held.effort, held.touch, held.low = position, effort, touch, 0
-            return False
-        ahead = 1.0 if self._profile.target[i] >= position else -1.0
-        tolerance = self._contact.tolerance(i)
-        if (position - held.position) * ahead > _CREEP * tolerance:
-            return True
-        dropped = effort < _DROP * held.effort or touch < _DROP * held.touch
-        loaded = touch > max(_LOAD * held.touch, held.touch + self._grasp.touch)
-        held.low = held.low + 1 if dropped or loaded else 0
-        return held.low >= _CONFIRMED
-
-    def _raise(self, squeeze: _Squeeze, i: int, stamp: float) -> None:
-        """Answer a slip: more effort, which is not eased again."""
-        before = squeeze.level
-        level = min(before + max(_SLIP_STEP, _SLIP_SHARE * before), squeeze.most)
-        squeeze.floor = max(squeeze.floor, level)
-        self._set_level(squeeze, level, stamp)
-        limited = level <= before
-        if stamp - self._told < _TOLD_EVERY or (limited and squeeze.told):
-            return
-        self._told, squeeze.told = stamp, squeeze.told or limited
-        actuator = self._hand.actuators[i]
-        who = ", ".join(actuator.fingers) or actuator.name
-        does = "the force is at its limit" if limited else "the force is raised"
-        text = f"slip at {who} (actuator {actuator.name}): {does}"
-        self._report(Event("slip", who, text, stamp, "warning"))
-
-    def _set_level(self, squeeze: _Squeeze, level: float, stamp: float) -> None:
-        squeeze.level = level
-        squeeze.settled, squeeze.ease = stamp + _SETTLE, stamp + _EASE_EVERY
-        for i, held in squeeze.held.items():
-            self.effort[i] = level * held.full
-        self.changed = True
+    def _tip_forces(self, i: int, measured: Measured) -> list[float]:
+        return finger_forces(self._hand, i, measured)
