@@ -114,7 +114,7 @@ class TryPanel:
                     min=1.0,
                     max=_LARGEST,
                     step=1.0,
-                    hint=f"{label.partition(' ')[0]} of the {kind} in millimetres",
+                    hint=f"{label.partition(' ')[0]} of the {kind} [mm]",
                     visible=False,
                 )
                 for label, value in sizes
