@@ -243,7 +243,7 @@ class Executor:
         plan = run.plan
         grip, goal = plan.grip, plan.goal
         if grip is None:
-            return {}
+            return {"elements": plan.elements}
         blocked = any(self._contact.blocked(i) for i in grip.indices)
         width = grip.opening(run.touched if run.touched and grasped else measured.position)
         force, error, source = grip.force(

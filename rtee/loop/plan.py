@@ -137,7 +137,9 @@ def make_plan(
     if goal.touch:
         goal = slowly(goal, hand, grip, action.name)
     plan = _made(goal, action, legs, effort, settings, timed)
-    return plan if grip is None else replace(plan, elements=action.elements, grip=grip)
+    if grip is None and not goal.touch:
+        return plan
+    return replace(plan, elements=action.elements, grip=grip)
 
 
 def _made(

@@ -19,10 +19,11 @@ from rtee.cli._common import app_of
 from rtee.cli.define import compose
 from rtee.cli.do import do
 from rtee.cli.do import open_ as open
+from rtee.cli.grasp import touch
 from rtee.cli.state import state
 from rtee.cli.status import status
 from rtee.cli.stop import recover, stop
-from rtee.errors import ConfigError, NoHand, RequestRejected
+from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.remote.directory import announced
 
@@ -61,6 +62,21 @@ def test_do_with_everything_said(served: Served) -> None:
     goal = served.watcher.goals[0]
     assert goal.effort == {"near": 1.5, "push": 30.0}
     assert (goal.speed, goal.timeout, goal.tolerance) == (0.5, 5.0, 0.02)
+
+
+def test_do_says_what_fingers_do_on_contact(served: Served) -> None:
+    run(do, *["fist", "--intensity", "0.2", "--on-contact", "hold", "--on-contact", "thumb=stop"])
+    assert served.watcher.goals[0].on_contact == {"": "hold", "thumb": "stop"}
+    with pytest.raises(GoalRejected, match="unknown on_contact 'push'"):
+        run(do, "fist", "--on-contact", "push")
+
+
+def test_touching_nothing_has_exit_status_1(served: Served) -> None:
+    assert "Trig thumb: timed out" in run(touch, "thumb", "--timeout", "0.2", status=1)
+    [goal] = served.watcher.goals
+    assert goal.touch
+    with pytest.raises(RequestRejected, match="unknown finger 'ring'"):
+        run(touch, "ring")
 
 
 def test_do_that_fails_has_exit_status_1(served: Served) -> None:
