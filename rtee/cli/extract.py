@@ -58,7 +58,10 @@ def extract(
         Path | None, typer.Option(help="Write the primitives to files in this folder.")
     ] = None,
     save: Annotated[
-        bool, typer.Option("--save", help="Write the primitives to the hand's own actions.")
+        bool,
+        typer.Option(
+            "--save", help="Write the primitives to the hand's own actions, and their openings."
+        ),
     ] = False,
     report: Annotated[
         Path | None, typer.Option(help="Write a page with a picture of every action (HTML).")
@@ -70,6 +73,8 @@ def extract(
     rank: Annotated[Rank, typer.Option(help="Which posture of a pinch comes first.")] = Rank.DEPTH,
 ) -> None:
     """Find the primitive grasping actions of a hand."""
+    from rtee.actions.openings import write_openings
+    from rtee.cli.openings import made_of
     from rtee.errors import ConfigError, needing_extra
     from rtee.hand.files import check_writable
 
@@ -101,6 +106,10 @@ def extract(
     if home is not None and folder is not None:
         report_copy(folder, own(folder))
     _write(targets, page, model, found)
+    stored = []
+    if home is not None:
+        openings = made_of(home)
+        stored.append(write_openings(home, openings.hand, openings.tables))
     if as_json:
         from rtee.actions.describe import describe
 
@@ -108,7 +117,8 @@ def extract(
     else:
         _show(model, found)
     notes = [f"note: {note}" for note in (*model.notes, *found.notes)]
-    notes += [f"written to {target}" for target in [*targets, *([report] if report else [])]]
+    written = [*targets, *stored, *([report] if report else [])]
+    notes += [f"written to {target}" for target in written]
     for note in notes:
         print(note, file=sys.stdout if sys.stdout.isatty() and not as_json else sys.stderr)
 
