@@ -101,8 +101,8 @@ class _Blocks:
         """Ask for blocks until an empty line."""
         label = self._opening.label
         words = " ".join((self._action.name, *self._action.elements))
-        for intensity, width in self._pairs:
-            print(f"{label}: measured before: {1e3 * width:g} mm at {intensity:.4f}")
+        for at, known in self._pairs:
+            print(f"{label}: measured before: {1e3 * known:g} mm at {at:.4f}")
         while True:
             width = await self._width()
             if width is None:
