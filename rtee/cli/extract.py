@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import JsonOption, complete_hand, hand_folder, report_copy
+from rtee.cli._common import JsonOption, actions_of, complete_hand, hand_folder, report_copy
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rtee.actions.openings import Openings
     from rtee.actions.types import Primitive
     from rtee.extract.extraction import Extraction
     from rtee.extract.report import Tried
@@ -74,7 +75,6 @@ def extract(
 ) -> None:
     """Find the primitive grasping actions of a hand."""
     from rtee.actions.openings import write_openings
-    from rtee.cli.openings import made_of
     from rtee.errors import ConfigError, needing_extra
     from rtee.hand.files import check_writable
 
@@ -221,6 +221,24 @@ def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int
     finally:
         if bar is not None:
             bar.stop()
+
+
+def made_of(folder: Path) -> Openings:
+    """Make the openings of the actions in a hand's folder.
+
+    Raises:
+        MissingExtra: The extra ``extract`` is not installed.
+        ModelError: A mesh is missing or cannot be read.
+    """
+    from rtee.errors import needing_extra
+
+    with needing_extra("making openings", "extract"):
+        from rtee.extract.openings import make_openings
+    from rtee.actions.openings import Openings
+
+    library = actions_of(str(folder))
+    with progress_bar("measuring openings") as progress:
+        return Openings(library.hand, tuple(make_openings(library.hand, library, progress)))
 
 
 def _show(hand: HandModel, found: Extraction) -> None:

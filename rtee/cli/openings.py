@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,7 +11,7 @@ from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, report_c
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
-    from rtee.actions.openings import Opening, Openings
+    from rtee.actions.openings import Opening
 
 
 def openings(
@@ -46,6 +45,7 @@ def openings(
 def make(hand: str) -> None:
     """Make the tables of a hand's actions and store them in its folder."""
     from rtee.actions.openings import write_openings
+    from rtee.cli.extract import made_of
     from rtee.hand.own_copy import own, own_place
 
     folder = hand_folder(hand)
@@ -54,25 +54,6 @@ def make(hand: str) -> None:
     home = own(folder)
     report_copy(folder, home)
     print(f"written to {write_openings(home, made.hand, made.tables)}", file=sys.stderr)
-
-
-def made_of(folder: Path) -> Openings:
-    """Make the openings of the actions in a hand's folder.
-
-    Raises:
-        MissingExtra: The extra ``extract`` is not installed.
-        ModelError: A mesh is missing or cannot be read.
-    """
-    from rtee.errors import needing_extra
-
-    with needing_extra("making openings", "extract"):
-        from rtee.extract.openings import make_openings
-    from rtee.actions.openings import Openings
-    from rtee.cli.extract import progress_bar
-
-    library = actions_of(str(folder))
-    with progress_bar("measuring openings") as progress:
-        return Openings(library.hand, tuple(make_openings(library.hand, library, progress)))
 
 
 def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
