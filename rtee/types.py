@@ -17,8 +17,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from rtee.capabilities import Capabilities as Capabilities  # part of this vocabulary, too
+from rtee.capabilities import GripForce as GripForce
 from rtee.sample import NOTHING
-from rtee.sample import ActuatorState as ActuatorState  # part of this vocabulary, too
+from rtee.sample import ActuatorState as ActuatorState
 from rtee.sample import BoolArray as BoolArray
 from rtee.sample import FloatArray as FloatArray
 
@@ -140,72 +142,6 @@ class DeviceSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class GripForce:
-    """Force at the fingertips by an actuator's effort limit, linear in it, from a device's sheet.
-
-    Attributes:
-        effort: Effort limits of the weakest and of the strongest grip [N·m | N].
-        weakest: Force at the first of them ``(k,)`` [N].
-        strongest: Force at the second ``(k,)`` [N].
-        position: Positions of the actuator there ``(k,)``, rising [rad | m]; empty: ``k`` is 1.
-    """
-
-    effort: tuple[float, float]
-    weakest: tuple[float, ...]
-    strongest: tuple[float, ...]
-    position: tuple[float, ...] = ()
-
-    def range_at(self, position: float) -> tuple[float, float]:
-        """Return the weakest and the strongest force at a position [rad | m] in newtons."""
-        at = self.position or (0.0,)
-        low, high = (np.interp(position, at, force) for force in (self.weakest, self.strongest))
-        return float(low), float(high)
-
-    def effort_for(self, force: float, position: float) -> float:
-        """Return the effort limit that gives a force [N] at a position [rad | m]."""
-        low, high = self.range_at(position)
-        share = (force - low) / (high - low)
-        return self.effort[0] + share * (self.effort[1] - self.effort[0])
-
-    def force_for(self, effort: float, position: float) -> float:
-        """Return the force [N] that an effort limit gives at a position [rad | m]."""
-        low, high = self.range_at(position)
-        share = (effort - self.effort[0]) / (self.effort[1] - self.effort[0])
-        return low + min(max(share, 0.0), 1.0) * (high - low)
-
-
-@dataclass(frozen=True, slots=True)
-class Capabilities:
-    """What a device measures and accepts.
-
-    Attributes:
-        measures: Of ``position velocity effort current temperature pressure grasped``.
-        accepts: Of ``position max_effort max_velocity``.
-        refuses: Of those that it does not accept, why, in words, and what to do instead.
-        best_rate: Fastest useful rate of exchanges [Hz]; ``inf`` when only the loop limits it.
-        homing: It needs homing before it can move.
-        watchdog: It stops by itself when the host falls silent, and the driver has armed that.
-        recoverable: ``recover()`` can clear faults.
-        gains: Names of gains that can be tuned while it runs.
-        identity: Model, firmware, serial number and the like, as the device reports them.
-        grip: Force at the fingertips by effort limit from the device's sheet, by actuator.
-        unlimited: Actuators whose effort it cannot limit, though it limits that of others.
-    """
-
-    measures: frozenset[str] = frozenset({"position"})
-    accepts: frozenset[str] = frozenset({"position"})
-    refuses: Mapping[str, str] = field(default_factory=_nothing)
-    best_rate: float = math.inf
-    homing: bool = False
-    watchdog: bool = False
-    recoverable: bool = False
-    gains: tuple[str, ...] = ()
-    identity: Mapping[str, str] = field(default_factory=_nothing)
-    grip: Mapping[str, GripForce] = field(default_factory=_nothing)
-    unlimited: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True, slots=True)
 class Reference:
     """Set-points for one device, in the order of its actuators; never ``NaN``.
 
@@ -318,6 +254,17 @@ class Stage(StrEnum):
     GRASP = "grasp"
 
 
+class OnContact(StrEnum):
+    """What a finger does when it touches something; the most careful word comes first."""
+
+    STOP = "stop"
+    """It stays where it is."""
+    HOLD = "hold"
+    """It stays there, but yields to more than a light force."""
+    SQUEEZE = "squeeze"
+    """It waits like this until enough fingers touch, which then build up the force together."""
+
+
 def new_goal_id() -> str:
     """Return an identifier that no other goal has."""
     return os.urandom(8).hex()
@@ -347,6 +294,10 @@ class Goal:
         tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
         narrower: An object held at less than ``opening`` by up to this is the one meant [m].
         wider: The same for more than ``opening`` [m].
+        on_contact: What fingers do when they touch something, by name; "": all others. Those that
+            are in neither do as configured for the hand.
+        touch: Close slowly, and stop all fingers at the first contact.
+        max_force: Force up to which a slip raises ``force`` [N]; ``None``: it is not raised.
     """
 
     action: str
@@ -366,6 +317,9 @@ class Goal:
     tip_speed: float | None = None
     narrower: float = 0.005
     wider: float = 0.005
+    on_contact: Mapping[str, OnContact] = field(default_factory=_nothing)
+    touch: bool = False
+    max_force: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,6 +366,7 @@ class Result:
         force_error: How far the estimate may be off [N].
         force_source: What it is estimated from: ``tip forces``, ``effort`` or ``effort limit``.
         within: Something is held, and the opening is the object's width within the tolerance.
+        touched: Fingers that touched something, where they were to do something about it.
     """
 
     goal_id: str
@@ -434,6 +389,7 @@ class Result:
     force_error: float | None = None
     force_source: str = ""
     within: bool = False
+    touched: tuple[str, ...] = ()
 
     @property
     def succeeded(self) -> bool:

@@ -128,3 +128,12 @@ def _number(text: str, what: str, word: str) -> float:
         return float(text)
     except ValueError:
         raise ActionError(f"the {what} in '{word}' must be a number, not '{text}'") from None
+
+
+def read_on_contact(texts: Sequence[str]) -> dict[str, str]:
+    """Return what fingers do on contact, by name, from texts such as ``hold`` or ``thumb=stop``.
+
+    A text without a finger is for all that have none of their own, by the name "".
+    """
+    split = [text.rpartition("=") for text in texts]
+    return {finger.strip(): word.strip() for finger, _, word in split}

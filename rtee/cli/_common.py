@@ -122,6 +122,13 @@ WaitOption = Annotated[
         help="Wait until the hand runs and its devices are active; 60 s unless given.",
     ),
 ]
+OnContactOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="WORD|FINGER=WORD",
+        help="What fingers do when they touch something: stop, hold or squeeze; may be repeated.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 

@@ -86,7 +86,8 @@ def sentence(result: Result, elements: Sequence[str] = ()) -> str:
         for true, words in (
             (result.reached, "reached"),
             (result.grasped, "grasped" + _by(result.grasped_fingers)),
-            (result.stalled and not result.grasped, "stalled"),
+            (bool(result.touched) and not result.grasped, "touched" + _by(result.touched)),
+            (result.stalled and not (result.grasped or result.touched), "stalled"),
             (result.preempted, "pre-empted by another goal"),
             (result.cancelled, f"cancelled{why}"),
             (result.timed_out, "timed out"),

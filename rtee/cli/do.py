@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rtee.cli._common import (
     ConnectOption,
     JsonOption,
+    OnContactOption,
     RunningOption,
     WaitOption,
     complete_action,
@@ -79,6 +80,7 @@ def do(
         str | None,
         typer.Option(metavar="FORCE", help="Force between the fingertips, such as 10N."),
     ] = None,
+    on_contact: OnContactOption = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,
@@ -88,7 +90,7 @@ def do(
 
     Example: rtee do pinch_tight index thumb --intensity 0.6
     """
-    from rtee.actions.cli_syntax import read_efforts
+    from rtee.actions.cli_syntax import read_efforts, read_on_contact
     from rtee.actions.naming import label
     from rtee.units import FORCE, LENGTH, quantity
 
@@ -102,6 +104,9 @@ def do(
         "stage": stage,
         "kind": kind,
     }
+    words = read_on_contact(on_contact or [])
+    if words:
+        options["on_contact"] = words
     if opening is not None:
         options["opening"] = quantity(opening, LENGTH, "opening")
     if force is not None:
@@ -119,7 +124,9 @@ def do(
 
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
-    raise typer.Exit(0 if result.succeeded else 1)
+    # Fingers that are to stop on contact have done so.
+    touched = bool(result.touched) and "squeeze" not in words.values()
+    raise typer.Exit(0 if result.succeeded or touched else 1)
 
 
 def open_(

@@ -1,4 +1,4 @@
-"""`rtee grasp`: hold an object of a width with a force."""
+"""`rtee grasp` and `rtee touch`: hold an object of a width, or close until the first contact."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import ConnectOption, JsonOption, RunningOption, WaitOption
+from rtee.cli._common import (
+    ConnectOption,
+    JsonOption,
+    OnContactOption,
+    RunningOption,
+    WaitOption,
+)
 from rtee.cli._online import result_json, sentence, with_hand
 from rtee.cli.do import follow
 
@@ -44,6 +50,11 @@ def grasp(
     timeout: Annotated[
         float | None, typer.Option(metavar="S", help="Longest time it may take.")
     ] = None,
+    on_contact: OnContactOption = None,
+    max_force: Annotated[
+        str | None,
+        typer.Option(metavar="FORCE", help="Force up to which a slip raises --force."),
+    ] = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,
@@ -55,8 +66,10 @@ def grasp(
 
     Example: rtee grasp --width 30mm --force 10N index thumb
     """
+    from rtee.actions.cli_syntax import read_on_contact
     from rtee.units import FORCE, LENGTH, SPEED, quantity
 
+    words = read_on_contact(on_contact or [])
     wanted = quantity(width, LENGTH, "width")
     newtons = None if force is None else quantity(force, FORCE, "force")
     fast = None if speed is None else quantity(speed, SPEED, "speed")
@@ -64,10 +77,51 @@ def grasp(
 
     async def execute(remote: RemoteHand) -> Result:
         running = await remote.start_grasp(
-            wanted, newtons, fast, fingers, within, action=action, timeout=timeout
+            wanted,
+            newtons,
+            fast,
+            fingers,
+            within,
+            action=action,
+            timeout=timeout,
+            on_contact=words,
+            max_force=max_force,
         )
         return await follow(running, f"grasp {wanted * 1e3:g} mm")
 
     result = with_hand(hand, connect, "grasp", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, result.elements))
     raise typer.Exit(0 if result.within else 1)
+
+
+def touch(
+    fingers: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="FINGER…", help="Fingers to close; as many as possible by default."),
+    ] = None,
+    action: Annotated[str, typer.Option(help="The action to close with.")] = "",
+    speed: Annotated[
+        str | None, typer.Option(metavar="SPEED", help="Speed of closing; 10mm/s by default.")
+    ] = None,
+    timeout: Annotated[
+        float | None, typer.Option(metavar="S", help="Longest time it may take.")
+    ] = None,
+    hand: RunningOption = None,
+    connect: ConnectOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Close slowly until a finger touches something, and stop there; Ctrl-C cancels it.
+
+    Exit status 1 when nothing was touched.
+
+    Example: rtee touch index thumb
+    """
+
+    async def execute(remote: RemoteHand) -> Result:
+        running = await remote.start_touch(fingers, action=action, speed=speed, timeout=timeout)
+        return await follow(running, "touch")
+
+    result = with_hand(hand, connect, "touch", execute, wait=wait)
+    print(result_json(result) if as_json else sentence(result, result.elements))
+    raise typer.Exit(0 if result.touched else 1)

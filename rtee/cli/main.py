@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("rtee.cli.run:run", "Run one hand or several."),
     "do": ("rtee.cli.do:do", "Execute a grasping action."),
     "grasp": ("rtee.cli.grasp:grasp", "Hold an object of a width with a force."),
+    "touch": ("rtee.cli.grasp:touch", "Close slowly until the first contact."),
     "open": ("rtee.cli.do:open_", "Open the hand."),
     "stop": ("rtee.cli.stop:stop", "Stop the hand."),
     "recover": ("rtee.cli.stop:recover", "Bring devices out of a fault."),

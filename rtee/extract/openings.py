@@ -21,6 +21,7 @@ from rtee.actions.openings import Opening, fingerprint_of
 from rtee.actions.types import Action, Timed
 from rtee.extract.jobs import Progress
 from rtee.hand.geometry import HandGeometry, Shape
+from rtee.hand.linalg import dot, matmul, matvec, norm, norms, vecmat
 from rtee.hand.model import Hand
 from rtee.types import FloatArray, from_rest, readonly
 
@@ -63,6 +64,9 @@ of a symmetric gripper."""
 
 _WORTH: Final = 0.005
 """A part of the way that is left out is told from this size on."""
+
+_FLAT: Final = 1e-12
+"""Squared sine of the angle below which three points are on a line."""
 
 _STILL: Final = 1e-9
 """A tip slower than this does not move [m per unit of intensity]."""
@@ -203,7 +207,7 @@ class _Way:
         points = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
         if distance > _TOUCH:
             between = points[1] - points[0]
-            self._normals[first, second] = between / np.linalg.norm(between)
+            self._normals[first, second] = between / norm(between)
         normal = self._normals.get((first, second), np.zeros(3))
         return _Gap(distance, *points, normal)
 
@@ -231,8 +235,7 @@ class _Way:
         ).reshape(6, -1)  # Pinocchio drops the axis of a single joint
         offset = point - robot.data.oMi[body].translation
         linear = joint[:3] + np.cross(joint[3:].T, offset).T
-        moved: FloatArray = linear @ self._slopes
-        return moved
+        return matmul(linear, self._slopes)
 
     def sides(self) -> tuple[tuple[str, ...], ...]:
         """Return the sides on which the tips oppose each other; none if they do not."""
@@ -355,8 +358,8 @@ class _Table:
                     (near.first, near.normal) if k == 0 else (near.second, -near.normal)
                 )
                 moved = way.jacobian(finger, point)
-                lever += towards @ moved / len(side)
-                angle = max(angle, _angle(moved @ way.direction, towards))
+                lever += vecmat(towards, moved) / len(side)
+                angle = max(angle, _angle(matvec(moved, way.direction), towards))
         return _Sample(min(gap.distance for gap in gaps.values()), lever, angle)
 
     def _around(self) -> _Sample:
@@ -368,7 +371,7 @@ class _Table:
         for _ in range(_ROUNDS):
             reach = [way.from_point(finger, centre) for finger in fingers]
             moved = _middle(np.array([point for _, point in reach]))
-            if float(np.linalg.norm(moved - centre)) < _TOUCH:
+            if norm(moved - centre) < _TOUCH:
                 break
             centre = moved
         lever, angle = np.zeros(len(way.actuators)), 0.0
@@ -377,8 +380,8 @@ class _Table:
                 continue
             towards = (centre - point) / distance
             moved = way.jacobian(finger, point)
-            lever += 2.0 * (towards @ moved) / len(fingers)
-            angle = max(angle, _angle(moved @ way.direction, towards))
+            lever += 2.0 * vecmat(towards, moved) / len(fingers)
+            angle = max(angle, _angle(matvec(moved, way.direction), towards))
         return _Sample(2.0 * max(distance for distance, _ in reach), lever, angle)
 
 
@@ -411,10 +414,10 @@ def _note(first: float, last: float, width: float) -> str:
 
 def _angle(motion: FloatArray, towards: FloatArray) -> float:
     """Return the angle between a tip's motion and a unit vector [rad]; 0 for one that is still."""
-    speed = float(np.linalg.norm(motion))
+    speed = norm(motion)
     if speed < _STILL:
         return 0.0
-    return math.acos(min(1.0, max(-1.0, float(motion @ towards) / speed)))
+    return math.acos(min(1.0, max(-1.0, dot(motion, towards) / speed)))
 
 
 def _middle(points: FloatArray) -> FloatArray:
@@ -424,18 +427,28 @@ def _middle(points: FloatArray) -> FloatArray:
     for size in (2, 3):
         for chosen in combinations(points, size):
             middle = _circumcentre(np.array(chosen))
-            radius = float(np.linalg.norm(chosen[0] - middle))
-            inside = np.linalg.norm(points - middle, axis=1).max() <= radius * (1.0 + 1e-9) + 1e-12
+            radius = norm(chosen[0] - middle)
+            inside = norms(points - middle).max() <= radius * (1.0 + 1e-9) + 1e-12
             if inside and radius < best:
                 best, centre = radius, middle
     return centre
 
 
 def _circumcentre(points: FloatArray) -> FloatArray:
-    """Return the centre of the smallest sphere through two or three points ``(k, 3)``."""
+    """Return the centre of the smallest sphere through two or three points ``(k, 3)``.
+
+    The mean of three points on a line, through which there is none.
+    """
     edges = points[1:] - points[0]
-    weights: FloatArray = np.linalg.lstsq(
-        2.0 * edges @ edges.T, (edges**2).sum(axis=1), rcond=None
-    )[0]
-    found: FloatArray = points[0] + weights @ edges
+    a, c = dot(edges[0], edges[0]), 0.5 * norms(edges) ** 2
+    if len(edges) == 1:
+        weights = c / a if a > 0.0 else np.zeros(1)
+    else:
+        b, d = dot(edges[0], edges[1]), dot(edges[1], edges[1])
+        determinant = a * d - b * b  # of the edges' inner products, by Cramer's rule
+        if determinant <= _FLAT * a * d:
+            mean: FloatArray = points.mean(axis=0)
+            return mean
+        weights = np.array([c[0] * d - c[1] * b, a * c[1] - b * c[0]]) / determinant
+    found: FloatArray = points[0] + vecmat(weights, edges)
     return found

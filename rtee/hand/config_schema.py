@@ -15,6 +15,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Interval
 
+from rtee.types import OnContact
+
 MIN_RATE = 1.0
 """Slowest rate of the loop [Hz]: below it, its one-second statistics would see no tick."""
 
@@ -192,6 +194,18 @@ class GraspSettings(Section):
     """Time after the grasp until the effort is lowered to ``grip_effort`` [s]."""
     touch: NotNegative = 0.1
     """Force on a finger above which it touches [N], where a device measures it."""
+    on_contact: Annotated[OnContact, _Converted()] | None = None
+    """What fingers do when they touch something, unless a goal says otherwise: ``stop`` where they
+    are, ``hold`` there lightly, ``squeeze`` together once enough of them touch. Unless given, they
+    close on with the effort limits until they stall."""
+    contact_force: Positive = 0.5
+    """Where no device measures forces on the fingers: force at the fingertips above which an
+    actuator's effort counts as a contact [N]."""
+    contact_fingers: Annotated[int, Ge(1)] = 2
+    """So many fingers must touch before they squeeze; actions with an opening need one on each of
+    its sides instead."""
+    squeeze_time: NotNegative = 0.3
+    """Time in which the force is then built up [s]."""
 
 
 @dataclass(frozen=True, slots=True)

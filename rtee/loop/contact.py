@@ -177,6 +177,34 @@ class ContactWatch:
         for i in indices:
             self._watched.pop(i, None)
 
+    def pin(self, i: int, stamp: float, position: float, *, grasping: bool) -> None:
+        """Note that an actuator was stopped because it touches something.
+
+        Until `unpin` it must not be given to `update`.
+
+        Args:
+            i: The actuator.
+            stamp: Now [s].
+            position: Where it stays [rad | m].
+            grasping: It counts as holding what it touches.
+        """
+        watched = self._watched.get(i)
+        if watched is not None:
+            watched.blocked_at, watched.grasping = stamp, grasping
+            watched.own_word, watched.hold_position = False, position
+
+    def unpin(self, i: int, stamp: float) -> None:
+        """Watch an actuator as if its motion had just begun, without a word of its device."""
+        watched = self._watched.get(i)
+        if watched is not None:
+            watched.anchor, watched.since, watched.seen = math.nan, stamp, stamp
+            watched.blocked_at, watched.grasping = math.nan, False
+
+    def tolerance(self, i: int) -> float:
+        """Return the error of an actuator that counts as none [rad | m]."""
+        watched = self._watched.get(i)
+        return math.inf if watched is None else watched.tolerance
+
     def blocked(self, i: int) -> bool:
         """Return whether an actuator is blocked."""
         watched = self._watched.get(i)

@@ -34,6 +34,7 @@ from rtee.loop.motion import Limits
 from rtee.loop.plan import Plan
 from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import make_profile
+from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
 from rtee.loop.streams.player import StreamPlayer
 from rtee.loop.thermal import Level, Thermal
@@ -102,8 +103,11 @@ class Controller:
         self.outbox = Outbox()
         report = self.outbox.items.append
         self._plausible = Plausibility(hand.actuators, report)
+        self._reflexes = Reflexes(
+            hand, settings.grasp, self._profile, self._limiter, self._contact, self._limit, report
+        )
         self._executor = Executor(
-            hand, settings, self._profile, self._contact, self._plausible, report, report
+            hand, settings, self._profile, self._contact, self._plausible, self._reflexes, report
         )
         self.active = [False] * n
         self._accepts = [True] * n
@@ -169,11 +173,11 @@ class Controller:
     def accept(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted, and a stream ends."""
         self._end_stream(stamp, f"{plan.action} took over")
+        self._let_go(plan.involved)
         self._leave_hold(plan.involved)
         self._goal_effort = {
             i: e for i, e in self._goal_effort.items() if i not in plan.involved
         } | dict(plan.effort)
-        self._let_go(plan.involved)
         # A force that was asked for is kept; other efforts are lowered while something is held.
         self._kept -= plan.involved
         if plan.goal.force is not None:
@@ -194,7 +198,8 @@ class Controller:
         They lie far inside of what is held: on the way back from there, they would press with
         whatever effort the next goal allows.
         """
-        there = {i: self._measured.position[i] for i in self._kept.intersection(indices)}
+        pressing = self._kept.union(self._reflexes.held)
+        there = {i: self._measured.position[i] for i in pressing.intersection(indices)}
         there = {i: position for i, position in there.items() if math.isfinite(position)}
         self._profile.seed(there)
         for i, position in there.items():
@@ -270,6 +275,7 @@ class Controller:
             self._settling.pop(i, None)
             self._holding.discard(i)
         self._contact.forget(indices)
+        self._reflexes.forget(indices)
         self._set_efforts()
 
     def _jog(self, jog: Jog, stamp: float) -> None:
@@ -381,6 +387,11 @@ class Controller:
         if stamp >= self._thermal_due:
             self._watch_temperature(stamp, measured)
         self._executor.step(stamp, measured, limiter.position, self.reference_effort)
+        if self._reflexes.active:
+            self._reflexes.keep(stamp, measured)
+            if self._reflexes.changed:
+                self._reflexes.changed = False
+                self._set_efforts()
         self._ease_off(stamp, measured)
         if self._settling:
             self._settle(stamp, measured)
@@ -428,7 +439,7 @@ class Controller:
         """Reduce the effort of blocked actuators after a time; report when a grasp is lost."""
         grasp = self._grasp
         for i in self._contact.blocked_longer_than(grasp.grip_after, stamp):
-            if i in self._holding or i in self._kept:
+            if i in self._holding or i in self._kept or i in self._reflexes.effort:
                 continue
             self._holding.add(i)
             if not (self._accepts[i] and math.isfinite(self._effort_limit(i))):
@@ -446,11 +457,17 @@ class Controller:
     def _effort_limit(self, i: int) -> float:
         return self._goal_effort.get(i, self.hand.actuators[i].effort)
 
+    def _limit(self, i: int) -> float:
+        """Return the effort limit that the device of an actuator keeps [N·m | N], or ``inf``."""
+        return self._effort_limit(i) if self._accepts[i] else math.inf
+
     def _set_efforts(self) -> None:
-        grasp = self._grasp
+        grasp, reflexes = self._grasp, self._reflexes.effort
         for i, actuator in enumerate(self.hand.actuators):
             limit = self._effort_limit(i)
-            if i in self._holding:
+            if i in reflexes:
+                limit = min(reflexes[i], actuator.effort)
+            elif i in self._holding:
                 limit = min(limit, grasp.grip_effort * actuator.effort)
             self.reference_effort[i] = limit * self._thermal.factor[i]
 

@@ -13,6 +13,7 @@ from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.plan import Leg, Plan
 from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import Profile
+from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
 from rtee.types import Feedback, JointKind, Result
 
@@ -73,8 +74,8 @@ class Executor:
         profile: Moves the reference.
         contact: Watches the actuators that move.
         plausible: Says whether what is measured can be believed.
-        on_feedback: Called with feedback.
-        on_result: Called with the result of every goal, exactly once.
+        reflexes: Act when fingers touch something.
+        report: Called with feedback, and with the result of every goal, exactly once.
     """
 
     def __init__(
@@ -84,16 +85,16 @@ class Executor:
         profile: Profile,
         contact: ContactWatch,
         plausible: Plausibility,
-        on_feedback: Callable[[Feedback], None],
-        on_result: Callable[[Result], None],
+        reflexes: Reflexes,
+        report: Callable[[Feedback | Result], None],
     ) -> None:
         self._hand = hand
         self._settings = settings
         self._profile = profile
         self._contact = contact
         self._plausible = plausible
-        self._on_feedback = on_feedback
-        self._on_result = on_result
+        self._reflexes = reflexes
+        self._tell = report
         self._run: _Run | None = None
         self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
         self._prismatic = tuple(a.kind is JointKind.PRISMATIC for a in hand.actuators)
@@ -146,7 +147,13 @@ class Executor:
         if run.phase is Phase.MOVING:
             if run.plan.goal.grasp:
                 self._note_touch(run, measured, limits)
-            self._contact.update(stamp, measured, reference, limits, targets)
+            reflexes = self._reflexes
+            if not reflexes.active:
+                self._contact.update(stamp, measured, reference, limits, targets)
+            else:
+                free = [i for i in targets if i not in reflexes.busy]
+                self._contact.update(stamp, measured, reference, limits, free)
+                reflexes.step(stamp, measured)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
             elif (broken := self._plausible.broken(targets)) is not None:
@@ -193,7 +200,7 @@ class Executor:
         fingers = self._contact.fingers
         plan = run.plan
         grasped = any(self._contact.grasping(i) for i in plan.involved)
-        self._on_result(
+        self._tell(
             Result(
                 goal_id=plan.goal.goal_id,
                 action=plan.action,
@@ -211,6 +218,7 @@ class Executor:
                 position=dict(
                     zip(self._hand.actuator_names, map(float, measured.position), strict=True)
                 ),
+                touched=self._reflexes.touched,
                 **self._gripped(run, measured, grasped),
             )
         )
@@ -280,6 +288,7 @@ class Executor:
         run.length = self._length_tolerance(leg.targets, goal.tolerance)
         run.shares = self._shares(run)
         self._contact.begin(leg.targets, run.shares, stamp)
+        self._reflexes.begin(run.plan, run.leg, run.shares, measured)
         run.first_error = self._norms(leg.targets, measured.position)
         self._report(run, stamp)
 
@@ -374,7 +383,7 @@ class Executor:
         run.reported = stamp
         plan = run.plan
         inner = {leg.name: run.progress[k] for k, leg in enumerate(plan.legs)} if plan.timed else {}
-        self._on_feedback(
+        self._tell(
             Feedback(
                 goal_id=plan.goal.goal_id,
                 progress=sum(run.progress) / len(run.progress),

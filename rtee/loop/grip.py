@@ -239,6 +239,15 @@ class Grip:
             for k, i, lever in self.squeezing(intensity)
         }
 
+    def effort_slopes(self, intensity: float) -> dict[int, float]:
+        """Return the effort per force [N·m/N | 1] at an intensity, by actuator's index."""
+        if self.sheet is not None:
+            where = self.position_at(intensity)[self.indices[0]]
+            low, high = self.sheet.range_at(where)
+            span = self.sheet.effort[1] - self.sheet.effort[0]
+            return {self.indices[0]: span / (high - low)}
+        return {i: lever / self.efficiency[k] for k, i, lever in self.squeezing(intensity)}
+
     def touches(
         self,
         position: Sequence[float],

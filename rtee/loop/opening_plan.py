@@ -70,7 +70,7 @@ class OpeningPlan:
 def wants_opening(goal: Goal) -> bool:
     """Return whether a goal is one in millimetres or newtons."""
     given = (goal.opening, goal.force, goal.tip_speed)
-    return goal.grasp or any(value is not None for value in given)
+    return not goal.touch and (goal.grasp or any(value is not None for value in given))
 
 
 def check_opening(goal: Goal) -> None:
@@ -146,12 +146,14 @@ def plan_opening(
         check_force(grip, hand, opening.label, goal.force, at)
         effort = grip.efforts(goal.force, at)
         _check_devices(hand, opening, effort, devices)
+    if goal.max_force is not None:
+        check_force(grip, hand, opening.label, goal.max_force, at)
     intensities: tuple[float, ...] = (at,)
     if goal.grasp:
         wider = min(width + MARGIN, opening.widest)
         intensities = (grip.intensity_at(wider), grip.intensity[-1])
     if goal.tip_speed is not None:
-        goal = replace(goal, speed=_speed(goal.tip_speed, hand, grip, at, opening.label))
+        goal = replace(goal, speed=tip_speed_share(goal.tip_speed, hand, grip, at, opening.label))
     return OpeningPlan(goal, action, intensities, effort, grip)
 
 
@@ -231,7 +233,7 @@ def _unlimited(
     return not presses or any(i in devices.unlimited for i in presses)
 
 
-def _speed(speed: float, hand: Hand, grip: Grip, at: float, name: str) -> float:
+def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float, name: str) -> float:
     """Return the share of the velocity limits at which the opening changes at a speed [m/s]."""
     slope = grip.slope_at(at)  # of the opening [m per unit of intensity]
     most = max(
@@ -281,8 +283,7 @@ def _best(
             weak = not low <= goal.force <= high or not _can(hand, opening, efforts, devices)
         short = max(0.0, width + MARGIN - opening.widest)
         square = round(opening.angle_at(at) / _SQUARE)
-        doubtful = _doubtful(action)
-        key = (weak, doubtful, short > 0.0, square, len(opening.actuators), order)
+        key = (weak, doubtful(action), short > 0.0, square, len(opening.actuators), order)
         found.append((key, action, opening))
     if not found:
         raise GoalRejected(_nothing(goal, hand, [opening for _, opening in openings]))
@@ -306,7 +307,7 @@ def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Acti
     return found
 
 
-def _doubtful(action: Action) -> bool:
+def doubtful(action: Action) -> bool:
     """Return whether links collide at a primitive's posture, or its tips would not hold a ball."""
     if not (isinstance(action, Primitive) and action.evidence):
         return False

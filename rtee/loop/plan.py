@@ -17,6 +17,7 @@ from rtee.loop.opening_plan import (
     plan_opening,
     wants_opening,
 )
+from rtee.loop.reflex_plan import check_reflexes, grip_of, slowly, touching_action
 from rtee.types import Goal, Stage, from_rest
 
 if TYPE_CHECKING:
@@ -109,10 +110,14 @@ def make_plan(
         ActionError: if the action doesn't exist with these elements.
     """
     _check_numbers(goal)
+    check_reflexes(goal, hand)
     effort = _effort(goal, hand, devices.refused)
     if wants_opening(goal):
         return _opening_plan(goal, hand, library, settings, devices, effort)
-    action = _find(goal, hand, library)
+    if goal.touch and not goal.action:
+        action = touching_action(goal, hand, library)
+    else:
+        action = _find(goal, hand, library)
     if isinstance(action, Timed):
         legs = _timed_legs(goal, action, hand)
         timed = True
@@ -120,7 +125,19 @@ def make_plan(
         intensity = _intensity(goal, action)
         legs = (Leg("", _targets(action.posture, hand, intensity)),)
         timed = False
-    return _made(goal, action, legs, effort, settings, timed)
+    grip = None
+    if goal.on_contact or goal.touch or settings.grasp.on_contact:
+        grip = grip_of(
+            hand,
+            library,
+            action,
+            devices,
+            lambda action: _targets(action.waypoints[-1], hand, 1.0),
+        )
+    if goal.touch:
+        goal = slowly(goal, hand, grip, action.name)
+    plan = _made(goal, action, legs, effort, settings, timed)
+    return plan if grip is None else replace(plan, elements=action.elements, grip=grip)
 
 
 def _made(

@@ -28,7 +28,17 @@ from rtee.errors import MessageError
 from rtee.messages.codec import As, Codec, Data, field, mapping, paired, word
 from rtee.messages.schema import message_type
 from rtee.object_description import ObjectDescription, ObjectPart
-from rtee.types import DeviceStatus, Event, Feedback, Goal, Lifecycle, LoopStatistics, Result, Stage
+from rtee.types import (
+    DeviceStatus,
+    Event,
+    Feedback,
+    Goal,
+    Lifecycle,
+    LoopStatistics,
+    OnContact,
+    Result,
+    Stage,
+)
 
 _STRING = message_type("std_msgs/msg/String")
 
@@ -41,6 +51,13 @@ def _number(name: str) -> As:
     )
 
 
+def _on_contact(word: str) -> OnContact:
+    try:
+        return OnContact(word)
+    except ValueError:
+        raise MessageError(f"on_contact '{word[:50]}' is none of stop, hold, squeeze") from None
+
+
 GOAL = Codec(
     "rtee_msgs/msg/Goal",
     Goal,
@@ -51,6 +68,14 @@ GOAL = Codec(
     opening=_number("opening"),
     force=_number("force"),
     tip_speed=_number("tip_speed"),
+    on_contact=As(
+        {
+            "contact_finger": list,
+            "on_contact": lambda found: [word.value for word in found.values()],
+        },
+        lambda fingers, words: paired("on_contact", fingers, [_on_contact(w) for w in words]),
+    ),
+    max_force=_number("max_force"),
     stage=word("stage", Stage, "stage '{}' is none of both, pre_grasp, grasp"),
 )
 FEEDBACK = Codec(
@@ -68,6 +93,7 @@ RESULT = Codec(
     opening=_number("opening"),
     force=_number("force"),
     force_error=_number("force_error"),
+    touched=field("touched", tuple),
 )
 EVENT = Codec("rtee_msgs/msg/Event", Event, stamp=field("time"))
 DEVICE_STATUS = Codec(

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import Action
+from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay, Closing, Closure
 from rtee.planning.planner import Planner
 from rtee.planning.poses import GAP, Candidate, Poses
@@ -74,6 +75,11 @@ def robust_poses(
         most = _CANDIDATES if group is action else _OF_GROUP
         candidates += poses.candidates(planner.turns, most)
     closed = [(c, closure) for c in candidates if (closure := closing.close(c.pose)) is not None]
+    between = _two_tips(planner.hand, action, closing)
+    if between:  # a gripper holds with its tips, though its linkage might hold more firmly
+        closed = [
+            pair for pair in closed if between <= {c.link for c in pair[1].contacts}
+        ] or closed
     closed.sort(key=lambda pair: -planner.promise(pair[1]))
     found = [_judged(planner, closing, *pair) for pair in closed[:_JUDGED]]
     found.sort(key=lambda pose: (-round(pose.held, 6), -pose.promise))
@@ -101,6 +107,21 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
     if wide <= widest - 2.0 * GAP:
         return ""  # it has room; something else is in its way, which a trial tells
     return f"{wide * 1e3:.0f} mm wide, the hand opens to {widest * 1e3:.0f} mm"
+
+
+def _two_tips(hand: Hand, action: Action, closing: Closing) -> frozenset[str]:
+    """Return the fingertips between which an action grasps, if they are two; else nothing."""
+    moved = {
+        name for name, moves in zip(hand.actuator_names, closing.way.moving, strict=True) if moves
+    }
+    tips = [
+        str(finger.tip)
+        for finger in hand.fingers
+        if finger.tip
+        and (not action.fingers or finger.name in action.fingers)
+        and (not finger.actuators or moved.intersection(finger.actuators))
+    ]
+    return frozenset(tips) if len(tips) == 2 else frozenset()
 
 
 def _largest(groups: Sequence[Action]) -> list[Action]:

@@ -196,6 +196,7 @@ class BlockingHand:
 
     move_opening = _waiting(RemoteHand.move_opening)
     grasp = _waiting(RemoteHand.grasp)
+    touch = _waiting(RemoteHand.touch)
     cancel = _waiting(RemoteHand.cancel)
     effort_limits = _waiting(RemoteHand.effort_limits)
     hold = _waiting(RemoteHand.hold)

@@ -128,6 +128,8 @@ class RemoteHand:
     move_opening = _part("_goals", GoalClient.move_opening)
     start_grasp = _part("_goals", GoalClient.start_grasp)
     grasp = _part("_goals", GoalClient.grasp)
+    start_touch = _part("_goals", GoalClient.start_touch)
+    touch = _part("_goals", GoalClient.touch)
     cancel = _part("_goals", GoalClient.cancel)
     effort_limits = _part("_goals", GoalClient.effort_limits)
 

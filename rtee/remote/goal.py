@@ -15,8 +15,11 @@ from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
 from rtee.messages import decode_feedback, decode_result, encode_goal, topics
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo
-from rtee.types import Feedback, Goal, Result, Stage
+from rtee.types import Feedback, Goal, OnContact, Result, Stage
 from rtee.units import FORCE, LENGTH, SPEED, quantity
+
+OnContactWords = Mapping[str, OnContact | str] | OnContact | str
+"""A word for all fingers, or words by finger; the name "" means all others."""
 
 
 class GoalOptions(TypedDict, total=False):
@@ -34,6 +37,9 @@ class GoalOptions(TypedDict, total=False):
         opening: Opening of the fingertips to go to, instead of an intensity [m].
         force: Force between the fingertips, with an opening [N].
         tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
+        on_contact: What fingers do when they touch something: ``stop``, ``hold`` or ``squeeze``;
+            or that by finger, "" for all others. By default as configured for the hand.
+        max_force: Force up to which a slip raises ``force`` [N].
     """
 
     intensity: float
@@ -46,6 +52,8 @@ class GoalOptions(TypedDict, total=False):
     opening: float | str
     force: float | str
     tip_speed: float | str
+    on_contact: OnContactWords
+    max_force: float | str
 
 
 class RunningGoal:
@@ -257,6 +265,8 @@ class GoalClient:
         *,
         action: str = "",
         timeout: float | None = None,
+        on_contact: OnContactWords | None = None,
+        max_force: float | str | None = None,
     ) -> RunningGoal:
         """Begin to grasp an object and return at once; see `grasp`."""
         inner, outer = tolerance
@@ -271,6 +281,8 @@ class GoalClient:
             grasp=True,
             narrower=quantity(inner, LENGTH, "tolerance"),
             wider=quantity(outer, LENGTH, "tolerance"),
+            on_contact=_words({} if on_contact is None else on_contact),
+            max_force=None if max_force is None else quantity(max_force, FORCE, "largest force"),
         )
         return await self._begin(goal)
 
@@ -284,6 +296,8 @@ class GoalClient:
         *,
         action: str = "",
         timeout: float | None = None,
+        on_contact: OnContactWords | None = None,
+        max_force: float | str | None = None,
         on_feedback: Callable[[Feedback], object] | None = None,
     ) -> Result:
         """Grasp an object of a width and hold it with a force; wait for the result.
@@ -303,6 +317,9 @@ class GoalClient:
             tolerance: How much narrower and wider than the width the object may be held [m].
             action: The action to close with, instead of the best one.
             timeout: Longest time it may take [s]; by default as configured for the hand.
+            on_contact: What fingers do when they touch it: ``squeeze`` waits until enough of them
+                do, so that a light object is not pushed away; see `GoalOptions`.
+            max_force: Force up to which a slip raises ``force`` [N]; by default it is not raised.
             on_feedback: Called with the feedback meanwhile.
 
         Raises:
@@ -313,8 +330,65 @@ class GoalClient:
             NoHand: if the hand has gone.
         """
         running = await self.start_grasp(
-            width, force, speed, fingers, tolerance, action=action, timeout=timeout
+            width,
+            force,
+            speed,
+            fingers,
+            tolerance,
+            action=action,
+            timeout=timeout,
+            on_contact=on_contact,
+            max_force=max_force,
         )
+        return await self._followed(running, on_feedback)
+
+    async def start_touch(
+        self,
+        fingers: Sequence[str] | None = None,
+        *,
+        action: str = "",
+        speed: float | str | None = None,
+        timeout: float | None = None,
+    ) -> RunningGoal:
+        """Begin to close until the first contact and return at once; see `touch`."""
+        goal = Goal(
+            action,
+            tuple(fingers or ()),
+            timeout=timeout,
+            client=self._link.client,
+            tip_speed=None if speed is None else quantity(speed, SPEED, "speed"),
+            touch=True,
+        )
+        return await self._begin(goal)
+
+    async def touch(
+        self,
+        fingers: Sequence[str] | None = None,
+        *,
+        action: str = "",
+        speed: float | str | None = None,
+        timeout: float | None = None,
+        on_feedback: Callable[[Feedback], object] | None = None,
+    ) -> Result:
+        """Close slowly until a finger touches something, stop there, and wait for the result.
+
+        ``result.touched`` names the fingers that touch; none does if the hand closed without a
+        contact. ``result.opening`` is the opening of the fingertips there, where it is known.
+
+        Args:
+            fingers: The fingers to close; by default those of the action that has the most.
+            action: The action to close with, instead of the fingers' own.
+            speed: Speed at which the opening closes [m/s]; 10 mm/s by default.
+            timeout: Longest time it may take [s]; by default as configured for the hand.
+            on_feedback: Called with the feedback meanwhile.
+
+        Raises:
+            GoalRejected: if a value is no such quantity.
+            RequestRejected: if the hand refuses the goal, with the reason.
+            LeaseHeld: if another client holds the lease.
+            NoHand: if the hand has gone.
+        """
+        running = await self.start_touch(fingers, action=action, speed=speed, timeout=timeout)
         return await self._followed(running, on_feedback)
 
     async def cancel(self, goal_id: str = "") -> None:
@@ -357,10 +431,23 @@ class GoalClient:
         return {name: share * known[name] for name in chosen}
 
 
+def _words(given: OnContactWords) -> dict[str, OnContact]:
+    """Return the words for contacts by finger; raises `GoalRejected` if one is none."""
+    words = given if isinstance(given, Mapping) else {"": given}
+    try:
+        return {finger: OnContact(word) for finger, word in words.items()}
+    except ValueError:
+        wrong = next(word for word in words.values() if word not in list(OnContact))
+        raise GoalRejected(
+            f"unknown on_contact '{wrong}'; {suggestion(str(wrong), OnContact)}"
+        ) from None
+
+
 _QUANTITIES: Mapping[str, tuple[Mapping[str, float], str]] = {
     "opening": (LENGTH, "opening"),
     "force": (FORCE, "force"),
     "tip_speed": (SPEED, "speed"),
+    "max_force": (FORCE, "largest force"),
 }
 """The options that may have units, with those, and how they are called."""
 
@@ -370,6 +457,8 @@ def _goal(action: str, elements: Sequence[str], client: str, options: GoalOption
     for name, (units, what) in _QUANTITIES.items():
         if values.get(name) is not None:
             values[name] = quantity(values[name], units, what)
+    if "on_contact" in values:
+        values["on_contact"] = _words(values["on_contact"])
     if "stage" in values:
         try:
             values["stage"] = Stage(values["stage"])

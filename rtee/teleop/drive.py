@@ -145,7 +145,8 @@ def _of_table(path: Path) -> list[Played]:
         with path.open(newline="") as file:
             rows = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LogError(f"cannot be read: {error}", path=path) from None
+        why = getattr(error, "strerror", None) or error
+        raise LogError(f"cannot be read: {why}", path=path) from None
     if not rows or rows[0][:1] != ["t"] or len(rows[0]) < 2:
         raise LogError("should begin with a line of names, the first of them 't'", path=path)
     names = rows[0][1:]

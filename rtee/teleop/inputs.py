@@ -172,7 +172,7 @@ class Keyboard:
         if axes > len(KEYS):
             raise ConfigError(f"the keyboard has keys for {len(KEYS)} actions, not {axes}")
         if not sys.stdin.isatty():
-            raise ConfigError("the keyboard is read from a terminal, and the input is none")
+            raise ConfigError("the keyboard is read from a terminal; the standard input is not one")
         self.axes: Sequence[str] = tuple(f"{more}/{less}" for more, less in KEYS[:axes])
         self._file = sys.stdin.fileno()
         self._before = termios.tcgetattr(self._file)

@@ -31,9 +31,9 @@ from rtee.log.check import check
 from rtee.log.tables import tables
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
+from rtee.loop.settings import GraspSettings, LoopSettings, ProfileKind, ProfileSettings
 from rtee.messages.convert import plain
-from rtee.types import ActuatorState, Goal
+from rtee.types import ActuatorState, Goal, OnContact
 
 pytestmark = pytest.mark.anyio
 
@@ -180,6 +180,39 @@ async def test_results_that_tips_decided_come_out_again(small: Hand, tmp_path: P
     found = read(recorded(tmp_path)[0])
     assert check(found).same
     assert not check(replace(found, channels={})).results, "without forces, the effort decides"
+
+
+@pytest.mark.parametrize("word", list(OnContact))
+@pytest.mark.parametrize("kind", [KinematicDriver, FeelingTips])
+async def test_reflexes_come_out_again(
+    small: Hand, tmp_path: Path, word: OnContact, kind: type[KinematicDriver]
+) -> None:
+    grasp = GraspSettings(on_contact=OnContact.HOLD, grip_after=0.3)
+    chosen = LoopSettings(rate=RATE, grasp=grasp)
+    objects = {"index": 0.4, "thumb_base": 0.5}
+    async with recording(small, tmp_path, chosen, kind=kind, objects=objects) as rig:
+        rig.loop.submit(
+            Goal("PinchTight", ("index", "thumb"), speed=0.5, on_contact={"thumb": word})
+        )
+        await rig.run(1.5)
+        rig.loop.submit(Goal("PinchTight", ("index", "thumb"), intensity=0.1))
+        await rig.run(0.5)
+        rig.loop.submit(Goal("PinchTight", ("index", "thumb"), touch=True))
+        await rig.run(1.5)
+        assert "thumb" in {finger for r in rig.watcher.results for finger in r.touched}
+        assert "contact" in rig.watcher.kinds()
+    found = read(recorded(tmp_path)[0])
+    report = check(found)
+    assert report.first is None
+    assert report.same
+    assert found.goals[0].value.on_contact == {"thumb": word}
+    forgotten = [replace(e, value=replace(e.value, on_contact={})) for e in found.goals]
+    plans = [
+        replace(e, value=replace(e.value, goal=goal.value))
+        for e, goal in zip(found.plans, forgotten, strict=True)
+    ]
+    without = check(replace(found, goals=tuple(forgotten), plans=tuple(plans)))
+    assert without.same is (word is OnContact.HOLD), "the word makes the difference"
 
 
 async def test_rotated_files_are_checked_as_one(small: Hand, tmp_path: Path) -> None:

@@ -168,11 +168,20 @@ def _exclude_touching_at_rest(
     return notes
 
 
-def rest_position(model: mujoco.MjModel, hand: Hand) -> FloatArray:
-    """Return generalised positions ``(nq,)`` with the hand at rest and all else as modelled."""
+def rest_position(
+    model: mujoco.MjModel, hand: Hand, posture: FloatArray | None = None
+) -> FloatArray:
+    """Return generalised positions ``(nq,)`` with all but the hand as modelled.
+
+    Args:
+        model: The model.
+        hand: The hand.
+        posture: Its actuator positions ``(n,)`` [rad | m]; at rest unless given.
+    """
+    u = hand.rest if posture is None else posture
     position = model.qpos0.copy()
-    for name, value in zip(hand.joint_names, hand.transmission.joints(hand.rest), strict=True):
+    for name, value in zip(hand.joint_names, hand.transmission.joints(u), strict=True):
         position[model.joint(name).qposadr[0]] = value
-    for name, value in zip(hand.actuator_names, hand.rest, strict=True):
+    for name, value in zip(hand.actuator_names, u, strict=True):
         position[model.joint(motor_joint(hand, name)).qposadr[0]] = value
     return np.asarray(position, dtype=np.float64)

@@ -9,8 +9,9 @@ import numpy as np
 
 from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
 from rtee.drivers.mujoco.model import CARRIER, Built, build
-from rtee.drivers.mujoco.objects import add_object, parse_object
+from rtee.drivers.mujoco.objects import OBJECT, ObjectShape, add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK, rest_position
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import AXES, CONTAINER, TABLE
 from rtee.hand.allowed_collisions import touch_at_rest
@@ -27,6 +28,15 @@ CONTAINER_SIZE = (0.34, 0.34, 0.04)
 """Length, width and height of an open container [m]: an open hand fits between its walls."""
 
 _WALL = 0.004
+
+_FARTHEST_OUT = 0.08
+"""How far an object is moved out of the hand at most [m]: fingertips reach no farther over it."""
+
+_OUT_STEP = 0.002
+"""Step of that search [m]."""
+
+_CLOSURES = 26
+"""Postures of a closing gripper in it: its tips go some 2 mm from one to the next."""
 
 
 def build_hand(hand: Hand, options: SimOptions) -> Built:
@@ -154,6 +164,65 @@ def add_container(spec: mujoco.MjSpec, height: float, middle: tuple[float, float
         make_hard(geom, TABLE_FRICTION)
 
 
+def _clear_of_palm(
+    hand: Hand, spec: mujoco.MjSpec, shape: ObjectShape, place: FloatArray, mount: FloatArray
+) -> FloatArray:
+    """Return a place moved out of a hand until only fingertips are in the way.
+
+    A gripper's two tips meet the object before other links do; more fingers may wrap around it,
+    and only have to be free of it at rest.
+
+    Args:
+        hand: The hand.
+        spec: Its model, to which nothing is added.
+        shape: The object.
+        place: The pose ``(4, 4)`` of the object in the hand's base frame.
+        mount: The pose ``(4, 4)`` of that frame in the world.
+
+    Returns:
+        The first such place along the hand's reach; the same place where there is none near.
+    """
+    probe = spec.copy()
+    add_object(probe, shape, mass=1.0, pose=mount @ place)
+    model = probe.compile()
+    data = mujoco.MjData(model)
+    start = model.joint(OBJECT).qposadr[0]
+    origin, way = model.qpos0[start : start + 3].copy(), approach(hand)
+    shares = np.linspace(0.0, 1.0, _CLOSURES).tolist() if len(hand.fingers) == 2 else [0.0]
+    postures = [
+        rest_position(model, hand, from_rest(hand.rest, closed(hand), share)) for share in shares
+    ]
+    free = {f"{LINK}{finger.tip}" for finger in hand.fingers}
+    for out in np.arange(0.0, _FARTHEST_OUT, _OUT_STEP).tolist():
+        for posture in postures:
+            data.qpos[:] = posture
+            data.qpos[start : start + 3] = origin + out * (mount[:3, :3] @ way)
+            met = _links_inside(model, data)
+            if met:
+                break
+        if met <= free:
+            moved = place.copy()
+            moved[:3, 3] += out * way
+            return moved
+    return place
+
+
+def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
+    """Return the bodies of links that the object is inside of, where all is placed."""
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)  # what MuJoCo finds near pairs by
+    mujoco.mj_collision(model, data)
+    found = set()
+    for contact in data.contact:
+        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+        of_object = [model.body(model.body_rootid[body]).name == OBJECT for body in bodies]
+        if contact.dist < 0.0 and any(of_object):
+            found |= {
+                model.body(b).name for b, own in zip(bodies, of_object, strict=True) if not own
+            }
+    return found
+
+
 def make_simulation(
     hand: Hand,
     options: SimOptions,
@@ -192,7 +261,7 @@ def make_simulation(
             inside = np.eye(4)
             inside[:3, 3] = grasp_centre(hand)
             inside[:3, :3] = pose[:3, :3].T  # upright in the world
-            place = inside
+            place = _clear_of_palm(hand, built.spec, shape, inside, pose)
         pose = pose @ place
         add_object(built.spec, shape, mass=options.object_mass, pose=pose)
         if options.support == "table":

@@ -108,7 +108,15 @@ class TryPanel:
         )
         self._sizes: dict[str, list[viser.GuiNumberHandle[float]]] = {
             kind: [
-                gui.add_number(label, value, min=1.0, max=_LARGEST, step=1.0, visible=False)
+                gui.add_number(
+                    label,
+                    value,
+                    min=1.0,
+                    max=_LARGEST,
+                    step=1.0,
+                    hint=f"{label.partition(' ')[0]} of the {kind} [mm]",
+                    visible=False,
+                )
                 for label, value in sizes
             ]
             for kind, sizes in _SIZES.items()

@@ -422,7 +422,7 @@ def test_a_missing_calibration_is_told(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="rtee calibrate"):
         read_calibration(tmp_path / "none.json", "line")
     (tmp_path / "bad.json").write_text('{"servos": [{"id": 1}]}')
-    with pytest.raises(CalibrationError, match="no calibration"):
+    with pytest.raises(CalibrationError, match="not a calibration"):
         read_calibration(tmp_path / "bad.json", "line")
 
 

@@ -1,0 +1,113 @@
+"""Goals whose fingers react to contacts: what is refused, and how a hand closes to touch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+from rtee.actions.types import Action, Primitive
+from rtee.errors import ActionError, GoalRejected, suggestion
+from rtee.hand.model import Hand
+from rtee.loop.grip import Grip
+from rtee.loop.opening_plan import DeviceForces, doubtful, tip_speed_share
+from rtee.types import Goal, Stage
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+
+TOUCH_SPEED: Final = 0.01
+"""Speed at which the opening closes until the first contact, unless a goal gives one [m/s]: a loop
+of 100 Hz then stops within 0.2 mm."""
+
+TOUCH_SHARE: Final = 0.05
+"""Share of the velocity limits at which actions without an opening do."""
+
+
+def check_reflexes(goal: Goal, hand: Hand) -> None:
+    """Refuse a goal that says of contacts what cannot be.
+
+    Raises:
+        GoalRejected: if a finger is unknown or a value cannot be used.
+    """
+    for name in goal.on_contact:
+        if name and name not in hand.finger_names:
+            raise GoalRejected(
+                f"on_contact of an unknown finger '{name}'; {suggestion(name, hand.finger_names)}"
+            )
+    if goal.max_force is not None:
+        if goal.force is None:
+            raise GoalRejected("a largest force needs the force to begin with")
+        if not goal.force <= goal.max_force < math.inf:
+            raise GoalRejected(
+                f"the largest force must be at least the force, {goal.force:g} N, "
+                f"not {goal.max_force:g}"
+            )
+    if goal.touch:
+        given = (goal.opening, goal.force)
+        if goal.grasp or any(value is not None for value in given) or goal.on_contact:
+            raise GoalRejected("a touch takes no opening, force or on_contact: it stops by itself")
+        if goal.stage is not Stage.BOTH:
+            raise GoalRejected("a touch has no stages")
+
+
+def grip_of(
+    hand: Hand,
+    library: ActionLibrary,
+    action: Action,
+    devices: DeviceForces,
+    targets: Callable[[Action], Mapping[int, float]],
+) -> Grip | None:
+    """Return what converts newtons at an action's tips to efforts; ``None``: it has no opening."""
+    try:
+        opening = library.openings.of(action)
+    except ActionError:
+        return None
+    return Grip.of(hand, opening, targets(action), devices.grips)
+
+
+def touching_action(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
+    """Return the action that closes some fingers, or the whole hand, to touch something.
+
+    That is, of those that move the tips of just these fingers, one whose tips close on each other,
+    that was found clear, and then the first of the library. Without fingers, all that have an
+    opening are candidates, and the one with the most fingers is taken.
+
+    Raises:
+        GoalRejected: if there is none.
+    """
+    for name in goal.elements:
+        if name not in hand.finger_names:
+            raise GoalRejected(f"unknown finger '{name}'; {suggestion(name, hand.finger_names)}")
+    wanted = set(goal.elements)
+    found: list[tuple[tuple[float, ...], Action]] = []
+    for order, action in enumerate(library):
+        try:
+            fingers = set(library.openings.of(action).fingers)
+            closes = True
+        except ActionError:
+            if not isinstance(action, Primitive) or not wanted:
+                continue
+            fingers, closes = set(action.fingers), False
+        if not wanted or fingers == wanted:
+            key = (not closes, doubtful(action), -len(fingers), order)
+            found.append((key, action))
+    if not found:
+        whose = ", ".join(goal.elements) or f"'{hand.name}'"
+        raise GoalRejected(f"no action closes the fingertips of {whose}; name one")
+    return min(found, key=lambda each: each[0])[1]
+
+
+def slowly(goal: Goal, hand: Hand, grip: Grip | None, name: str) -> Goal:
+    """Return a goal of touching with the speed at which its fingers close."""
+    if goal.speed != 1.0:
+        return goal
+    if grip is None:
+        if goal.tip_speed is not None:
+            raise GoalRejected(f"{name} has no opening: give the speed as a share")
+        return replace(goal, speed=TOUCH_SHARE)
+    speed = TOUCH_SPEED if goal.tip_speed is None else goal.tip_speed
+    # Where the opening falls fastest, so that it is nowhere faster than that.
+    steepest = max(grip.intensity, key=grip.slope_at)
+    return replace(goal, speed=tip_speed_share(speed, hand, grip, steepest, name))

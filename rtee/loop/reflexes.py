@@ -1,0 +1,369 @@
+"""What fingers do by themselves when they touch something, and when what they hold slips.
+
+Pure like the rest of a tick: measurements in, references and effort limits out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from rtee.hand.model import Hand
+from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.free_motion import FreeMotion
+from rtee.loop.limiter import Limiter
+from rtee.loop.plan import Plan
+from rtee.loop.profiles import Profile
+from rtee.loop.settings import GraspSettings
+from rtee.loop.squeeze import Held, Squeeze, finger_forces
+from rtee.types import Event, OnContact
+
+_CONFIRMED = 2
+"""Efforts touch in this many measurements in succession: a single one may be noise."""
+
+_UNKNOWN_SHARE = 0.05
+"""Where no lever is known, an actuator touches at this share of its effort limit more than it needs
+to move freely."""
+
+_SET_OUT = 0.1
+"""Efforts tell nothing for this long after an actuator has set out: it breaks loose [s]."""
+
+_RESOLUTION = 0.01
+"""Less than this share of an actuator's effort limit is no contact: devices measure no better."""
+
+_SLOW = 0.1
+"""Where efforts cannot be limited, a squeeze closes at this share of the velocity limits."""
+
+
+@dataclass(slots=True)
+class _Watched:
+    """An actuator on its way to a contact."""
+
+    mode: OnContact
+    target: float
+    ahead: float
+    tolerance: float
+    threshold: float
+    velocity: float = 0.0
+    seen: float = math.nan
+    began: float = math.nan
+    over: int = 0
+    touched: bool = False
+
+
+@dataclass(slots=True)
+class _Approach:
+    """What a leg of a goal is to do on contact.
+
+    Attributes:
+        watched: Its actuators that close, by index.
+        sides: Fingers of which one each must touch before the force is built up.
+        most: Effort limit that a slip may raise to, by actuator [N·m | N].
+        first: All of them stop at the first contact.
+        kept: The force was asked for: it is not eased.
+    """
+
+    watched: dict[int, _Watched]
+    sides: tuple[frozenset[str], ...] = ()
+    most: Mapping[int, float] = field(default_factory=dict)
+    first: bool = False
+    kept: bool = False
+
+
+class Reflexes:
+    """Stops fingers that touch something, squeezes once enough do, and answers slips.
+
+    A finger touches when a sensor measures at least ``grasp.touch`` on it. Where its fingers have
+    no such sensors, an actuator touches when its effort (or current) is above what it takes to move
+    freely (see `FreeMotion`) by ``grasp.contact_force`` at the fingertips, in two measurements in
+    succession, or when it is blocked, by the device's own word or because it has stalled. Motions
+    towards rest have no reflexes.
+
+    Args:
+        hand: The hand.
+        grasp: When and how to react.
+        profile: Moves the reference.
+        limiter: What is sent.
+        contact: Is given the actuators that have stopped.
+        limit: Returns the effort limit of the goal of an actuator [N·m | N].
+        report: Called with events.
+
+    Attributes:
+        active: Whether there is anything to do; else a tick costs nothing.
+        busy: Actuators that are stopped or squeeze, whose contact is not judged otherwise.
+        effort: Effort limits by actuator, instead of those of the goal [N·m | N].
+        changed: These have changed; the caller takes it back.
+        touched: Fingers that touched something since the goal began.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        grasp: GraspSettings,
+        profile: Profile,
+        limiter: Limiter,
+        contact: ContactWatch,
+        limit: Callable[[int], float],
+        report: Callable[[Event], None],
+    ) -> None:
+        self._hand, self._grasp, self._limit = hand, grasp, limit
+        self._profile, self._limiter, self._contact = profile, limiter, contact
+        self._report = report
+        self._free = [
+            FreeMotion(actuator.effort, actuator.velocity, actuator.acceleration)
+            for actuator in hand.actuators
+        ]
+        self._approach: _Approach | None = None
+        self._squeeze: Squeeze | None = None
+        self.active = self.changed = False
+        self.busy: set[int] = set()
+        self.effort: dict[int, float] = {}
+        self.touched: tuple[str, ...] = ()
+
+    @property
+    def held(self) -> Iterable[int]:
+        """The actuators whose efforts are set here while they hold something."""
+        return () if self._squeeze is None else self._squeeze.held
+
+    # --- goals -------------------------------------------------------------------------------
+
+    def forget(self, indices: Iterable[int]) -> None:
+        """Give up everything about some actuators."""
+        if not self.active:
+            return
+        for i in indices:
+            self.busy.discard(i)
+            self.effort.pop(i, None)
+            if self._approach is not None:
+                self._approach.watched.pop(i, None)
+            if self._squeeze is not None:
+                self._squeeze.forget(i)
+        if self._approach is not None and not self._approach.watched:
+            self._approach = None
+        if self._squeeze is not None and not self._squeeze.held:
+            self._squeeze = None
+        self.active = bool(self._approach or self._squeeze or self.busy)
+
+    def begin(
+        self,
+        plan: Plan,
+        leg: int,
+        tolerance: Mapping[int, float],
+        measured: Measured,
+    ) -> None:
+        """Begin a leg of a plan.
+
+        Args:
+            plan: The plan.
+            leg: The leg's number.
+            tolerance: Error that counts as none, by actuator [rad | m].
+            measured: What was measured last.
+        """
+        goal, targets = plan.goal, plan.legs[leg].targets
+        self.touched = ()
+        self.forget(targets)
+        usual = self._grasp.on_contact
+        if not (goal.on_contact or goal.touch or usual) or (goal.grasp and leg == 0):
+            return
+        watched: dict[int, _Watched] = {}
+        for i, target in targets.items():
+            spec, here = self._hand.actuators[i], measured.position[i]
+            mode = OnContact.STOP if goal.touch else self._mode(goal.on_contact, i)
+            # From rest outwards: hands close so; a hand that opens touches nothing on purpose.
+            closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
+            if mode is not None and closes:
+                ahead = 1.0 if target > here else -1.0
+                threshold = _UNKNOWN_SHARE * spec.effort
+                watched[i] = _Watched(mode, target, ahead, tolerance[i], threshold)
+        if not watched:
+            return
+        sides: tuple[frozenset[str], ...] = ()
+        most: Mapping[int, float] = {}
+        if plan.grip is not None:
+            names = self._hand.finger_names
+            at = plan.grip.intensity[-1] / 2.0
+            if goal.opening is not None:
+                at = plan.grip.intensity_at(goal.opening)
+            for i, slope in plan.grip.effort_slopes(at).items():
+                if i in watched:
+                    least = _RESOLUTION * self._hand.actuators[i].effort
+                    least = least if math.isfinite(least) else 0.0
+                    watched[i].threshold = max(slope * self._grasp.contact_force, least)
+            sides = tuple(
+                frozenset(names[f] for f in side) for side in (plan.grip.fingers, plan.grip.others)
+            )
+            if goal.max_force is not None:
+                most = plan.grip.efforts(goal.max_force, at)
+        self._approach = _Approach(watched, sides, most, goal.touch, goal.force is not None)
+        self.active = True
+
+    def _mode(self, wanted: Mapping[str, OnContact], i: int) -> OnContact | None:
+        """Return what an actuator does on contact: of its fingers' words the most careful one."""
+        usual = wanted.get("", self._grasp.on_contact)
+        fingers = self._hand.actuators[i].fingers
+        words = {wanted.get(finger, usual) for finger in fingers} or {usual}
+        return next((word for word in OnContact if word in words), None)
+
+    # --- a tick ------------------------------------------------------------------------------
+
+    def step(self, stamp: float, measured: Measured) -> None:
+        """Look for contacts of the running goal, and act on them.
+
+        Args:
+            stamp: Now [s].
+            measured: What was measured.
+        """
+        approach = self._approach
+        if approach is None:
+            return
+        for i, watched in approach.watched.items():
+            if watched.touched or not measured.fresh[i] or not self._touches(i, stamp, measured):
+                continue
+            self._note(i, watched, stamp, measured)
+            if approach.first:
+                for j, other in approach.watched.items():
+                    self._stop(j, other, stamp, measured)
+                return
+            self._stop(i, watched, stamp, measured)
+        if self._squeeze is None and self._enough(approach):
+            self._begin_squeeze(approach, stamp)
+
+    def _touches(self, i: int, stamp: float, measured: Measured) -> bool:
+        """Return whether there is evidence that an actuator's fingers touch something."""
+        assert self._approach is not None  # noqa: S101 - `step` has seen to that
+        watched = self._approach.watched[i]
+        forces = self._tip_forces(i, measured)
+        # What is pushed by one of several fingers is not held yet: the others come, too.
+        every = watched.mode is OnContact.SQUEEZE
+        if forces and all(force == force for force in forces):
+            least = self._grasp.touch
+            return min(forces) >= least if every else max(forces) >= least
+        return self._pushes(i, watched, stamp, measured) or self._contact.blocked(i)
+
+    def _pushes(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> bool:
+        """Return whether an actuator needs more effort than it does to move freely."""
+        signal, threshold = measured.effort[i], watched.threshold
+        if signal != signal:
+            if not measured.current:
+                return False
+            signal, threshold = measured.current[i], 0.0
+        velocity, dt = self._profile.velocity[i], stamp - watched.seen
+        gain = (velocity - watched.velocity) / dt if dt > 0.0 else 0.0
+        watched.velocity, watched.seen = velocity, stamp
+        if signal != signal or velocity * watched.ahead <= 0.0:
+            return False
+        if abs(watched.target - measured.position[i]) <= watched.tolerance:
+            return False  # it brakes, or meets the end of its range
+        if watched.began != watched.began:
+            watched.began = stamp
+        free = self._free[i]
+        if stamp - watched.began < _SET_OUT:
+            free.learn(signal, velocity, gain)
+            return False
+        pushes = free.exceeds(signal, velocity, gain, threshold)
+        watched.over = watched.over + 1 if pushes else 0
+        return watched.over >= _CONFIRMED
+
+    def _note(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
+        """Note that an actuator's fingers touch something, and report it."""
+        actuator = self._hand.actuators[i]
+        forces = self._tip_forces(i, measured)
+        felt = [
+            finger
+            for finger, force in zip(actuator.fingers, forces, strict=False)
+            if force >= self._grasp.touch
+        ]
+        new = [f for f in felt or actuator.fingers if f not in self.touched]
+        self.touched += tuple(new)
+        if new:
+            who = ", ".join(new)
+            text = f"{who} touched something (actuator {actuator.name})"
+            self._report(Event("contact", who, text, stamp))
+
+    def _stop(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
+        """Have an actuator stay where it is."""
+        if watched.touched:
+            return
+        watched.touched = True
+        here = measured.position[i]
+        if not math.isfinite(here):
+            return
+        if watched.mode is OnContact.SQUEEZE and len(self._hand.actuators[i].fingers) > 1:
+            return  # it carries both sides: there is nothing to wait for
+        self._profile.seed({i: here})
+        self._limiter.seed(i, here)
+        self.busy.add(i)
+        holds = watched.mode is OnContact.HOLD
+        self._contact.pin(i, stamp, here, grasping=holds)
+        if watched.mode is not OnContact.STOP and math.isfinite(self._limit(i)):
+            self.effort[i] = self._light(i, watched)
+            self.changed = True
+
+    def _light(self, i: int, watched: _Watched) -> float:
+        """Return the effort that overcomes friction and presses lightly [N·m | N]."""
+        return min(self._free[i].most + watched.threshold, self._limit(i))
+
+    # --- the force ---------------------------------------------------------------------------
+
+    def _enough(self, approach: _Approach) -> bool:
+        """Return whether enough fingers touch to squeeze without pushing the object away."""
+        squeezing = [
+            (i, each) for i, each in approach.watched.items() if each.mode is OnContact.SQUEEZE
+        ]
+        touching: set[str] = set()
+        for i, each in squeezing:
+            if each.touched:
+                touching.update(self._hand.actuators[i].fingers)
+        if not touching:
+            return False
+        if approach.sides:
+            return all(touching.intersection(side) for side in approach.sides)
+        fingers = {f for i, _ in squeezing for f in self._hand.actuators[i].fingers}
+        return len(touching) >= min(self._grasp.contact_fingers, len(fingers))
+
+    def _begin_squeeze(self, approach: _Approach, stamp: float) -> None:
+        """Build up the force with all that are to squeeze, together."""
+        held: dict[int, Held] = {}
+        floor, most = 0.0, math.inf
+        for i, each in approach.watched.items():
+            if each.mode is not OnContact.SQUEEZE:
+                continue
+            full = self._limit(i)
+            if math.isfinite(full) and full > 0.0:
+                held[i] = Held(self._light(i, each), full)
+                spec = self._hand.actuators[i]
+                floor = max(floor, self._grasp.grip_effort * spec.effort / full)
+                most = min(most, approach.most.get(i, full) / full)
+                self._profile.go({i: each.target})
+            else:
+                top = _SLOW * self._hand.actuators[i].velocity
+                self._profile.go({i: each.target}, velocity={i: top})
+            self.busy.discard(i)
+            self._contact.unpin(i, stamp)
+        self.busy.update(held)
+        most = max(most, 1.0) if math.isfinite(most) else 1.0
+        floor = 1.0 if approach.kept else min(floor, 1.0)
+        squeeze = Squeeze(
+            self._hand, self._grasp, self._profile, self._contact, self._report, held, floor, most
+        )
+        self._squeeze = squeeze if held else None
+        approach.watched = {
+            i: each for i, each in approach.watched.items() if each.mode is not OnContact.SQUEEZE
+        }
+        squeeze.begin(stamp)
+
+    def keep(self, stamp: float, measured: Measured) -> None:
+        """Build up the force, and see to what is held; called at every tick while `active`."""
+        squeeze = self._squeeze
+        if squeeze is None:
+            return
+        building = not squeeze.built
+        if squeeze.step(stamp, measured):
+            self.effort.update(squeeze.effort)
+            self.changed = True
+        if building and squeeze.built:
+            self.busy.difference_update(squeeze.held)
+
+    def _tip_forces(self, i: int, measured: Measured) -> list[float]:
+        return finger_forces(self._hand, i, measured)

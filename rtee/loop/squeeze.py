@@ -1,0 +1,199 @@
+"""Several actuators that squeeze something together: the force, its easing, and slips."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rtee.hand.model import Hand
+from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.profiles import Profile
+from rtee.loop.settings import GraspSettings
+from rtee.types import Event
+
+_SETTLE = 0.15
+"""After a change of force, fingers and object are given this time to come to rest [s]."""
+
+_EASE_EVERY = 0.5
+"""A grasp is eased by one step this often [s]."""
+
+_EASE_STEP = 0.05
+"""Share of the goal's effort limits by which it is eased."""
+
+_SLIP_STEP = 0.25
+"""Share of the goal's effort limits by which a slip raises the effort at least; a slip ends within
+a few steps, or what is held is gone."""
+
+_SLIP_SHARE = 0.5
+"""Or by this share of the present effort, if that is more: a load that grows is overtaken."""
+
+_CREEP = 0.5
+"""An actuator creeps when it closes further by this share of its tolerance while it holds."""
+
+_LOAD = 1.15
+"""Something pulls at what is held when the force on a finger is above this share of what it was:
+sensors measure what pulls along the fingertip, too, before it slips."""
+
+_DROP = 0.7
+"""A force has dropped when it is below this share of what it was."""
+
+_TOLD_EVERY = 0.5
+"""Slips are reported at most this often [s]."""
+
+_CONFIRMED = 2
+"""Forces change in this many measurements in succession: a single one may be noise."""
+
+
+def finger_forces(hand: Hand, i: int, measured: Measured) -> list[float]:
+    """Return the forces on the fingers of an actuator [N]; empty: none are measured."""
+    names = hand.finger_names
+    if len(measured.touch) != len(names):
+        return []
+    return [measured.touch[names.index(finger)] for finger in hand.actuators[i].fingers]
+
+
+@dataclass(slots=True)
+class Held:
+    """What an actuator that squeezes does, and what it was like when it last came to rest.
+
+    Attributes:
+        start: Effort limit to begin with [N·m | N].
+        full: Effort limit at level 1 [N·m | N].
+        position: Its position then [rad | m]; ``NaN``: it has not come to rest.
+        effort: The size of its effort then [N·m | N].
+        touch: The force on its fingers then [N].
+        low: Measurements in succession with another force.
+    """
+
+    start: float
+    full: float
+    position: float = math.nan
+    effort: float = math.nan
+    touch: float = math.nan
+    low: int = 0
+
+
+class Squeeze:
+    """Builds up a force, eases it while it holds, and raises it when what it holds slips.
+
+    Args:
+        hand: The hand.
+        grasp: Times and the least effort.
+        profile: Says where the actuators are going.
+        contact: Says whether they hold something.
+        report: Called with events.
+        held: The actuators, by index.
+        floor: Least level of effort that holding is eased to; 1: the effort limits of the goal.
+        most: Highest level that a slip raises it to.
+
+    Attributes:
+        held: The actuators, by index.
+        effort: Their effort limits [N·m | N].
+        built: The force has been built up.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        grasp: GraspSettings,
+        profile: Profile,
+        contact: ContactWatch,
+        report: Callable[[Event], None],
+        held: dict[int, Held],
+        floor: float,
+        most: float,
+    ) -> None:
+        self._hand, self._grasp = hand, grasp
+        self._profile, self._contact, self._report = profile, contact, report
+        self.held = held
+        self.effort = {i: each.start for i, each in held.items()}
+        self.built = False
+        self._floor, self._most = floor, most
+        self._level = 1.0
+        self._since = self._settled = self._ease = math.inf
+        self._told_at, self._told_limit = -math.inf, False
+
+    def forget(self, i: int) -> None:
+        """Give up an actuator."""
+        self.held.pop(i, None)
+        self.effort.pop(i, None)
+
+    def begin(self, stamp: float) -> None:
+        """Begin to build up the force at a time [s]."""
+        self._since = stamp
+
+    def step(self, stamp: float, measured: Measured) -> bool:
+        """Do what is to be done at a tick; return whether ``effort`` has changed.
+
+        Args:
+            stamp: Now [s].
+            measured: What was measured.
+        """
+        if not self.built:
+            self._build(stamp)
+            return True
+        if not any(self._contact.grasping(i) for i in self.held):
+            self._settled = stamp + _SETTLE
+            return False
+        if stamp < self._settled:
+            for held in self.held.values():
+                held.position = math.nan
+            return False
+        for i, held in self.held.items():
+            if measured.fresh[i] and self._slips(i, held, measured):
+                self._raise(i, stamp)
+                return True
+        if self._level > self._floor and stamp >= self._ease:
+            self._set_level(max(self._level - _EASE_STEP, self._floor), stamp)
+            return True
+        return False
+
+    def _build(self, stamp: float) -> None:
+        time = self._grasp.squeeze_time
+        share = min((stamp - self._since) / time, 1.0) if time > 0.0 else 1.0
+        for i, held in self.held.items():
+            self.effort[i] = held.start + share * (held.full - held.start)
+        if share >= 1.0:
+            self.built = True
+            self._ease = stamp + self._grasp.grip_after
+            for i in self.held:
+                self._contact.unpin(i, stamp)
+
+    def _slips(self, i: int, held: Held, measured: Measured) -> bool:
+        """Return whether what an actuator holds seems to slip, or is pulled at."""
+        position, effort = measured.position[i], abs(measured.effort[i])
+        forces = finger_forces(self._hand, i, measured)
+        touch = sum(forces) if forces else math.nan
+        if held.position != held.position:
+            held.position, held.effort, held.touch, held.low = position, effort, touch, 0
+            return False
+        ahead = 1.0 if self._profile.target[i] >= position else -1.0
+        if (position - held.position) * ahead > _CREEP * self._contact.tolerance(i):
+            return True
+        dropped = effort < _DROP * held.effort or touch < _DROP * held.touch
+        loaded = touch > max(_LOAD * held.touch, held.touch + self._grasp.touch)
+        held.low = held.low + 1 if dropped or loaded else 0
+        return held.low >= _CONFIRMED
+
+    def _raise(self, i: int, stamp: float) -> None:
+        """Answer a slip: more effort, which is not eased again."""
+        before = self._level
+        level = min(before + max(_SLIP_STEP, _SLIP_SHARE * before), self._most)
+        self._floor = max(self._floor, level)
+        self._set_level(level, stamp)
+        limited = level <= before
+        if stamp - self._told_at < _TOLD_EVERY or (limited and self._told_limit):
+            return
+        self._told_at, self._told_limit = stamp, self._told_limit or limited
+        actuator = self._hand.actuators[i]
+        who = ", ".join(actuator.fingers) or actuator.name
+        does = "the force is at its limit" if limited else "the force is raised"
+        text = f"slip at {who} (actuator {actuator.name}): {does}"
+        self._report(Event("slip", who, text, stamp, "warning"))
+
+    def _set_level(self, level: float, stamp: float) -> None:
+        self._level = level
+        self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
+        for i, held in self.held.items():
+            self.effort[i] = level * held.full

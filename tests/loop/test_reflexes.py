@@ -1,0 +1,301 @@
+"""Fingers that feel: contacts stop them, enough of them squeeze, and slips are answered."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from loop.hands import make_hand, make_library
+from rtee.commands import SetActive
+from rtee.errors import GoalRejected
+from rtee.hand.model import Hand
+from rtee.loop.contact import Measured
+from rtee.loop.controller import Controller
+from rtee.loop.free_motion import FreeMotion
+from rtee.loop.plan import make_plan
+from rtee.loop.settings import GraspSettings, LoopSettings
+from rtee.messages import decode_goal, decode_result, encode_goal, encode_result
+from rtee.types import Event, Goal, OnContact, Result
+
+INDEX, THUMB = 0, 2
+NAN = math.nan
+STIFFNESS = 20.0
+FRICTION = 0.05
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Hand:
+    return make_hand(tmp_path_factory.mktemp("small"))
+
+
+class World:
+    """The small hand with walls in the way of its actuators, and springs for motors."""
+
+    def __init__(
+        self, hand: Hand, walls: dict[int, float], *, tips: bool = False, **grasp: object
+    ) -> None:
+        self.hand, self.walls, self.tips = hand, walls, tips
+        self.settings = LoopSettings(rate=500.0, grasp=GraspSettings(**grasp))  # type: ignore[arg-type]
+        self.controller = Controller(hand, self.settings)
+        self.position = hand.rest.tolist()
+        self.time = 0.0
+        self.events: list[Event] = []
+        self.results: list[Result] = []
+        self.controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
+        self.tick()
+
+    def tick(self) -> None:
+        self.time += self.settings.period
+        controller = self.controller
+        effort, touch = [], [0.0, 0.0]
+        for i, reference in enumerate(controller.reference_position):
+            wall = self.walls.get(i, math.inf)
+            self.position[i] = min(reference, wall)
+            speed = controller.reference_velocity[i]
+            push = STIFFNESS * (reference - self.position[i])
+            limit = controller.reference_effort[i]
+            effort.append(min(push + math.copysign(FRICTION, speed) * (speed != 0.0), limit))
+            if self.position[i] >= wall:
+                touch[0 if i < THUMB else 1] = max(push, 0.2)
+        n = len(effort)
+        measured = Measured(self.position, effort, [NAN] * n, [True] * n, [-1] * n)
+        if self.tips:
+            measured.touch = touch
+        controller.step(self.time, measured)
+        for item in controller.outbox.items:
+            if isinstance(item, Event):
+                self.events.append(item)
+            elif isinstance(item, Result):
+                self.results.append(item)
+        controller.outbox.items.clear()
+
+    def accept(self, **goal: object) -> None:
+        made = Goal("PinchTight", ("index", "thumb"), **goal)  # type: ignore[arg-type]
+        plan = make_plan(made, self.hand, make_library(self.hand), self.settings)
+        self.controller.accept(plan, self.time)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / self.settings.period)):
+            self.tick()
+
+    def until_result(self) -> Result:
+        for _ in range(10_000):
+            self.tick()
+            if self.results:
+                return self.results.pop()
+        raise AssertionError("the goal never ended")
+
+    def kinds(self) -> list[str]:
+        return [event.kind for event in self.events]
+
+
+def every(word: OnContact) -> dict[str, OnContact]:
+    return {"": word}
+
+
+@pytest.mark.parametrize("tips", [True, False])
+def test_a_finger_that_touches_stops_and_the_other_goes_on(small: Hand, tips: bool) -> None:
+    world = World(small, {INDEX: 0.6}, tips=tips)
+    world.accept(on_contact=every(OnContact.STOP), speed=0.3)
+    reference = world.controller.reference_position
+    while world.position[INDEX] < 0.6:
+        world.tick()
+    ticks = 0
+    while "contact" not in world.kinds():
+        world.tick()
+        ticks += 1
+    # With sensors, the evidence is there at once; efforts have to rise above the threshold first.
+    assert ticks <= (2 if tips else 40)
+    assert reference[INDEX] == pytest.approx(0.6, abs=1e-3)
+    assert reference[THUMB] < 0.8
+    result = world.until_result()
+    assert result.touched == ("index",)
+    assert result.stalled
+    assert not result.grasped
+    assert reference[INDEX] == pytest.approx(0.6, abs=1e-3)
+    assert reference[THUMB] == pytest.approx(0.8, abs=0.01)
+
+
+def test_without_a_word_fingers_press_on_until_they_stall(small: Hand) -> None:
+    world = World(small, {INDEX: 0.6}, tips=True)
+    world.accept(speed=0.3)
+    result = world.until_result()
+    assert result.grasped
+    assert result.touched == ()
+    assert world.kinds() == []
+    assert world.controller.reference_position[INDEX] == pytest.approx(1.0, abs=0.02)
+
+
+def test_each_finger_may_have_a_word_of_its_own(small: Hand) -> None:
+    world = World(small, {INDEX: 0.6, THUMB: 0.5}, tips=True)
+    world.accept(on_contact={"index": OnContact.HOLD, "thumb": OnContact.STOP}, speed=0.3)
+    result = world.until_result()
+    assert set(result.touched) == {"index", "thumb"}
+    assert result.grasped_fingers == ("index",)
+    efforts = world.controller.reference_effort
+    assert efforts[INDEX] < 0.2 * small.actuators[INDEX].effort
+    assert efforts[THUMB] == small.actuators[THUMB].effort
+
+
+def test_the_word_of_hand_yaml_counts_unless_a_goal_has_one(small: Hand) -> None:
+    world = World(small, {INDEX: 0.6}, tips=True, on_contact=OnContact.STOP)
+    world.accept(speed=0.3)
+    assert world.until_result().touched == ("index",)
+    goal = Goal("open")
+    plan = make_plan(goal, small, make_library(small), world.settings)
+    world.controller.accept(plan, world.time)
+    result = world.until_result()
+    assert result.reached, "hands that open touch nothing on purpose"
+    assert result.touched == ()
+    world.accept(on_contact=every(OnContact.HOLD), speed=0.3)
+    assert world.until_result().grasped_fingers == ("index",)
+
+
+def test_a_squeeze_waits_for_the_other_finger_then_builds_up_together(small: Hand) -> None:
+    world = World(small, {INDEX: 0.3, THUMB: 0.7}, tips=True)
+    world.accept(on_contact=every(OnContact.SQUEEZE), speed=0.3)
+    efforts, limits = world.controller.reference_effort, [a.effort for a in small.actuators]
+    while world.kinds().count("contact") < 2:
+        if "contact" in world.kinds():
+            assert efforts[INDEX] < 0.2 * limits[INDEX]
+            assert world.controller.reference_position[INDEX] == pytest.approx(0.3, abs=1e-3)
+        world.tick()
+        assert not world.results
+    shares = []
+    while efforts[THUMB] < limits[THUMB]:
+        world.tick()
+        shares.append(efforts[INDEX] / limits[INDEX])
+    assert shares == sorted(shares)
+    assert len(shares) == pytest.approx(0.3 / world.settings.period, abs=2)
+    result = world.until_result()
+    assert set(result.grasped_fingers) == {"index", "thumb"}
+
+
+def test_a_squeeze_that_meets_no_other_finger_holds_lightly_and_grasps_nothing(
+    small: Hand,
+) -> None:
+    world = World(small, {INDEX: 0.3}, tips=True)
+    world.accept(on_contact=every(OnContact.SQUEEZE), speed=0.5)
+    result = world.until_result()
+    assert result.touched == ("index",)
+    assert result.stalled
+    assert not result.grasped
+
+
+def held(small: Hand, **goal: object) -> World:
+    world = World(small, {INDEX: 0.3, THUMB: 0.7}, tips=True, grip_after=0.5, grip_effort=0.2)
+    world.accept(on_contact=every(OnContact.SQUEEZE), speed=0.5, **goal)
+    assert world.until_result().grasped
+    return world
+
+
+def test_holding_settles_to_the_least_effort_of_hand_yaml(small: Hand) -> None:
+    world = held(small)
+    world.run(15.0)
+    for i in (INDEX, THUMB):
+        limit = small.actuators[i].effort
+        assert world.controller.reference_effort[i] == pytest.approx(0.2 * limit)
+    assert "slip" not in world.kinds()
+
+
+def test_what_creeps_is_held_harder_and_not_eased_again(small: Hand) -> None:
+    world = held(small)
+    world.run(8.0)
+    before = world.controller.reference_effort[INDEX]
+    world.walls[INDEX] += 0.006
+    world.run(0.05)
+    after = world.controller.reference_effort[INDEX]
+    assert after == pytest.approx(before + 0.25 * small.actuators[INDEX].effort)
+    assert world.kinds().count("slip") == 1
+    world.run(5.0)
+    assert world.controller.reference_effort[INDEX] == pytest.approx(after)
+
+
+def test_effort_never_rises_above_that_of_the_goal(small: Hand) -> None:
+    world = held(small, effort={"index_base": 1.0})
+    for _ in range(20):
+        world.walls[INDEX] += 0.006
+        world.run(0.3)
+        assert world.controller.reference_effort[INDEX] <= 1.0
+    assert 0 < world.kinds().count("slip") < 20
+
+
+def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
+    world = World(small, {THUMB: 0.2}, tips=True)
+    plan = make_plan(
+        Goal("PinchTight", ("index", "thumb"), touch=True),
+        small,
+        make_library(small),
+        world.settings,
+    )
+    assert plan.goal.speed == 0.05
+    world.controller.accept(plan, world.time)
+    result = world.until_result()
+    assert result.touched == ("thumb",)
+    assert not result.grasped
+    where = world.position[INDEX]
+    world.run(0.5)
+    assert world.position[INDEX] == pytest.approx(where, abs=1e-6)
+    assert where < 0.9
+
+
+@pytest.mark.parametrize(
+    ("goal", "reason"),
+    [
+        (Goal("fist", on_contact={"ring": OnContact.STOP}), "on_contact of an unknown finger"),
+        (Goal("fist", max_force=3.0), "a largest force needs the force"),
+        (Goal("fist", opening=0.01, force=4.0, max_force=3.0), "must be at least the force, 4 N"),
+        (Goal("fist", opening=0.01, force=4.0, max_force=NAN), "not nan"),
+        (Goal("fist", touch=True, opening=0.01), "a touch takes no opening"),
+        (Goal("", ("ring",), touch=True), "unknown finger 'ring'"),
+        (Goal("", touch=True), "no action closes the fingertips of 'small'"),
+        (Goal("fist", touch=True, tip_speed=0.01), "has no opening: give the speed as a share"),
+    ],
+)
+def test_what_cannot_be_is_refused(small: Hand, goal: Goal, reason: str) -> None:
+    with pytest.raises(GoalRejected, match=reason):
+        make_plan(goal, small, make_library(small), LoopSettings())
+
+
+def test_goals_and_results_cross_the_network() -> None:
+    goal = Goal("a", on_contact={"": OnContact.HOLD, "thumb": OnContact.STOP}, max_force=3.0)
+    assert decode_goal(encode_goal(goal)) == goal
+    assert decode_goal(encode_goal(Goal("a", touch=True))).touch
+    result = Result("1", "a", touched=("thumb", "index"))
+    assert decode_result(encode_result(result)).touched == ("thumb", "index")
+
+
+positive = st.floats(0.01, 1.0)
+
+
+@given(dry=positive, viscous=positive, inertia=positive, push=st.floats(0.3, 2.0))
+def test_free_motion_is_learned_and_a_push_stands_out(
+    dry: float, viscous: float, inertia: float, push: float
+) -> None:
+    free = FreeMotion(10.0, 2.0, 20.0)
+
+    def effort(speed: float, gain: float) -> float:
+        return dry + viscous * speed + inertia * gain / 20.0
+
+    for k in range(300):
+        speed, gain = 1.0 + 0.5 * math.sin(k / 10.0), 2.5 * math.cos(k / 10.0)
+        if k < 50:
+            free.learn(effort(speed, gain), speed, gain)
+        else:
+            assert not free.exceeds(effort(speed, gain), speed, gain, 0.2)
+    assert free.expected(1.0, 0.0) == pytest.approx(effort(1.0, 0.0), abs=0.05)
+    assert free.exceeds(effort(1.0, 0.0) + push, 1.0, 0.0, 0.2)
+    assert not free.exceeds(effort(1.0, 0.0) - push, 1.0, 0.0, 0.2), "pulled, not stopped"
+
+
+@given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-5.0, 5.0), st.floats(-50.0, 50.0))))
+def test_the_model_stays_within_the_effort_limit(
+    samples: list[tuple[float, float, float]],
+) -> None:
+    free = FreeMotion(3.0, 2.0, 20.0)
+    for effort, speed, gain in samples:
+        free.learn(effort, speed, gain)
+        assert abs(free.expected(speed, gain)) <= 3.0

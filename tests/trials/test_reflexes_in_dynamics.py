@@ -1,0 +1,81 @@
+"""Reflexes on simulated hands: a light object stays where it is, and a squeeze gives its force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.hand.load import hand_folder, load_configured
+from rtee.loop.configure import loop_settings
+from rtee.trials.grasp_placement import Places
+from rtee.trials.headless import HeadlessHand
+from rtee.types import Goal, OnContact
+
+RATE = 500.0
+BOX = "box:0.03x0.03x0.08"
+
+
+def gripper(options: SimOptions, *, beside: float = 0.0) -> HeadlessHand[Simulation]:
+    """Return a 2F-85 around a box, off its middle by a distance [m]."""
+    hand, config = load_configured("robotiq_2f_85")
+    library = ActionLibrary.load(hand, hand_folder(hand.name)[0] / "actions")
+    settings = loop_settings(config, rate=RATE)
+    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+    around = simulation.surroundings
+    place = Places(simulation, hand, library.find("Grasp")).find(1)[0]
+    simulation.reset()
+    world = around.base_pose @ place.pose
+    if options.support == "table":
+        # Upright on the table, 1 cm above which the fingertips end.
+        pose = around.object_frame
+        move = pose[:3, 3] - world[:3, 3] + [beside, beside, 0.01]
+        around.jump(np.concatenate([move, np.zeros(3)]))
+        around.place(pose)
+    else:
+        around.place(world)
+    return HeadlessHand(hand, library, settings, simulation)
+
+
+def test_a_touch_moves_a_light_object_by_less_than_two_millimetres() -> None:
+    options = SimOptions(object=BOX, object_mass=0.02, support="table", carrier="arm")
+    headless = gripper(options, beside=0.003)
+    headless.wait(0.5)
+    forces: list[float] = []
+    headless.before_tick(lambda _: forces.append(headless.simulation.contact_forces.max()))
+    before = headless.simulation.surroundings.object_frame[:3, 3]
+    result = headless.do(Goal("", touch=True, timeout=30.0))
+    headless.wait(0.5)
+    moved = np.linalg.norm(headless.simulation.surroundings.object_frame[:3, 3] - before)
+    assert len(result.touched) == 1
+    assert not result.timed_out
+    assert 0.0 < max(forces) < 1.0
+    assert moved < 0.002
+
+
+@pytest.mark.parametrize("word", list(OnContact))
+def test_a_gripper_does_on_contact_what_it_is_to_do(word: OnContact) -> None:
+    headless = gripper(SimOptions(object=BOX, object_mass=0.05, support="floating", gravity=0.0))
+    goal = Goal(
+        "Grasp",
+        opening=0.03,
+        force=5.0,
+        max_force=20.0,
+        grasp=True,
+        tip_speed=0.02,
+        on_contact={"": word},
+    )
+    result = headless.do(goal)
+    headless.wait(1.0)
+    held = headless.simulation.contact_forces.sum() / 2.0
+    assert set(result.touched) == {"finger_1", "finger_2"}
+    assert result.grasped is (word is not OnContact.STOP)
+    if word is OnContact.SQUEEZE:
+        assert held == pytest.approx(5.0, rel=0.15)
+    else:
+        assert held < 4.0
