@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from rtee.errors import GoalRejected, suggestion
+from rtee.types import Result
 
 LENGTH: Final[Mapping[str, float]] = MappingProxyType(
     {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
@@ -59,3 +60,12 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
     if found < 0.0:
         raise GoalRejected(f"the {name} must not be negative, not {value}")
     return found
+
+
+def grip_words(result: Result) -> str:
+    """Return at what opening a goal ended, and with what force, estimated from what."""
+    said = f"{1e3 * (result.opening or 0.0):.1f} mm"
+    if result.force is not None and result.grasped:
+        error = 0.0 if result.force_error is None else result.force_error
+        said += f" with {result.force:.1f} ± {error:.1f} N, by the {result.force_source}"
+    return said

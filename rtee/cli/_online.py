@@ -10,6 +10,8 @@ from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from rtee.units import grip_words
+
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand
     from rtee.types import Result
@@ -96,17 +98,8 @@ def sentence(result: Result, elements: Sequence[str] = ()) -> str:
     how = ", ".join(said) or "ended"
     name = " ".join((result.action, *elements))
     if result.opening is not None:
-        how += f" at {_grip(result)}"
+        how += f" at {grip_words(result)}"
     return f"{name}: {how} (error {result.error:.3g}, {result.duration:.2f} s)"
-
-
-def _grip(result: Result) -> str:
-    """Return at what opening a goal ended, and with what force."""
-    said = f"{1e3 * (result.opening or 0.0):.1f} mm"
-    if result.force is not None and result.grasped:
-        error = 0.0 if result.force_error is None else result.force_error
-        said += f" with {result.force:.1f} ± {error:.1f} N, by the {result.force_source}"
-    return said
 
 
 def _by(fingers: tuple[str, ...]) -> str:

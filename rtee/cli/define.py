@@ -153,7 +153,22 @@ def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
     for warning in warnings_of(action):
         print(f"rtee: warning: {warning}", file=sys.stderr)
     print(f"'{action.name}' is now an action of {library.hand.name}")
+    _say_without_opening(library, action)
     _reload_running(library.hand.name, action.name)
+
+
+def _say_without_opening(library: ActionLibrary, action: CustomAction) -> None:
+    """Say that a hand's openings lack a new action, where its others have tables."""
+    from rtee.actions.types import Timed
+    from rtee.errors import ActionError
+
+    openings = library.openings
+    if not openings.made or isinstance(action, Timed):
+        return
+    try:
+        openings.of(action)
+    except ActionError as error:
+        print(f"note: {error}", file=sys.stderr)
 
 
 def _description(library: ActionLibrary, name: str) -> str:

@@ -148,6 +148,19 @@ def locate(
 
 def calibrate(
     hand: Hand,
+    actions: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="ACTION…",
+            help="With --opening: ACTION or ACTION:ELEMENT,ELEMENT; all unless given.",
+        ),
+    ] = None,
+    opening: Annotated[
+        bool,
+        typer.Option(
+            "--opening", help="Measure openings of the running hand with gauge blocks instead."
+        ),
+    ] = False,
     device: DeviceOption = None,
     out: Annotated[
         Path | None,
@@ -160,7 +173,21 @@ def calibrate(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't wait for Enter.")] = False,
 ) -> None:
-    """Find a device's offsets or end stops and store them; it may move fully."""
+    """Find a device's offsets or end stops and store them; it may move fully.
+
+    With --opening, the running hand closes on gauge blocks, and hand.yaml keeps what was measured.
+
+    Example: rtee calibrate robotiq_2f_85 --opening PinchTight
+    """
+    if opening:
+        from rtee.cli.calibrate_opening import calibrate_opening
+
+        calibrate_opening(hand, actions or ())
+        return
+    if actions:
+        from rtee.errors import ConfigError
+
+        raise ConfigError("actions go with --opening")
     from rtee.buses.pool import BusPool
     from rtee.drivers import calibration
     from rtee.drivers.registry import find_driver

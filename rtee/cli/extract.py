@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import JsonOption, complete_hand, hand_folder, report_copy
+from rtee.cli._common import JsonOption, actions_of, complete_hand, hand_folder, report_copy
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rtee.actions.openings import Openings
     from rtee.actions.types import Primitive
     from rtee.extract.extraction import Extraction
     from rtee.extract.report import Tried
@@ -58,7 +59,10 @@ def extract(
         Path | None, typer.Option(help="Write the primitives to files in this folder.")
     ] = None,
     save: Annotated[
-        bool, typer.Option("--save", help="Write the primitives to the hand's own actions.")
+        bool,
+        typer.Option(
+            "--save", help="Write the primitives to the hand's own actions, and their openings."
+        ),
     ] = False,
     report: Annotated[
         Path | None, typer.Option(help="Write a page with a picture of every action (HTML).")
@@ -70,6 +74,7 @@ def extract(
     rank: Annotated[Rank, typer.Option(help="Which posture of a pinch comes first.")] = Rank.DEPTH,
 ) -> None:
     """Find the primitive grasping actions of a hand."""
+    from rtee.actions.openings import write_openings
     from rtee.errors import ConfigError, needing_extra
     from rtee.hand.files import check_writable
 
@@ -101,6 +106,10 @@ def extract(
     if home is not None and folder is not None:
         report_copy(folder, own(folder))
     _write(targets, page, model, found)
+    stored = []
+    if home is not None:
+        openings = made_of(home)
+        stored.append(write_openings(home, openings.hand, openings.tables))
     if as_json:
         from rtee.actions.describe import describe
 
@@ -108,7 +117,8 @@ def extract(
     else:
         _show(model, found)
     notes = [f"note: {note}" for note in (*model.notes, *found.notes)]
-    notes += [f"written to {target}" for target in [*targets, *([report] if report else [])]]
+    written = [*targets, *stored, *([report] if report else [])]
+    notes += [f"written to {target}" for target in written]
     for note in notes:
         print(note, file=sys.stdout if sys.stdout.isatty() and not as_json else sys.stderr)
 
@@ -211,6 +221,24 @@ def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int
     finally:
         if bar is not None:
             bar.stop()
+
+
+def made_of(folder: Path) -> Openings:
+    """Make the openings of the actions in a hand's folder.
+
+    Raises:
+        MissingExtra: The extra ``extract`` is not installed.
+        ModelError: A mesh is missing or cannot be read.
+    """
+    from rtee.errors import needing_extra
+
+    with needing_extra("making openings", "extract"):
+        from rtee.extract.openings import make_openings
+    from rtee.actions.openings import Openings
+
+    library = actions_of(str(folder))
+    with progress_bar("measuring openings") as progress:
+        return Openings(library.hand, tuple(make_openings(library.hand, library, progress)))
 
 
 def _show(hand: HandModel, found: Extraction) -> None:

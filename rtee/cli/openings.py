@@ -44,23 +44,16 @@ def openings(
 
 def make(hand: str) -> None:
     """Make the tables of a hand's actions and store them in its folder."""
-    from rtee.errors import needing_extra
+    from rtee.actions.openings import write_openings
+    from rtee.cli.extract import made_of
     from rtee.hand.own_copy import own, own_place
 
     folder = hand_folder(hand)
     own_place(folder)  # refused before the work
-    with needing_extra("making openings", "extract"):
-        from rtee.extract.openings import make_openings
-    from rtee.actions.openings import write_openings
-    from rtee.cli.extract import progress_bar
-
-    library = actions_of(hand)
-    with progress_bar("measuring openings") as progress:
-        found = make_openings(library.hand, library, progress)
+    made = made_of(folder)
     home = own(folder)
     report_copy(folder, home)
-    path = write_openings(home, library.hand, found)
-    print(f"written to {path}", file=sys.stderr)
+    print(f"written to {write_openings(home, made.hand, made.tables)}", file=sys.stderr)
 
 
 def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:

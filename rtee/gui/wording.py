@@ -12,6 +12,7 @@ from rtee.gui.colours import BAD, GOOD, WARN
 from rtee.hand.names import common_prefix
 from rtee.sample import MEASURED
 from rtee.types import Result
+from rtee.units import grip_words
 
 NOTHING: Final = "–"
 """Shown by a dropdown that has nothing to choose from."""
@@ -19,10 +20,11 @@ NOTHING: Final = "–"
 
 def said(result: Result) -> tuple[str, str]:
     """Return how a goal ended, in words, and the colour of these words."""
+    at = "" if result.opening is None else f" at {grip_words(result)}"
     if result.grasped:
-        return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}", GOOD
+        return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}{at}", GOOD
     if result.reached:
-        return "reached", GOOD
+        return f"reached{at}", GOOD
     for ended, words in (
         (result.preempted, "replaced by another goal"),
         (result.cancelled, "cancelled"),

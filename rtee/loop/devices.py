@@ -19,7 +19,7 @@ from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
 from rtee.object_description import ObjectDescription
 from rtee.sample import TickRecord
-from rtee.types import Event, FloatArray, Lifecycle, Reference, readonly
+from rtee.types import Event, FloatArray, GripForce, Lifecycle, Reference, readonly
 
 log = logging.getLogger(__name__)
 
@@ -160,25 +160,11 @@ class Devices:
 
     def refuse_effort(self) -> dict[int, str]:
         """Return the actuators whose device takes no effort limits, each with the reason."""
-        return {
-            index: device.driver.capabilities.refuses.get("max_effort", "")
-            for device in self._all
-            if "max_effort" not in device.driver.capabilities.accepts
-            for index in device.indices
-        }
+        return dict(self.forces().refused)
 
     def forces(self) -> DeviceForces:
         """Return what the devices do about efforts and forces."""
-        names = self._hand.actuator_names
-        grips = {
-            i: device.driver.capabilities.grip[names[i]]
-            for device in self._all
-            for i in device.indices
-            if names[i] in device.driver.capabilities.grip
-        }
-        unlimited = [name for device in self._all for name in device.driver.capabilities.unlimited]
-        indices = frozenset(self._hand.actuator_index(name) for name in unlimited)
-        return DeviceForces(self.refuse_effort(), grips, indices)
+        return device_forces(self._hand, self._all)
 
     # --- at a tick ---------------------------------------------------------------------------
 
@@ -286,3 +272,23 @@ class Devices:
         if name is not None and name not in self.by_name:
             raise ConfigError(f"unknown device '{name}'; {suggestion(name, self.by_name)}")
         return list(self._all) if name is None else [self.by_name[name]]
+
+
+def device_forces(hand: Hand, devices: Iterable[Supervisor]) -> DeviceForces:
+    """Return what devices do about efforts and forces; any thread may call it.
+
+    Args:
+        hand: The hand.
+        devices: Its devices.
+    """
+    names = hand.actuator_names
+    refused: dict[int, str] = {}
+    grips: dict[int, GripForce] = {}
+    unlimited: set[int] = set()
+    for device in devices:
+        can = device.driver.capabilities
+        if "max_effort" not in can.accepts:
+            refused |= dict.fromkeys(device.indices, can.refuses.get("max_effort", ""))
+        grips |= {i: can.grip[names[i]] for i in device.indices if names[i] in can.grip}
+        unlimited |= {hand.actuator_index(name) for name in can.unlimited}
+    return DeviceForces(refused, grips, frozenset(unlimited))

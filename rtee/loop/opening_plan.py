@@ -25,6 +25,9 @@ _ROUNDING: Final = 5e-5
 """An opening outside of the table by less than this is the one at its end [m]: what people read is
 rounded to 0.1 mm."""
 
+_SAMPLES: Final = 8
+"""Openings at which the range of the force is looked at, besides the first: it bends little."""
+
 _SQUARE: Final = 0.1
 """Actions whose tips move to the object at angles that differ by less than this are as good as one
 another [rad]."""
@@ -185,6 +188,32 @@ def _check_devices(
             f"the force of {opening.label} cannot be limited: its device knows no effort of "
             f"{names}; {nearest}"
         )
+
+
+def force_range(
+    hand: Hand, opening: Opening, grip: Grip, devices: DeviceForces
+) -> tuple[float, float, str]:
+    """Return the weakest and the strongest force that some opening of an action allows [N].
+
+    Args:
+        hand: The hand.
+        opening: The action's opening.
+        grip: Its grip.
+        devices: What the hand's devices do about forces.
+
+    Returns:
+        The two forces, and why none can be asked for, in words, if so; then they are 0.
+    """
+    grid = opening.intensity
+    some = [float(at) for at in grid[:: max(1, len(grid) // _SAMPLES)]]
+    ranges = [grip.forces(hand, at) for at in some]
+    high = ranges[0][1]
+    try:
+        check_force(grip, hand, opening.label, high, some[0])
+        _check_devices(hand, opening, grip.efforts(high, some[0]), devices)
+    except GoalRejected as error:
+        return 0.0, 0.0, str(error)
+    return min(low for low, _ in ranges), max(high for _, high in ranges), ""
 
 
 def _can(hand: Hand, opening: Opening, effort: Mapping[int, float], devices: DeviceForces) -> bool:

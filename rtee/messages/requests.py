@@ -103,6 +103,7 @@ _ALL = (
     _request(ASK, "info", "PostureRequest", "HandInfo", "The hand, for a grasp planner."),
     _request(ASK, "robot_description", "Empty", "String", "The URDF."),
     _request(ASK, "actions", "ActionFilter", "ActionList", "The actions that pass a filter."),
+    _request(ASK, "openings", "Empty", "OpeningList", "Openings and forces of the actions."),
     _request(ASK, "primitives", "Empty", "PrimitiveGroups", "The primitives, by name."),
     _request(ASK, "partners", "ActionName", "Names", "What an element can be paired with."),
     _request(ASK, "trials", "Empty", "String", "What trials of the actions found, as YAML."),

@@ -24,6 +24,7 @@ from rtee.planning.apart import Question, question_about
 from rtee.planning.result import Ranking, from_document
 from rtee.remote.actions import action_fields, action_of, group_of
 from rtee.remote.link import Link
+from rtee.remote.openings import OpeningRange, opening_of
 
 _NOWHERE = Posture({}, ())
 """Posture of an action that is sent: the hand works it out from the parts."""
@@ -78,6 +79,10 @@ class ActionClient:
         """Return the elements with which a given one can be combined in a primitive."""
         reply = await self._link.ask("partners", self._action(name, element))
         return tuple(reply["names"])
+
+    async def openings(self) -> list[OpeningRange]:
+        """Return the openings and forces that goals may ask for, of the actions that have some."""
+        return [opening_of(entry) for entry in (await self._link.ask("openings"))["openings"]]
 
     async def trials(self) -> str:
         """Return the text of the file with the results of trials; empty if there is none.

@@ -220,6 +220,7 @@ class BlockingHand:
     actions = _waiting(RemoteHand.actions)
     primitives = _waiting(RemoteHand.primitives)
     partners = _waiting(RemoteHand.partners)
+    openings = _waiting(RemoteHand.openings)
     trials = _waiting(RemoteHand.trials)
     grasp_plan = _waiting(RemoteHand.grasp_plan)
     reach = _waiting(RemoteHand.reach)

@@ -153,6 +153,7 @@ class RemoteHand:
     actions = _part("_actions", ActionClient.actions)
     primitives = _part("_actions", ActionClient.primitives)
     partners = _part("_actions", ActionClient.partners)
+    openings = _part("_actions", ActionClient.openings)
     trials = _part("_actions", ActionClient.trials)
     grasp_plan = _part("_actions", ActionClient.grasp_plan)
     reach = _part("_reaching", ReachClient.reach)

@@ -25,6 +25,7 @@ from rtee.remote.grasp_planning import GraspPlanning
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
+from rtee.remote.openings import opening_fields
 from rtee.remote.planner import info_fields
 from rtee.remote.publishing import Streams
 from rtee.types import Event
@@ -117,6 +118,7 @@ class QueryHandlers:
             "actions": self._actions,
             "primitives": self._primitives,
             "partners": self._partners,
+            "openings": lambda _: opening_fields(self._library, loop.devices.values()),
             "trials": lambda _: {"data": self._trials()},
             "record": self._record,
             "add": self._add,

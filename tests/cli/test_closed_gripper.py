@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 from hand.models import FRANKA
 
 RTEE = (sys.executable, "-m", "rtee")
+PINCH = "PinchTight:leftfinger,rightfinger*0.5"
 LINE = "rest: {panda_finger_joint1: 0.04}"
 
 
@@ -76,6 +78,26 @@ def running(made: Path) -> Iterator[Path]:
 def width(folder: Path) -> float:
     state = json.loads(rtee(folder, "state", "--once", "--json").stdout)
     return float(state["actuators"]["panda_finger_joint1"]["position"])
+
+
+def test_extraction_stores_openings_and_a_newer_action_lacks_one(
+    made: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(made / "config", tmp_path / "config")
+    tmp_path.chmod(0o700)
+    before = openings(tmp_path)
+    assert before["PinchTight"] == pytest.approx(0.08, abs=1e-3)
+    done = rtee(tmp_path, "compose", "half", PINCH, "--hand", "franka")
+    assert "half has no opening" in done.stderr
+    assert "`rtee openings franka --save` makes the tables" in done.stderr
+    rtee(tmp_path, "openings", "franka", "--save")
+    assert openings(tmp_path) == {**before, "half": pytest.approx(0.08, abs=1e-3)}
+
+
+def openings(folder: Path) -> dict[str, float]:
+    """Return the widest opening of each action [m]."""
+    told = json.loads(rtee(folder, "openings", "franka", "--json").stdout)["openings"]
+    return {each["action"]: each["widest"] for each in told}
 
 
 def test_pinching_closes_and_opening_opens(running: Path) -> None:

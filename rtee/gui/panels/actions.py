@@ -63,6 +63,7 @@ class ActionsPanel:
     async def refresh(self) -> list[Action]:
         """Ask the hand for its actions; rebuilds only the cards whose actions have changed."""
         actions = await self._hand.actions()
+        openings = {(each.action, each.elements): each for each in await self._hand.openings()}
         groups = grouped(actions)
         for key in [key for key in self._cards if key not in groups]:
             self._cards.pop(key).remove()
@@ -72,6 +73,7 @@ class ActionsPanel:
             signature = tuple(_signature(action) for action in group)
             if self._known.get(key) == signature:
                 self._cards[key].place(place)
+                self._cards[key].show_openings(openings)
                 continue
             if key in self._cards:
                 self._cards.pop(key).remove()
@@ -85,6 +87,7 @@ class ActionsPanel:
                     order=place,
                     remark=self._remark,
                 )
+            self._cards[key].show_openings(openings)
             self._cards[key].show_trials(self._tried)
             self._known[key] = signature
         self._filter()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 
 import viser
@@ -17,6 +18,7 @@ from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, small
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal import GoalOptions
+from rtee.remote.openings import OpeningRange
 from rtee.types import Stage
 
 Show = Callable[[Posture | None, float, Evidence | None], None]
@@ -69,12 +71,15 @@ class Card:
         self._stage: viser.GuiDropdownHandle[str] | None = None
         self._contact: float | None = None
         self._tried = Tried()
+        self._openings: dict[tuple[str, tuple[str, ...]], OpeningRange] = {}
+        self._by_opening = False
         self._remark = remark
         gui = bridge.server.gui
         self._folder = gui.add_folder(self.name, expand_by_default=expanded, order=order)
         with self._folder:
             self._describe(gui)
             self._slider = self._make_slider(gui)
+            self._make_opening(gui)
             self._add_more(gui)
             self._buttons = gui.add_button_group(
                 "",
@@ -128,8 +133,26 @@ class Card:
             visible=not isinstance(self._actions[0], Timed),
             order=1,
         )
-        slider.on_update(lambda _: self._preview_if_shown())
+        slider.on_update(self._on_intensity)
         return slider
+
+    def _make_opening(self, gui: viser.GuiApi) -> None:
+        self._width = gui.add_slider(
+            "Opening [mm]",
+            0.0,
+            1.0,
+            0.1,
+            0.0,
+            hint="How far the fingertips are to be apart [mm]; the last that was moved, this or "
+            "the intensity, is what the action is done with",
+            visible=False,
+            order=1.2,
+        )
+        self._force = gui.add_slider(
+            "Force [N]", 0.0, 1.0, 0.1, 0.0, hint="", visible=False, order=1.4
+        )
+        self._width.on_update(self._on_width)
+        self._force.on_update(self._on_force)
 
     def _add_more(self, gui: viser.GuiApi) -> None:
         self._found = gui.add_html("", visible=False, order=2)
@@ -144,6 +167,66 @@ class Card:
                 self._stage = gui.add_dropdown(
                     "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
                 )
+
+    # --- millimetres and newtons
+
+    def show_openings(self, openings: Mapping[tuple[str, tuple[str, ...]], OpeningRange]) -> None:
+        """Take the openings and forces that goals may ask for, by action and elements."""
+        self._openings = dict(openings)
+        self._show_opening()
+
+    @property
+    def _opening(self) -> OpeningRange | None:
+        return self._openings.get(key_of(self.action))
+
+    def _show_opening(self) -> None:
+        found = self._opening
+        self._width.visible = self._force.visible = found is not None
+        if found is None:
+            self._by_opening = False
+            return
+        # Rounded inwards, so that neither end is refused.
+        self._width.min = math.ceil(found.narrowest * 1e4 - 1e-6) / 10.0
+        self._width.max = math.floor(found.widest * 1e4 + 1e-6) / 10.0
+        self._follow_intensity()
+        self._force.disabled = bool(found.unlimited)
+        self._force.max = max(math.floor(found.most_force * 10.0) / 10.0, 0.1)
+        self._force.value = min(float(self._force.value), self._force.max)
+        self._force.hint = (
+            found.unlimited
+            or f"Force between the fingertips, with the opening: {found.least_force:.3g} to "
+            f"{found.most_force:.3g} N; 0: as hard as the effort says"
+        )
+
+    def _follow_intensity(self) -> None:
+        """Show the opening of the intensity, or the intensity of the opening that was chosen."""
+        found = self._opening
+        if found is None:
+            return
+        if self._by_opening:
+            width = min(max(float(self._width.value), self._width.min), self._width.max)
+            self._slider.value = round(100.0 * found.intensity_at(width / 1e3))
+        else:
+            width = round(1e3 * found.at(self._slider.value / 100.0), 1)
+            width = min(max(width, self._width.min), self._width.max)
+        self._width.value = width
+
+    async def _on_intensity(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:  # moved by a person, not by the other slider
+            self._by_opening = False
+            self._force.value = 0.0  # a force goes with an opening
+            self._follow_intensity()
+        self._preview_if_shown()
+
+    async def _on_width(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            self._by_opening = True
+            self._follow_intensity()
+            self._preview_if_shown()
+
+    async def _on_force(self, event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            self._by_opening = True
 
     # --- the choice
 
@@ -171,6 +254,7 @@ class Card:
             self._slider.remove()  # the marks of a slider cannot be changed
             with self._folder:
                 self._slider = self._make_slider(self._bridge.server.gui, value)
+        self._show_opening()
         self._show_remark()
         self._show_tried()
         self._preview_if_shown()
@@ -223,15 +307,25 @@ class Card:
 
     def _preview_if_shown(self, *, hide: bool = False) -> None:
         if self._previewing:
-            self._show(last_posture(self.action), self._slider.value / 100.0, self.evidence)
+            intensity = self._slider.value / 100.0
+            if self._by_opening and self._opening is not None:
+                intensity = self._opening.intensity_at(float(self._width.value) / 1e3)
+            self._show(last_posture(self.action), intensity, self.evidence)
         elif hide:
             self._show(None, 0.0, None)
 
     async def _do(self) -> None:
         options = GoalOptions(intensity=self._slider.value / 100.0, speed=self._speed.value / 100.0)
-        if self._stage is not None:
+        if self._by_opening:
+            options = GoalOptions(
+                opening=float(self._width.value) / 1e3, speed=self._speed.value / 100.0
+            )
+            if self._force.value > 0.0:
+                options["force"] = float(self._force.value)
+        elif self._stage is not None:
             options["stage"] = _STAGES[str(self._stage.value)]
-        await self._execution.do(self.action, options, self._effort.value / 100.0)
+        effort = 1.0 if "force" in options else self._effort.value / 100.0
+        await self._execution.do(self.action, options, effort)
 
     # --- its place among the cards
 

@@ -49,6 +49,7 @@ class TablePanel:
         self._unit, self._force = units("position", kinds), units("effort", kinds)
         kinds = {joint.kind for joint in hand.joints}
         self._joint_unit, self._joint_speed = units("position", kinds), units("velocity", kinds)
+        self._grip = gui.add_html("", visible=False)
         with gui.add_folder("Actuators"):
             self._actuators = gui.add_html("")
         with gui.add_folder("Joints", expand_by_default=len(hand.joints) <= 24):
@@ -60,6 +61,12 @@ class TablePanel:
 
     def show_state(self, state: State) -> None:
         """Show a measured state."""
+        self._grip.visible = not math.isnan(state.opening)
+        force = "" if math.isnan(state.force) else f"{state.force:.1f} ± {state.force_error:.1f}"
+        self._grip.content = table(
+            ("", "opening [mm]", "force [N]"),
+            [["fingertips", f"{1e3 * state.opening:.1f}", force or "–"]],
+        )
         rows = [
             [
                 self._names[i],

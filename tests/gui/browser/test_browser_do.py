@@ -66,6 +66,23 @@ def test_a_pinch_goes_to_just_before_contact_and_on(window: Window, other: Block
     window.choose("Stage", "to the grasp", more)
 
 
+def test_an_opening_in_millimetres_is_what_the_hand_goes_to(
+    window: Window, other: BlockingHand
+) -> None:
+    other.open()
+    card = window.folder("PinchTight", unfold=True)
+    window.type("Opening [mm]", "40", card)
+    window.button("Do", card).click()
+    window.says(re.compile(r"reached at 4\d\.\d mm"), card)  # reached within its tolerance
+    (known,) = [each for each in other.openings() if each.action == "PinchTight"]
+    (pinch,) = other.actions("primitive", "PinchTight")
+    target = known.intensity_at(0.04) * pinch.posture.position["finger_joint"]
+    window.until(lambda: other.state().position[0] == pytest.approx(target, abs=2e-3))
+    assert known.least_force < known.most_force
+    assert not known.unlimited
+    window.type("Intensity [%]", "100", card)
+
+
 def test_cancel_is_said(window: Window, other: BlockingHand) -> None:
     other.open()
     card = window.folder("PinchTight", unfold=True)

@@ -1,0 +1,208 @@
+"""`rtee calibrate HAND --opening`: the openings of a real hand, measured with gauge blocks.
+
+The running hand closes gently on a block whose width is known. Where it stops, the intensity and
+the width are a pair, which is written into hand.yaml at once: what was taken is kept whenever the
+command ends, and the next time goes on from there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from rtee.cli._common import actions_of, hand_folder, report_copy
+from rtee.errors import ActionError, ConfigError, GoalRejected, RequestRejected
+
+if TYPE_CHECKING:
+    from rtee.actions.library import ActionLibrary
+    from rtee.actions.openings import Opening
+    from rtee.actions.types import Action
+    from rtee.remote.client import RemoteHand
+
+_SPEED: Final = 0.2
+"""Share of the velocity limits: slow enough that a block is not pushed away."""
+
+_EFFORT: Final = 0.25
+"""Share of the effort limits: blocks are not to bend the fingers, but friction is overcome."""
+
+_SAME: Final = 1e-4
+"""A block within this of one that was measured before replaces its pair [m]."""
+
+_BEYOND: Final = 0.01
+"""A real hand may open wider than its model by this [m]."""
+
+
+def calibrate_opening(name: str, words: Sequence[str]) -> None:
+    """Measure the openings of actions, block by block.
+
+    Args:
+        name: The hand, which runs.
+        words: The actions, as for `rtee compose`; empty: all that have an opening.
+
+    Raises:
+        UserError: if an action has no opening, or hand.yaml cannot be changed.
+    """
+    from rtee.cli._online import with_hand
+    from rtee.hand.own_copy import own, own_place
+
+    folder = hand_folder(name)
+    own_place(folder)  # refused before the work
+    library = actions_of(name)
+    chosen = _chosen(library, words)
+    home = own(folder)
+    report_copy(folder, home)
+
+    async def execute(remote: RemoteHand) -> None:
+        async with remote.held():
+            for action, opening in chosen:
+                await _Blocks(remote, library, home, action, opening).measure()
+
+    with_hand(library.hand.name, None, "calibrate", execute)
+    print("goals use what was measured from the next `rtee run` on")
+
+
+def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, Opening]]:
+    """Return the actions that are meant, with their openings by the model."""
+    from rtee.actions.cli_syntax import read_use
+
+    openings, found = library.openings, []
+    if words:
+        uses = [read_use(word) for word in words]
+        named = [library.find(use.action, use.elements) for use in uses]
+        return [(action, openings.of(action)) for action in named]
+    for action in library:
+        try:
+            found.append((action, openings.of(action)))
+        except ActionError as error:
+            reason = error
+    if not found:
+        raise ConfigError(f"no action of '{library.hand.name}' has an opening: {reason}")
+    return found
+
+
+class _Blocks:
+    """Measures one action with one block after the other."""
+
+    def __init__(
+        self,
+        remote: RemoteHand,
+        library: ActionLibrary,
+        home: Path,
+        action: Action,
+        opening: Opening,
+    ) -> None:
+        self._remote, self._hand, self._home = remote, library.hand, home
+        self._action, self._opening = action, opening
+        self._pairs = list(library.openings.measured(action))
+
+    async def measure(self) -> None:
+        """Ask for blocks until an empty line."""
+        label = self._opening.label
+        words = " ".join((self._action.name, *self._action.elements))
+        for at, known in self._pairs:
+            print(f"{label}: measured before: {1e3 * known:g} mm at {at:.4f}")
+        while True:
+            width = await self._width()
+            if width is None:
+                return
+            await self._go(0.0)
+            await _asked(f"{label}: hold the block between the fingertips, then press Enter. ")
+            intensity = await self._contact()
+            await self._go(0.0)
+            if intensity is None:
+                print(f"{label}: the fingertips met nothing; this block is not taken", flush=True)
+                continue
+            kept = [pair for pair in self._pairs if abs(pair[1] - width) > _SAME]
+            self._pairs = sorted([*kept, (round(intensity, 5), round(width, 6))])
+            path = write_pairs(self._home, words, self._pairs)
+            print(f"{label}: {1e3 * width:g} mm at {intensity:.4f}; stored in {path}", flush=True)
+
+    async def _width(self) -> float | None:
+        """Ask for a block until its width can be used; ``None``: there is none left."""
+        from rtee.units import LENGTH, quantity
+
+        label, widest = self._opening.label, self._opening.widest
+        while True:
+            line = await _asked(f"{label}: width of the next block, such as 30mm; Enter to end: ")
+            if not line:
+                return None
+            try:
+                width = quantity(line, LENGTH, "width")
+            except GoalRejected as error:
+                print(error, flush=True)
+                continue
+            if 0.0 < width <= widest + _BEYOND:
+                return width
+            print(f"{label} opens to {1e3 * widest:.1f} mm, not {1e3 * width:g} mm", flush=True)
+
+    async def _contact(self) -> float | None:
+        """Close gently; return the intensity at which the fingertips met something, if any."""
+        result = await self._go(1.0)
+        if not result:
+            return None
+        measured, last = (await self._remote.state()).positions, self._action.waypoints[-1]
+        moved = [(self._hand.actuator(name), measured[name]) for name in last.involved]
+        way = [(last.position[spec.name] - spec.rest, at - spec.rest) for spec, at in moved]
+        # The point of the way from rest that is nearest to where the actuators are.
+        return sum(whole * part for whole, part in way) / sum(whole * whole for whole, _ in way)
+
+    async def _go(self, intensity: float) -> bool:
+        """Go to an intensity of the action; return whether something was in the way."""
+        name, elements = self._action.name, self._action.elements
+        try:
+            limits = await self._remote.effort_limits(_EFFORT, self._action.waypoints[-1].involved)
+            result = await self._remote.do(
+                name, *elements, intensity=intensity, speed=_SPEED, effort=limits
+            )
+        except (GoalRejected, RequestRejected):  # efforts of this device cannot be limited
+            result = await self._remote.do(name, *elements, intensity=intensity, speed=_SPEED)
+        return result.grasped or result.stalled
+
+
+async def _asked(text: str) -> str:
+    """Return a line that was typed; the end of the input is an empty line."""
+    try:
+        return (await asyncio.to_thread(input, text)).strip()
+    except EOFError:
+        return ""
+
+
+def write_pairs(home: Path, words: str, pairs: Sequence[tuple[float, float]]) -> Path:
+    """Write the measured openings of one action into hand.yaml; comments stay.
+
+    Args:
+        home: The hand's folder.
+        words: The action and its elements, with spaces between them.
+        pairs: Intensities and openings [m].
+
+    Raises:
+        ConfigError: if the file cannot be changed; the message has the line to type.
+    """
+    from rtee.actions.comments import rewritten
+    from rtee.hand.catalog import FILE_NAME
+    from rtee.hand.files import write_atomically
+    from rtee.hand.yamlfile import parse_yaml, read_text
+
+    path = home / FILE_NAME
+    text = read_text(path, FILE_NAME)
+    data = dict(parse_yaml(text, path, FILE_NAME).data)
+    # The action may be there in another spelling of the order of its elements.
+    wanted = _key(words)
+    before = dict(data.get("openings") or {})
+    key = next((each for each in before if _key(each) == wanted), words)
+    data["openings"] = {**before, key: [list(pair) for pair in pairs]}
+    changed = rewritten(text, data)
+    if changed is None:
+        line = f"openings: {{{key}: {data['openings'][key]}}}"
+        raise ConfigError(f"cannot be changed with its comments kept; type: {line}", path=path)
+    write_atomically(path, changed)
+    return path
+
+
+def _key(words: str) -> tuple[str, frozenset[str]]:
+    from rtee.actions.naming import normalise
+
+    name, *elements = words.split()
+    return normalise(name), frozenset(elements)
