@@ -8,7 +8,7 @@ command ends, and the next time goes on from there.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -26,6 +26,9 @@ _SPEED: Final = 0.2
 
 _EFFORT: Final = 0.25
 """Share of the effort limits: blocks are not to bend the fingers, but friction is overcome."""
+
+_UNLIMITED: Final = "takes no effort limit"
+"""Words in the refusal of a goal whose efforts a device cannot limit."""
 
 _SAME: Final = 1e-4
 """A block within this of one that was measured before replaces its pair [m]."""
@@ -96,6 +99,7 @@ class _Blocks:
         self._remote, self._hand, self._home = remote, library.hand, home
         self._action, self._opening = action, opening
         self._pairs = list(library.openings.measured(action))
+        self._limited = True
 
     async def measure(self) -> None:
         """Ask for blocks until an empty line."""
@@ -151,13 +155,19 @@ class _Blocks:
     async def _go(self, intensity: float) -> bool:
         """Go to an intensity of the action; return whether something was in the way."""
         name, elements = self._action.name, self._action.elements
-        try:
+        limits: Mapping[str, float] = {}
+        if self._limited:
             limits = await self._remote.effort_limits(_EFFORT, self._action.waypoints[-1].involved)
+        try:
             result = await self._remote.do(
                 name, *elements, intensity=intensity, speed=_SPEED, effort=limits
             )
-        except (GoalRejected, RequestRejected):  # efforts of this device cannot be limited
-            result = await self._remote.do(name, *elements, intensity=intensity, speed=_SPEED)
+        except RequestRejected as error:
+            if not limits or _UNLIMITED not in str(error):
+                raise
+            self._limited = False
+            print(f"{error}; it closes with its own force, at {_SPEED:.0%} speed", flush=True)
+            return await self._go(intensity)
         return result.grasped or result.stalled
 
 

@@ -30,6 +30,8 @@ _STAGES = {
     "on to the grasp": Stage.GRASP,
 }
 
+_FORCE_HINT = "Force between the fingertips [N]"
+
 
 class Card:
     """One action, or all primitives of one name.
@@ -149,7 +151,7 @@ class Card:
             order=1.2,
         )
         self._force = gui.add_slider(
-            "Force [N]", 0.0, 1.0, 0.1, 0.0, hint="", visible=False, order=1.4
+            "Force [N]", 0.0, 1.0, 0.1, 0.0, hint=_FORCE_HINT, visible=False, order=1.4
         )
         self._width.on_update(self._on_width)
         self._force.on_update(self._on_force)
@@ -194,7 +196,7 @@ class Card:
         self._force.value = min(float(self._force.value), self._force.max)
         self._force.hint = (
             found.unlimited
-            or f"Force between the fingertips, with the opening: {found.least_force:.3g} to "
+            or f"{_FORCE_HINT}, with the opening: {found.least_force:.3g} to "
             f"{found.most_force:.3g} N; 0: as hard as the effort says"
         )
 

@@ -130,7 +130,13 @@ class TryPanel:
             hint="1 at fingertips, 0.8 elsewhere, and 0.5 to 1 in variations; plans: 0.5",
         )
         self._friction = gui.add_number(
-            "Friction", 0.5, min=0.0, max=10.0, step=0.05, hint="Coefficient of friction", visible=False
+            "Friction",
+            0.5,
+            min=0.0,
+            max=10.0,
+            step=0.05,
+            hint="Coefficient of friction",
+            visible=False,
         )
         self._action = gui.add_dropdown("Action", (_EVERY,), hint="What is tried")
         self._variations = gui.add_slider(
