@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from rtee.errors import ConfigError
@@ -180,6 +180,8 @@ STATE = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
     acceleration=st.floats(2, 100),
     jerk=st.floats(5, 1000),
 )
+@example(state=(0.0, 0.0), target=3.699998821387686e-13, acceleration=2.0, jerk=5.0)
+@example(state=(0.0, 0.01171875), target=8.9e-12, acceleration=2.0, jerk=221.0)
 def test_s_curve_takes_hardly_longer_than_ruckig(
     state: tuple[float, float], target: float, acceleration: float, jerk: float
 ) -> None:
@@ -204,7 +206,9 @@ def test_s_curve_takes_hardly_longer_than_ruckig(
     # braking already and just before the target, costs 28 % (found by 80,000 random states).
     factor = 1.0 if begin[1:] == (0.0, 0.0) else 1.3
     assert motion.duration <= factor * trajectory.duration + 1e-4
-    assert motion.duration >= trajectory.duration - 1e-4
+    # Nearer than the end is asked for, ruckig takes up to a millisecond for what counts as reached.
+    if abs(target) >= 1e-9:
+        assert motion.duration >= trajectory.duration - 1e-4
 
 
 @settings(max_examples=200, deadline=None)
