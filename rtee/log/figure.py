@@ -1,4 +1,4 @@
-"""What a plot of a recording shows, whatever draws it: panels, lines, spans, marks."""
+"""The content of a plot of a recording, for any renderer: panels, lines, spans, marks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtee.log.recording import JointSeries, Recording
 from rtee.types import FloatArray
 
 MOST_POINTS = 4000
-"""Points of a line; more are thinned out so that every peak stays."""
+"""Points of a line; more are thinned out so that every peak stays: twice a screen's pixels."""
 
 COLOURS = (
     "#1f77b4",
@@ -125,6 +125,7 @@ def thinned(
         return t, values
     stretch = -(-2 * len(t) // most)
     count = len(t) // stretch
+    # argmin and argmax would return a NaN's place: infinities never win against a number.
     whole = np.where(np.isnan(values), np.inf, values)[: count * stretch].reshape(count, stretch)
     low = whole.argmin(axis=1)
     high = np.where(np.isinf(whole), -np.inf, whole).argmax(axis=1)
@@ -144,7 +145,7 @@ def figure(
     end: float | None = None,
     fingers: dict[str, tuple[str, ...]] | None = None,
 ) -> Figure:
-    """Return what a plot of a recording shows.
+    """Return the plot of a recording.
 
     Args:
         recording: The recording.
@@ -244,7 +245,7 @@ def _position_lines(
 
 
 def _efforts(recording: Recording, within: NDArray[np.bool_]) -> tuple[FloatArray | None, str]:
-    """Return what the right column shows: efforts, or currents where only those are measured."""
+    """Return the right column: efforts, or currents where only those are measured."""
     states = recording.actuator_states
     if not np.isnan(states.effort[within]).all():
         return states.effort, "effort [N·m | N]"

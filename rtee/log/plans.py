@@ -1,4 +1,4 @@
-"""What goals come to, as messages, and back."""
+"""Convert plans of goals to messages and back."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
 
 
 _SIDES = -1
-"""Stands between the fingers of the first side and those of the others."""
+"""Separates the fingers of the first side from those of the others: no finger has this index."""
 
 
 def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
@@ -96,6 +96,7 @@ def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
     table: list[float] = []
     if sheet is not None:
         rows = zip(sheet.position or (0.0,), sheet.weakest, sheet.strongest, strict=True)
+        # One array of numbers: efforts, whether positions are given, then rows of three.
         table = [*sheet.effort, float(bool(sheet.position)), *(v for row in rows for v in row)]
     return {
         "actuator": [actuators[index] for index in grip.indices],

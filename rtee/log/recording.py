@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtee.commands import CommandRecord
 from rtee.errors import LogError, suggestion
 from rtee.loop.plan import Plan
+from rtee.messages.codec import SECOND
 from rtee.object_description import ObjectDescription
 from rtee.sample import Measurements
 from rtee.types import (
@@ -28,8 +29,6 @@ from rtee.types import (
 )
 
 T = TypeVar("T")
-
-_SECOND = 1e9
 
 
 @dataclass(frozen=True)
@@ -71,12 +70,12 @@ class JointSeries:
 
 @dataclass(frozen=True)
 class ActuatorSeries(JointSeries, Measurements):
-    """What the actuators measured over time, as the loop was given it.
+    """What the actuators measured over time, as the loop received it.
 
     Attributes:
         tick: Numbers of the ticks ``(k,)``; a gap is a missed or lost tick.
         time: CLOCK_MONOTONIC of the ticks ``(k,)`` [s].
-        grasped: The devices' own word ``(k, n)``: 1 holding, 0 not, -1 none.
+        grasped: What the devices report themselves ``(k, n)``: 1 holding, 0 not, -1 nothing.
         fresh: Whether it was measured since the tick before ``(k, n)``.
     """
 
@@ -95,7 +94,7 @@ class Entry(Generic[T]):
         wall: The same since 1970 [ns].
         stamp: The same by CLOCK_MONOTONIC [s], where it is known, else 0.
         value: What.
-        sequence: Tells the order of entries of the same time, also of different topics.
+        sequence: Orders entries of the same time, also of different topics.
     """
 
     t: float
@@ -144,7 +143,8 @@ class Span:
 
 
 def outcome_of(result: Result) -> str:
-    """Return the word that says best how a goal ended."""
+    """Return the word that describes best how a goal ended."""
+    # Why it ended goes before how far it came: several may be true at once.
     for word in ("aborted", "cancelled", "preempted", "timed_out", "grasped", "reached", "stalled"):
         if getattr(result, word):
             return word
@@ -167,7 +167,7 @@ class Recording:
         actuator_states: The actuators as measured.
         reference: What was sent to the devices.
         goals: Goals that were accepted.
-        plans: What the goals come to.
+        plans: The plans made for the goals.
         commands: Calls that steered the hand otherwise.
         stream_samples: Samples of streams, as commands.
         feedback: Progress of the goals.
@@ -210,7 +210,7 @@ class Recording:
     @property
     def duration(self) -> float:
         """Time from the first to the last message [s]."""
-        return (self.end - self.start) / _SECOND
+        return (self.end - self.start) / SECOND
 
     @property
     def rate(self) -> float:

@@ -1,4 +1,4 @@
-"""The settings of a loop and of its devices: those of hand.yaml, and some that it does not have."""
+"""The settings of a loop and its devices: those of hand.yaml, and some that it does not have."""
 
 from __future__ import annotations
 
