@@ -96,8 +96,10 @@ def make_space(
 
 def rounded(hand: Hand, u: FloatArray) -> FloatArray:
     """Return a posture as it is stored: rounded, but never out of the limits."""
+    # Adding 0 turns -0.0 into 0.0.
     result = np.round(u, DECIMALS) + 0.0
     for i, spec in enumerate(hand.actuators):
+        # An actuator at rest stays exactly there, even if its rest has more decimals.
         if u[i] == spec.rest:
             result[i] = spec.rest
         result[i] = min(max(result[i], spec.lower), spec.upper)

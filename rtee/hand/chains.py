@@ -1,4 +1,4 @@
-"""Which chains of a hand are fingers, as its SRDF says; the SRDF is checked against the URDF."""
+"""Read the fingers of a hand from its SRDF, and check the SRDF against the URDF."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ class Chain:
 
     def tip(self, urdf: Urdf) -> str | None:
         """Return the last link with collision geometry below the base, if there is one."""
+        # The base is the palm, for all but a finger of a single link.
         below = reversed(self.links[1:] or self.links)
         return next((link for link in below if urdf.links[link].collisions), None)
 
@@ -181,9 +182,11 @@ def _as_path(links: set[str], urdf: Urdf) -> tuple[str, ...] | None:
     """Return the path from the first to the last of some links if they all lie on one."""
     if not links:
         return None
+    # Sorted, so that equally deep links give the same result on every run.
     deepest = max(sorted(links), key=lambda link: len(urdf.path_to(link)))
     path = (urdf.root, *(joint.child for joint in urdf.path_to(deepest)))
     if not links <= set(path):
         return None
     first = min(path.index(link) for link in links)
+    # With the link above the first one, which is the base of the chain.
     return path[max(first - 1, 0) :]

@@ -1,8 +1,8 @@
 """The sections of ``hand.yaml``: their settings, with defaults, bounds and what they mean.
 
-They are plain dataclasses, which the loop, the recorder and the server are given as they are.
-`rtee.hand.config` checks with pydantic what is read from a file; the bounds are written so that it
-knows them, and nothing here imports it: loops run without.
+They are plain dataclasses, which the loop, the recorder and the server use directly.
+`rtee.hand.config` checks with pydantic what is read from a file. The bounds are annotations that
+pydantic understands, and nothing here imports it: loops run without it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Fraction = Annotated[float, Interval(ge=0, le=1)]
 
 
 class Section:
-    """A part of hand.yaml: unknown keys and numbers that are none are refused."""
+    """A part of hand.yaml: unknown keys, and numbers that are NaN or infinite, are refused."""
 
     __slots__ = ()
     __pydantic_config__: ClassVar[dict[str, Any]] = {
@@ -45,12 +45,13 @@ class Section:
 
 
 class _Converted:
-    """Has pydantic convert what YAML cannot express, though it is strict about all the rest.
+    """Makes pydantic convert what YAML cannot express, though it is strict about all the rest.
 
     A mapping becomes a section, a list a tuple, and a text a path.
     """
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        # Only this level: what is inside keeps being strict.
         return {**handler(source), "strict": False}
 
 

@@ -1,7 +1,7 @@
-"""Where the hand's links are: forward kinematics with Pinocchio.
+"""Forward kinematics of a hand with Pinocchio.
 
-The searches of the extraction need it by the million. `rtee.hand.frames` does without Pinocchio,
-for everything that looks at a posture now and then.
+The searches of the extraction evaluate it millions of times. `rtee.hand.frames` works without
+Pinocchio, for everything that looks at a posture now and then.
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ class Kinematics:
             placement = placement * pose(joint.xyz, joint.rpy)
             if joint.moving:
                 added = self.model.addJoint(parent, _joint_model(joint), placement, joint.name)
+                # Pinocchio numbers joints as they are added; arrays of joints rely on the same
+                # order.
                 if added != index[joint.name] + 1:
                     raise ModelError(
                         f"joint '{joint.name}' is not in the order of the tree",

@@ -1,4 +1,4 @@
-"""Loading a hand: from a URDF with or without an SRDF, or from its folder in ``config/``."""
+"""Load a hand: from a URDF with or without an SRDF, or from its folder in ``config/``."""
 
 from __future__ import annotations
 
@@ -65,6 +65,7 @@ def load_model(
     if actuators is not None:
         settled = {*actuators, *passive, *(semantics.passive if semantics else ())}
         free = (j.name for j in model.joints.values() if j.moving and j.mimic is None)
+        # A recording knows its actuators: whatever else moves was ignored when it was made.
         ignore = [*ignore, *(name for name in free if name not in settled)]
     overrides = Overrides(
         name=name,
@@ -98,6 +99,7 @@ def load_configured(
 
     folder, file = hand_folder(name_or_path, config_dirs=config_dirs)
     config, document = read_document(file)
+    # Found by its folder's name, so recordings and network keys must use the same one.
     if not _is_path(name_or_path) and config.name != folder.name:
         raise document.error(
             ("name",), f"'{config.name}' should be the name of its folder, '{folder.name}'"
@@ -185,7 +187,7 @@ def _check_devices(hand: Hand, config: HandConfig, document: YamlDocument) -> No
 
 
 def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
-    """Make a hand from what was read.
+    """Build a hand from its description files and overrides.
 
     Raises:
         ModelError: The files do not describe a hand.
@@ -197,6 +199,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     }
     roles = {joint.name: _role(joint, passive) for joint in urdf.joints.values() if joint.moving}
     _check_ignored(roles, overrides, urdf)
+    # After the check: only actuators can be ignored.
     roles |= dict.fromkeys(overrides.ignore, JointRole.IGNORED)
     joints = tuple(_joint(urdf.joints[name], role) for name, role in roles.items())
     driven = [joint.name for joint in joints if joint.role is JointRole.ACTUATOR]

@@ -1,4 +1,4 @@
-"""Making the folder of a new hand: hand.yaml, URDF, SRDF and meshes, all or nothing."""
+"""Make the folder of a new hand: hand.yaml, URDF, SRDF and meshes, all or nothing."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
 
 
 Ask = Callable[[str, bool], bool]
-"""Asks a question that is answered by yes or no, with the answer that is likelier."""
+"""Asks a yes-or-no question; the second argument is the likelier answer."""
 
 
 @dataclass(frozen=True)
 class NewHand:
-    """What was made.
+    """The new hand.
 
     Attributes:
         folder: The hand's folder.
@@ -96,6 +96,7 @@ def make_hand(
         )
     with new_tree(target) as folder:
         notes += _fill(folder, settled, srdf)
+        # Before the folder gets its name: what cannot be loaded must not stay.
         load_hand(folder)
         write_atomically(target.parent / SCHEMA_FILE, schema_text())
     reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
@@ -109,7 +110,7 @@ class _Settled:
     Attributes:
         hand: The hand.
         pairs: Pairs of links that need not be checked for collision.
-        ignored: Actuators that are to be ignored.
+        ignored: Actuators to ignore.
         rest: Rest positions for hand.yaml [rad | m].
         notes: What was noticed and chosen, one sentence each.
     """
@@ -126,8 +127,8 @@ def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _S
 
     Args:
         load: Loads the hand, with what was settled so far.
-        searched: The fingers are to be found in the tree; no joint is known to be passive.
-        ask: Asks, if somebody answers.
+        searched: Whether the fingers are found in the tree; no joint is known to be passive then.
+        ask: Asks the user, if there is one.
     """
     hand: Hand = load()
     chosen: dict[str, Any] = {}
@@ -308,6 +309,7 @@ def _place(uri: str, source: Path) -> str:
     else:
         parts = uri.split("/")[:-1]
     parts = [part for part in parts if part not in ("", ".")]
+    # An address may come from anywhere: it must not lead out of the hand's folder.
     if ".." in parts or not parts:
         parts = ["meshes"]
     return "/".join([*(safe_name(part, "x") for part in parts), safe_name(source.name, "mesh")])

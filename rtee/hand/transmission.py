@@ -1,4 +1,4 @@
-"""From actuator positions to joint positions: mimic joints, chains of them, non-linear ones.
+"""Map actuator positions to joint positions: mimic joints, chains of them, non-linear ones.
 
 Every moving joint follows at most one actuator, directly or through a chain of mimics. Its
 position is the composition of that chain: ``multiplier · q + offset`` at a linear coupling, an
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from rtee.hand.expression import Expression
 
 _SAMPLES: Final = 65
-"""At how many positions of an actuator a coupling is checked."""
+"""At how many positions of an actuator a coupling is checked: enough to meet a pole or a root of a
+usual formula."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,7 @@ class Coupling:
         """Return the coupling of a joint that follows this one by ``stage``."""
         last = self.stages[-1]
         if isinstance(stage, Linear) and isinstance(last, Linear):
+            # One stage: long chains of mimics cost no more than a single one.
             merged = Linear(stage.factor * last.factor, stage.factor * last.offset + stage.offset)
             return Coupling(self.actuator, (*self.stages[:-1], merged))
         if last == Linear() and len(self.stages) == 1:
@@ -242,6 +244,7 @@ def _resolve(urdf: Urdf, joint: UrdfJoint, known: dict[str, Coupling]) -> None:
     """Add the coupling of a joint, after those of the joints it follows."""
     chain: list[tuple[UrdfJoint, UrdfMimic]] = []
     on_chain: set[str] = set()
+    # Up to a joint that is known; then down again, so that a file's order does not matter.
     while joint.name not in known:
         mimic = joint.mimic
         if mimic is None:
@@ -261,6 +264,7 @@ def _resolve(urdf: Urdf, joint: UrdfJoint, known: dict[str, Coupling]) -> None:
     coupling = known[joint.name]
     for follower, mimic in reversed(chain):
         coupling = coupling.then(_stage(urdf, follower, mimic))
+        # What follows a joint at rest is at rest, too, wherever its formula puts it.
         if coupling.actuator is None:
             coupling = Coupling(None, (Linear(0.0, coupling.value(0.0)),))
         known[follower.name] = coupling

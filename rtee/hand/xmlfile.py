@@ -1,4 +1,4 @@
-"""XML as a plain tree that knows its lines. Document types and entities are refused."""
+"""Read XML as a plain tree that knows its lines. Document types and entities are refused."""
 
 from __future__ import annotations
 
@@ -170,6 +170,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.said
+    # Entities may expand to gigabytes ("billion laughs"), or read other files.
     parser.StartDoctypeDeclHandler = builder.refuse
     parser.EntityDeclHandler = builder.refuse
     try:
@@ -190,4 +191,5 @@ def _text(data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
+        # The parser has accepted another encoding; this one never fails, and keeps ASCII.
         return data.decode("latin-1")

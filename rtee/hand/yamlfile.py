@@ -1,4 +1,4 @@
-"""Reading YAML as plain data, with the line of every mistake."""
+"""Read YAML as plain data, with the line of every mistake."""
 
 from __future__ import annotations
 
@@ -52,6 +52,7 @@ class YamlDocument:
 
     def line(self, location: Location) -> int | None:
         """Return the line of a location, or of what encloses it."""
+        # A missing key has no line: that of its section comes nearest.
         for end in range(len(location), -1, -1):
             line = self.lines.get(location[:end])
             if line is not None:
@@ -267,6 +268,7 @@ def read_emitted(text: str) -> dict[str, Any] | None:
                 at.pop(column + 2, None)
             else:
                 at[column][key] = json.loads(_TOKEN.sub(_as_json, value))
+        # The proof: only a text that `emit` would write counts as read.
         same = root and emit(root) == "\n".join(lines[body:])
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
         return None
@@ -298,6 +300,7 @@ class _Reader:
         if (id(node) in self.seen or node.anchor) and not self.foreign:
             raise self._error(line, "anchors and aliases are refused; write the value out")
         if id(node) not in self.seen:
+            # An alias inside its own value would be read without end.
             self.seen[id(node)] = _UNDER_WAY
             self.seen[id(node)] = self._read(node, location, line)
         elif self.seen[id(node)] is _UNDER_WAY:
@@ -333,6 +336,7 @@ class _Reader:
 
     def _scalar(self, kind: str, text: str, line: int) -> Any:
         match kind:
+            # A date stays text: hand.yaml has none, and other programs' files are only shown.
             case "str" | "timestamp":
                 return text
             case "null":
@@ -349,6 +353,7 @@ class _Reader:
     def _integer(self, text: str, line: int) -> int:
         try:
             digits = text.replace("_", "")
+            # Base 0 would refuse leading zeros, which YAML 1.2 allows.
             return int(digits, 0 if digits.lstrip("+-")[:2].lower() in ("0x", "0o", "0b") else 10)
         except ValueError:
             raise self._error(line, f"'{text[:40]}' is not a number") from None
