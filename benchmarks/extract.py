@@ -1,4 +1,4 @@
-"""The extraction measured beside random sampling and a search of many starts; prints Markdown.
+"""Measure the extraction beside random sampling and a search of many starts; print Markdown.
 
     python benchmarks/extract.py [--hands schunk_svh some/hand.urdf …] [--runs 3] [--jobs 0]
                                  [--starts 256] [--no-sampling]
@@ -48,6 +48,7 @@ from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 
 HANDS = ("robotiq_2f_85", "robotiq_3f", "dagana", "qb_softhand", "heri_ii", "schunk_svh")
+# Samples and polished minima as in the reference implementation; see above.
 TIGHT = WIDE = DISTANCE = 5000
 SEVERAL = 3000
 POLISHED = 8
@@ -99,9 +100,11 @@ def extracted(hand: str, runs: int, jobs: int) -> Measured:
         )
         assert process.stdout is not None
         output = process.stdout.read()
+        # With the processes that it started: `resource` would only count those of this one.
         _, status, usage = os.wait4(process.pid, 0)
         walls.append(time.perf_counter() - start)
         cpus.append(usage.ru_utime + usage.ru_stime)
+        # Linux counts in KiB.
         peaks.append(usage.ru_maxrss / 1024)
         assert status == 0
     depths = {

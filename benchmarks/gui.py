@@ -1,4 +1,4 @@
-"""What the GUI costs a loop of 1 kHz, in one run; prints Markdown tables.
+"""Measure what the GUI costs a loop of 1 kHz, in one run; print Markdown tables.
 
     python benchmarks/gui.py [--rounds 3] [--seconds 6] [--hand schunk_svh] [--nice 19] [--realtime]
 
@@ -55,9 +55,9 @@ finally:
     with open("ticks.bin", "wb") as file:
         kept.tofile(file)
 """
-RATE = 1000.0
-WARM = 1.0
-COUNTED = 5.0
+RATE = 1000.0  # of the loop [Hz]
+WARM = 1.0  # time before each part counts [s]
+COUNTED = 5.0  # time for which frames are counted [s]
 PARTS = ("alone", "GUI, no window", "GUI, window on another computer", "GUI, Chromium here")
 
 

@@ -1,4 +1,4 @@
-"""What the benchmarks of the GUI have in common: a hand, the GUI and its windows, as processes."""
+"""Common parts of the GUI's benchmarks: a hand, the GUI and its windows, as processes."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
-MEGA = 2.0**20
-_PAGE = os.sysconf("SC_PAGE_SIZE")
-_TICK = os.sysconf("SC_CLK_TCK")
+MEGA = 2.0**20  # bytes of a MiB
+_PAGE = os.sysconf("SC_PAGE_SIZE")  # bytes
+_TICK = os.sysconf("SC_CLK_TCK")  # units of processor time per second
 
 
 @contextlib.contextmanager
@@ -33,6 +33,7 @@ def program(folder: Path, pattern: str, *command: str) -> Iterator[tuple[int, st
             assert process.stdout is not None
             for line in process.stdout:
                 if found := re.search(pattern, line):
+                    # Read on, or the process would stop when the pipe is full.
                     threading.Thread(target=process.stdout.read, daemon=True).start()
                     yield process.pid, found[1] if found.groups() else line
                     return
@@ -54,6 +55,7 @@ def resident(pid: int) -> float:
 
 def used(pid: int) -> float:
     """Return the processor time a process has used [s]."""
+    # Behind the name in parentheses, which may contain blanks.
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / _TICK
 
@@ -61,6 +63,7 @@ def used(pid: int) -> float:
 def family(pid: int) -> list[int]:
     """Return a process and all that it started."""
     found = [pid]
+    # The list grows while it is iterated over: children of children, too.
     for each in found:
         for task in Path(f"/proc/{each}/task").iterdir():
             found += map(int, (task / "children").read_text().split())

@@ -1,4 +1,4 @@
-"""Whether the GUI's memory grows while it plots; prints Markdown.
+"""Measure whether the GUI's memory grows while it plots; print Markdown.
 
     python benchmarks/gui_memory.py [--seconds 270] [--warm 60] [--hand schunk_svh] [--chromium]
 
@@ -34,8 +34,8 @@ from gui_common import (
 )
 from gui_onlooker import controls, use, window
 
-HOUR = 3600.0
-PIECE = 10
+HOUR = 3600.0  # seconds
+PIECE = 10  # sizes in a mean: memory goes up and down with each collection
 
 
 def slope(times: Sequence[float], sizes: Sequence[float]) -> tuple[float, float]:
@@ -50,7 +50,7 @@ def slope(times: Sequence[float], sizes: Sequence[float]) -> tuple[float, float]
 
 
 def line(name: str, times: Sequence[float], sizes: Sequence[float]) -> str:
-    """Return what there is to say of a process' memory."""
+    """Return the sentence about a process's memory."""
     rise, error = slope(times, sizes)
     return (
         f"{name}: {sizes[0] / MEGA:.1f} MB after the warm-up, {sizes[-1] / MEGA:.1f} MB "

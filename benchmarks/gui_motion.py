@@ -1,4 +1,4 @@
-"""From a command to motion, and where the time goes; prints a Markdown table.
+"""Measure the time from a command to motion, stage by stage; print a Markdown table.
 
     python benchmarks/gui_motion.py [--tries 20] [--hand schunk_svh] [--nice 19] [--still 1e-3]
 
@@ -60,7 +60,7 @@ noting(GuiApi, "_handle_gui_updates", "click")
 noting(RemoteHand, "start", "asked")
 main()
 """
-RATE = 1000.0
+RATE = 1000.0  # of the states that are watched [Hz]: those of every tick
 STAGES = (
     "click, until the GUI has it",
     "GUI, until it asks the hand",
@@ -121,6 +121,7 @@ def tried(
     """Return the lengths of the stages of each try [s]; without a folder the first two are none."""
     found = []
     for _ in range(given.tries):
+        # From rest each time, and with some time to come to rest.
         hand.open()
         time.sleep(0.3)
         watch = Watch(given.hand, given.still)
@@ -144,6 +145,7 @@ def clicked(page: Page) -> float:
     )
     page.get_by_role("button", name="Do", exact=True).first.click()
     at = page.evaluate("window.released")
+    # The browser's time is that of the wall; stamps of ticks are CLOCK_MONOTONIC.
     return float(at) * 1e-3 - (time.time() - time.monotonic())
 
 
@@ -158,6 +160,7 @@ def elsewhere(address: str) -> Iterator[Callable[[], float]]:
             for c in found
             if "Do" in c["props"].get("options", ()) and c["container_uuid"] == card["uuid"]
         )
+        # What the server sends has to be received, or it would stop sending.
         threading.Thread(target=lambda: sum(1 for _ in connection), daemon=True).start()
 
         def click() -> float:

@@ -1,4 +1,4 @@
-"""Time from a client's goal to the first changed reference, in another process on this computer.
+"""Measure the time from a client's goal to the first changed reference, in another process.
 
     python benchmarks/latency.py [--hand schunk_svh] [--rate 1000] [--goals 300] [--realtime]
 
@@ -50,7 +50,7 @@ STAGES = (
 """What lies between the times noted for a goal."""
 
 QUESTION = bytes(200)
-"""Of the size of a goal."""
+"""A request of the size of a goal."""
 
 now = time.monotonic_ns
 
@@ -186,6 +186,7 @@ async def send_goals(
         begin = now()
         running = await hand.start(*action, intensity=0.02 if i % 2 else 0.04, tolerance=0.002)
         sent.append((running.goal.goal_id, begin, handed))
+        # To the end: the next goal must find the hand at rest.
         result = await running.result()
         assert result.succeeded, result
     return sent

@@ -1,4 +1,4 @@
-"""Recordings measured: size, reading, what a killed process loses, what recording costs the loop.
+"""Measure recordings: their size, reading, what a killed process loses, the cost to the loop.
 
     python benchmarks/log.py [--minutes 10] [--kills 30] [--hand schunk_svh] [--rate 1000]
 
@@ -42,7 +42,7 @@ from rtee.types import DeviceSpec, Goal, Result
 
 
 class Keeper(Observer):
-    """Keeps what the loop tells."""
+    """Keeps what the loop reports."""
 
     def __init__(self) -> None:
         self.told: list[object] = []
@@ -113,7 +113,7 @@ def restless(hand: Hand, rate: float, seconds: float) -> Iterator[TickRecord]:
 
 
 def write(hand: Hand, told: list[object], folder: Path, rate: float, repeat: int = 1) -> Path:
-    """Record what a loop told, ``repeat`` times one after the other."""
+    """Record what a loop reported, ``repeat`` times one after the other."""
     now = [0.0]
     settings = RecorderSettings(
         folder, sync=False, flight_recorder=0.0, max_file_size=1e12, max_file_time=1e9,
@@ -123,6 +123,7 @@ def write(hand: Hand, told: list[object], folder: Path, rate: float, repeat: int
     writer.start()
     ticks = sum(isinstance(each, TickRecord) for each in told)
     for lap in range(repeat):
+        # A long recording from a minute's ticks: only the times go on.
         later = lap * ticks / rate
         for each in told:
             if isinstance(each, TickRecord):
@@ -198,8 +199,10 @@ def cost(hand: Hand, told: list[object], folder: Path, rate: float) -> None:
         begin = time.perf_counter_ns()
         recorder.on_tick(record)
         in_loop.append(time.perf_counter_ns() - begin)
+        # As between ticks: the writer gets the interpreter.
         if number % 10 == 0:
             time.sleep(0.001)
+    # Read in the writer's own thread, after all that was queued before.
     recorder._queue.put(lambda: spent.append(time.thread_time()))
     recorder.close()
     loop = float(np.median(in_loop)) / 1e3
@@ -281,6 +284,7 @@ def kills(hand: str, count: int, rate: float) -> None:
             while not seen and child.poll() is None and not list(Path(folder).glob("*.mcap")):
                 time.sleep(0.01)
             time.sleep(source.uniform(0.2, 4.0))
+            # Without a chance to clean up, as when the power fails.
             os.kill(child.pid, signal.SIGKILL)
             child.wait()
             reader.join()

@@ -1,4 +1,4 @@
-"""How well the loop keeps its time, beside `cyclictest` in the same run; prints a Markdown table.
+"""Measure how well the loop keeps its time, beside `cyclictest`; print a Markdown table.
 
     python benchmarks/loop.py [--seconds 60] [--hand schunk_svh] [--only ordinary realtime …]
                               [--beside alone bare junk …]
@@ -22,9 +22,8 @@ with real-time set-up. `--beside` measures the first set in other circumstances,
 - `idle-junk`: as many megabytes to another hand's keys, where nobody takes them: what the sender
   alone costs the computer.
 
-`--witness` has `cyclictest` run beside the loop, too, above its priority, and tells of every tick
-that was missed whose it was: the computer's, if a witness was late at that moment, or the loop's
-own.
+`--witness` runs `cyclictest` beside the loop, too, above its priority, and attributes every missed
+tick: to the computer, if a witness was late at that moment, or to the loop itself.
 The witness takes one to two per cent of every CPU.
 
 Memory is given after 10 s, after 2 minutes (when the flight recorder has long been full) and at the
@@ -65,7 +64,7 @@ PRINTED = re.compile(
 
 HOG = "while True: pass"
 SHOWN = 10
-"""So many missed ticks are shown one by one."""
+"""This many missed ticks are shown one by one."""
 
 RUN = """
 import json, os, resource
@@ -282,7 +281,7 @@ def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
 def run(
     how: How, hand: str, seconds: float, folder: Path, flight: float | None, witness: bool
 ) -> Row:
-    """Run hands as users do, with a client each, and read what the loop says of itself."""
+    """Run hands as users do, with a client each, and read the loop's own statistics."""
     extra = "\nrealtime: {helper_priority: 10}\n" if how.helpers else ""
     kept = flight if how.record else 0.0
     extra += "" if kept is None else f"\nlog: {{flight_recorder: {kept:g}}}\n"
@@ -320,6 +319,7 @@ def run(
     process.wait(timeout=30)
     drain.join(10.0)
     for client, other in zip(clients, others, strict=True):
+        # It never ends by itself.
         if other[0] is JUNK:
             client.kill()
         client.wait(timeout=30)
@@ -328,6 +328,7 @@ def run(
     printed = {name: int(value) for name, value in found.groupdict().items()}
     size = sum(file.stat().st_size for file in logs.glob("*_0*.mcap")) / 1e6
     missed = [judged(Missed(*values), stood_still) for values in json.loads(notes.read_text())]
+    # While programs start or end, no witness looked.
     unseen = [one for one in missed if one.woken > until or one.woken < begin]
     missed = [replace(one, computer=None) if one in unseen else one for one in missed]
     return Row(printed, memory, size / seconds * 60, missed)
@@ -412,6 +413,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="rtee-loop-") as text:
         folder = Path(text)
         chosen = [how_of(name) for name in arguments.only]
+        # Right after the first set, so that the computer is the same.
         chosen[1:1] = [beside(chosen[0], name) for name in arguments.beside]
         for how in chosen:
             seconds, flight = arguments.seconds, arguments.flight

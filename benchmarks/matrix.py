@@ -1,4 +1,4 @@
-"""Every driver and every fault: survived, named, recovered, and another hand's lateness beside.
+"""Try every driver with every fault: survived, named, recovered, and the lateness of another hand.
 
 Faults of the wire last for so many cycles at 5 %, without the wire's time; then the cable is pulled
 and put back, the supply cut, the position stuck, another device answers. Each pair of a driver and
@@ -39,11 +39,12 @@ from rtee.testing.contract import NEEDS_CHECKSUMS, WIRE_FAULTS
 from rtee.types import Reference
 
 SHARE = 0.05
-"""Part of the messages that suffer."""
+"""Share of the messages that are damaged, as in the contract suite."""
 STRETCH = 0.15
-"""Shortest stretch of a measurement of the lateness [s]."""
+"""Shortest stretch of a measurement of the lateness [s]: 150 ticks, of which one is a
+percentile."""
 FASTEST = 100.0
-"""Pace of the driver while the lateness is measured, at most [Hz]."""
+"""Pace of the driver while the lateness is measured, at most [Hz], as hands are usually driven."""
 DEVICE, FAULT = 32, 14
 """Widths of the columns that name devices and faults [characters]."""
 MENDED = ("retries", "timeouts", "checksum_errors", "strays")
@@ -51,7 +52,7 @@ MENDED = ("retries", "timeouts", "checksum_errors", "strays")
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a driver under a fault; `good` is whether that is as it must be."""
+    """The outcome for a driver under a fault; `good` is whether it is as it must be."""
 
     survived: str
     named: str
@@ -211,6 +212,7 @@ async def beside(case: DeviceCase, fault: str, rounds: int) -> Beside:
         period = 1.0 / min(FASTEST, session.driver.capabilities.best_rate / 2.0)
         for number in range(rounds):
             goal = Reference.at(list(far if number % 2 else near))
+            # The order alternates, too, so that a drift of the computer cancels out.
             for now in (False, True) if number % 2 else (True, False):
                 found.begin()
                 end = time.monotonic() + STRETCH
@@ -251,6 +253,7 @@ def matrix(names: list[str], cycles: int, rounds: int, jobs: int) -> None:
         "good",
         widths=(DEVICE, FAULT, 8, 9, 40),
     )
+    # Not forked: event loops and threads of this process must not be inherited.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context) as workers:
         done: dict[tuple[str, str], Future[Outcome]] = {

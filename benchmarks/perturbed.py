@@ -1,4 +1,4 @@
-"""Whether last digits decide what the extraction finds; prints Markdown.
+"""Test whether last digits decide what the extraction finds; print Markdown.
 
     python benchmarks/perturbed.py [--hands schunk_svh …] [--times 20] [--jobs 0] [--every]
 
@@ -39,6 +39,7 @@ def moved(hand: Hand, random: np.random.Generator) -> Hand:
     """Return the hand with all joint origins moved."""
     joints = {}
     for name, joint in hand.urdf.joints.items():
+        # Evenly over the orders of magnitude: each may meet another rounding boundary.
         step = 10.0 ** random.uniform(SMALLEST, LARGEST) * random.choice((-1.0, 1.0), 3)
         x, y, z = (a + float(b) for a, b in zip(joint.xyz, step, strict=True))
         joints[name] = replace(joint, xyz=(x, y, z))

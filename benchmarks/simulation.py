@@ -1,4 +1,4 @@
-"""How fast hands are simulated: headless against simulated time, and in lockstep with the loop.
+"""Measure how fast hands are simulated: headless, and in lockstep with the loop.
 
 Run: ``python benchmarks/simulation.py [--seconds S]``; prints Markdown.
 """
@@ -26,7 +26,7 @@ HEADLESS = (
     ("heri_ii", "Grasp", "sphere:0.03"),
     ("schunk_svh", "Grasp", "sphere:0.03"),
 )
-ROUNDS = 5
+ROUNDS = 5  # of each grasp; the median counts
 
 
 def headless(name: str, action: str, shape: str) -> float:

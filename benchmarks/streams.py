@@ -1,4 +1,4 @@
-"""Streams of set-points beside jogging and beside raw steps; prints Markdown tables.
+"""Measure streams of set-points beside jogging and beside raw steps; print Markdown tables.
 
     python benchmarks/streams.py [--hand schunk_svh] [--seconds 20] [--live]
 
@@ -51,13 +51,13 @@ TICK = 1e-3
 """Period of the loop [s]."""
 
 FREQUENCY = 0.5
-"""Of the sine [Hz]."""
+"""Frequency of the sine [Hz]: within the velocity limits of most hands."""
 
 DELAY = 0.5e-3
-"""Of every sample on its way [s]: what the network of one computer takes."""
+"""Delay of every sample [s]: what the network of one computer takes."""
 
 SETTLED = 4.0
-"""What comes before this is left out [s]: taking over, and learning the jitter."""
+"""Everything before this time is left out [s]: taking over, and learning the jitter."""
 
 SHARE = 0.25
 """Amplitude as a share of the range, unless that needs more than half the velocity limit."""
@@ -87,6 +87,7 @@ def samples(rate: float, seconds: float, jitter: float, loss: float) -> list[tup
     chance, last, found = random.Random(7), 0.0, []
     for k in range(round(seconds * rate)):
         stamp = 0.1 + k / rate
+        # In order, as over TCP: a sample waits for the one before it.
         arrival = last = max(last, stamp + DELAY + chance.uniform(0.0, jitter))
         if chance.random() >= loss:
             found.append((stamp, arrival))
@@ -138,6 +139,7 @@ def figures(
     lags, shares, errors, jerks = [], [], [], []
     for i in columns:
         values = found[kept, i]
+        # The best sine by least squares: its phase is the lag, its amplitude what is left.
         basis = np.stack([np.sin(omega * t), np.cos(omega * t), np.ones_like(t)], axis=1)
         sine, cosine, _ = np.linalg.lstsq(basis, values, rcond=None)[0]
         lags.append((-math.atan2(cosine, sine) / omega) % (1.0 / FREQUENCY))

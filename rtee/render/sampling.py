@@ -36,6 +36,7 @@ def orthonormal_basis(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     x, y, z = normals.T
     sign = np.where(z >= 0, 1.0, -1.0)
+    # Without a branch, and without the division by zero that a cross product has near an axis.
     a = -1.0 / (sign + z)
     b = x * y * a
     first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)

@@ -40,6 +40,7 @@ class Session:
         self.case = case
         self.spec = case.spec(name)
         self._own = pool is None
+        # Without the wire's time: the suite is about behaviour, and runs ten thousands of cycles.
         self.pool = pool or BusPool(wire_time=False)
         self.driver: Driver = find_driver(case.driver)(self.spec, self.pool)
 
