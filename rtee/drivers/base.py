@@ -27,7 +27,7 @@ class Driver(ABC):
         spec: The device as configured.
         buses: The buses of this process; a driver asks it for the bus it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
-        doing: What takes a while now, in words such as ``homing the thumb``; else empty; it is
+        doing: A lengthy operation under way, in words such as ``homing the thumb``; else empty;
             published while the call is under way.
         object_description: What a simulated device grasps looks like, once it is configured.
         connection: Its bus from `configure` to `close`, for drivers that have one bus.
@@ -91,6 +91,7 @@ class Driver(ABC):
 
         A device whose power cannot be switched is stopped instead.
         """
+        # The least that every device can do; a driver that can cut the power overrides this.
         await self.stop()
 
     async def recover(self) -> None:

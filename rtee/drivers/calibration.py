@@ -1,4 +1,4 @@
-"""Calibration of a device: what a driver that has something to calibrate offers."""
+"""Calibration of a device, for drivers that have something to calibrate."""
 
 from __future__ import annotations
 

@@ -80,6 +80,7 @@ class State(Enum):
         """Return the state in a statusword; one that fits none counts as not ready."""
         for state in cls:
             mask, value = state.value
+            # Each state has a mask of its own: some bits do not matter in some states.
             if statusword & mask == value:
                 return state
         return cls.NOT_READY
@@ -126,12 +127,13 @@ def next_control(state: State) -> Control | None:
         State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
         State.READY: Control.SWITCH_ON,
         State.SWITCHED_ON: Control.ENABLE,
+        # Back to the beginning: not every drive can go on from a quick stop.
         State.QUICK_STOP: Control.DISABLE_VOLTAGE,
     }.get(state)
 
 
 class Pdo:
-    """What the four PDOs have in common.
+    """Base class of the four PDOs.
 
     Attributes:
         FORM: Layout of the data.

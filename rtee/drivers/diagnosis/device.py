@@ -1,4 +1,4 @@
-"""What is wrong with one device, asked in order until something is."""
+"""Diagnose one device: check after check, up to the first obstacle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rtee.errors import BusBusy, DeviceFault, DriverError, HandshakeError, NotCo
 from rtee.types import ActuatorState, DeviceSpec
 
 _CAN_RATE = 1_000_000
-"""Of a device's CAN bus whose bit rate is not an option [bit/s]."""
+"""Bit rate of the CAN bus of devices that have no option for it [bit/s]."""
 
 
 def address_of(options: Mapping[str, Any]) -> str | None:
@@ -182,6 +182,7 @@ def _rate(driver: Driver) -> Check:
     if math.isinf(best):
         return ok("rate", "as fast as the loop")
     asked = driver.spec.rate / every if every else 0.0
+    # A thousandth more: rounding is no reason for a warning.
     if asked > best * 1.001:
         return warning(
             "rate",

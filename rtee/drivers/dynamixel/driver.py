@@ -101,6 +101,7 @@ class DynamixelDriver(Driver):
         )
         link = cycle.link
         await link.run(cycle.find, _SLOW)
+        # After finding: the calibration belongs to these very servos, or it is refused.
         if options.calibration is not None:
             self._adopt_calibration(cycle, options.calibration)
         await link.run(partial(link.choose_read, options.fast), _ONE_SERVO)
@@ -157,6 +158,7 @@ class DynamixelDriver(Driver):
         cycle.link.patient = True
         await cycle.link.run(cycle.unwrap, _SLOW)
         await cycle.link.run(cycle.power, _SLOW)
+        # From now on a cycle has to be kept.
         cycle.link.patient = False
         cycle.active = True
 

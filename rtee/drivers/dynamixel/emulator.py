@@ -1,4 +1,4 @@
-"""Plays a line of X-series servos at the other end of the wire."""
+"""Emulates a line of X-series servos at the other end of the wire."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _HARDWARE = {
 
 @dataclass(frozen=True, slots=True)
 class LineProperties:
-    """What an emulated line of servos is like.
+    """Properties of an emulated line of servos.
 
     Attributes:
         ids: Ids of its servos.
@@ -180,7 +180,7 @@ class DynamixelEmulator(Emulator, Grasps):
                 servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
 
     def _complaints(self, now: float) -> list[bytes]:
-        """Return what servos say to instructions that were for them, but damaged on the way."""
+        """Return the answers of servos to instructions for them that were damaged on the way."""
         damaged, self._parser.damaged = self._parser.damaged, []
         if "silent" in self.faults:
             return []

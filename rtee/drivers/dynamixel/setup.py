@@ -1,4 +1,4 @@
-"""What servos must be like before they may be driven: present, as expected, set up, powered."""
+"""Prepare servos before they are driven: present, as expected, set up, powered."""
 
 from __future__ import annotations
 
@@ -156,6 +156,7 @@ def prepare(
     mode = MODES[options.mode]
     for number, servo in found.items():
         if servo.mode != mode:
+            # Only if it differs: EEPROM wears out.
             link.write(number, table.OPERATING_MODE, mode)
         delay = options.return_delay
         if delay is not None and servo.return_delay != delay:
@@ -171,6 +172,7 @@ def prepare(
         link.write_group(register, {n: v for n, v in values.items() if v is not None})
     if mode is Mode.CURRENT_BASED_POSITION:
         link.write_group(table.GOAL_CURRENT, {n: currents[n] for n in found})
+    # Before the torque: an old goal would make the servo jump to it.
     link.write_group(table.GOAL_POSITION, {n: positions[n] for n in found})
     for number in found:
         link.write(number, table.TORQUE, 1)
@@ -178,6 +180,7 @@ def prepare(
 
 def arm(link: DynamixelLink, seconds: float) -> None:
     """Set the bus watchdog of all servos, clearing one that has tripped; in the worker thread."""
+    # 0 clears a watchdog that has tripped; any other value is refused until then.
     link.write_group(table.BUS_WATCHDOG, dict.fromkeys(link.ids, 0))
     if seconds > 0.0:
         count = min(max(round(seconds / table.WATCHDOG_UNIT), 1), 127)

@@ -9,13 +9,13 @@ from enum import IntEnum
 PULSES = 4096
 """Positions per turn."""
 CENTER = 2048  # [pulse]; the middle of a turn
-RAD_PER_PULSE = 2.0 * math.pi / PULSES
+RAD_PER_PULSE = 2.0 * math.pi / PULSES  # [rad]
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
-"""Speed per count [rad/s]."""
+"""Speed per count [rad/s]: 0.229 rpm."""
 WATCHDOG_UNIT = 0.02
-"""Time per count of the bus watchdog [s]."""
+"""Time per count of the bus watchdog [s], as in the e-manual."""
 LATENCY = 1e-3
-"""Latency of a USB adapter, per read [s]."""
+"""Latency of a USB adapter, per read [s]: an FTDI chip's timer at its shortest."""
 END = 228
 """First address behind the table."""
 
