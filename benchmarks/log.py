@@ -45,23 +45,23 @@ class Keeper(Observer):
     """Keeps what the loop reports."""
 
     def __init__(self) -> None:
-        self.told: list[object] = []
+        self.records: list[object] = []
         self.results: list[Result] = []
 
     def on_tick(self, record: TickRecord) -> None:
-        self.told.append(record)
+        self.records.append(record)
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
-        self.told.append((goal, stamp))
+        self.records.append((goal, stamp))
 
     def on_feedback(self, feedback) -> None:
-        self.told.append((feedback, feedback.stamp))
+        self.records.append((feedback, feedback.stamp))
 
     def on_result(self, result: Result) -> None:
         self.results.append(result)
 
     def on_status(self, statuses, statistics) -> None:
-        self.told += [(status, -1.0) for status in (*statuses, statistics)]
+        self.records += [(status, -1.0) for status in (*statuses, statistics)]
 
 
 async def working_hand(name: str, rate: float, seconds: float) -> tuple[Hand, list[object]]:
@@ -89,7 +89,7 @@ async def working_hand(name: str, rate: float, seconds: float) -> tuple[Hand, li
                 intensity = source.uniform(0.2, 1.0)
                 loop.submit(Goal(action.name, action.elements, intensity=intensity))
             loop.tick(clock.next())
-    return hand, keeper.told
+    return hand, keeper.records
 
 
 def restless(hand: Hand, rate: float, seconds: float) -> Iterator[TickRecord]:
@@ -112,7 +112,7 @@ def restless(hand: Hand, rate: float, seconds: float) -> Iterator[TickRecord]:
         )  # fmt: skip
 
 
-def write(hand: Hand, told: list[object], folder: Path, rate: float, repeat: int = 1) -> Path:
+def write(hand: Hand, records: list[object], folder: Path, rate: float, repeat: int = 1) -> Path:
     """Record what a loop reported, ``repeat`` times one after the other."""
     now = [0.0]
     settings = RecorderSettings(
@@ -121,11 +121,11 @@ def write(hand: Hand, told: list[object], folder: Path, rate: float, repeat: int
     )  # fmt: skip
     writer = LogWriter(Contents(hand, rate), settings, monotonic=lambda: now[0])
     writer.start()
-    ticks = sum(isinstance(each, TickRecord) for each in told)
+    ticks = sum(isinstance(each, TickRecord) for each in records)
     for lap in range(repeat):
         # A long recording from a minute's ticks: only the times go on.
         later = lap * ticks / rate
-        for each in told:
+        for each in records:
             if isinstance(each, TickRecord):
                 now[0] = each.stamp + later
                 wall = each.wall_ns + round(later * 1e9)
@@ -186,9 +186,9 @@ def reading(minute: Path, long: Path, minutes: float) -> None:
     print()
 
 
-def cost(hand: Hand, told: list[object], folder: Path, rate: float) -> None:
+def cost(hand: Hand, records: list[object], folder: Path, rate: float) -> None:
     """Measure processor time per tick: in the loop's thread and in the writer's."""
-    ticks = [each for each in told if isinstance(each, TickRecord)][: round(10 * rate)]
+    ticks = [each for each in records if isinstance(each, TickRecord)][: round(10 * rate)]
     print("## What recording costs\n\nProcessor time per tick, 3 messages, in microseconds.\n")
     table = Table("what", "loop's thread", "writer's thread")
     recorder = Recorder(hand, RecorderSettings(folder / "cost"), rate=rate)
@@ -309,8 +309,8 @@ def main() -> None:
     rate = given.rate
     with tempfile.TemporaryDirectory(prefix="rtee-log-") as name:
         folder = Path(name)
-        hand, told = anyio.run(working_hand, given.hand, rate, 60.0)
-        minute = write(hand, told, folder / "minute", rate)
+        hand, records = anyio.run(working_hand, given.hand, rate, 60.0)
+        minute = write(hand, records, folder / "minute", rate)
         busy = write(hand, list(restless(hand, rate, 20.0)), folder / "restless", rate)
         print(f"# Recordings of {hand.name}, {rate:g} Hz\n")
         print(f"{len(hand.actuators)} actuators, {len(hand.joints)} joints, every tick.\n")
@@ -319,10 +319,10 @@ def main() -> None:
         table.row("goals one after the other, kinematic", f"{minute.stat().st_size / 1e6:.1f}")
         table.row("every number changes at every tick", f"{3 * busy.stat().st_size / 1e6:.1f}")
         print()
-        long = write(hand, told, folder / "long", rate, repeat=max(1, round(given.minutes)))
+        long = write(hand, records, folder / "long", rate, repeat=max(1, round(given.minutes)))
         reading(minute, long, max(1, round(given.minutes)))
         long.unlink()
-        cost(hand, told, folder, rate)
+        cost(hand, records, folder, rate)
         kills(given.hand, given.kills, rate)
 
 

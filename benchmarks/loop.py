@@ -19,7 +19,7 @@ with real-time set-up. `--beside` measures the first set in other circumstances,
 - `junk`: the client also has 50 bad goals refused a second (unknown action, wrong elements, NaN,
   intensity 1.2, effort for an unknown actuator) and sends a megabyte of junk ten times a second, to
   every key in turn;
-- `idle-junk`: as many megabytes to another hand's keys, where nobody takes them: what the sender
+- `idle-junk`: as many megabytes to another hand's keys, without a receiver: what the sender
   alone costs the computer.
 
 `--witness` runs `cyclictest` beside the loop, too, above its priority, and attributes every missed

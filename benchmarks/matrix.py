@@ -11,7 +11,7 @@ a fault is a job of its own, several at a time.
 Then, for each pair alone: a clock of 1 kHz runs in the driver's event loop, as another hand would,
 while the driver exchanges at its pace (half of its best rate, at most 100 Hz) on a wire that takes
 its time. Stretches without and with the fault alternate. The clock's lateness has a median (p50)
-and a 99th percentile (p99) in each stretch; told are the medians over the stretches, without and
+and a 99th percentile (p99) in each stretch; shown are the medians over the stretches, without and
 with, and the 95 % interval of the median of the pairs' differences [µs]. It is ``unchanged`` if
 both intervals end below 50 µs, a twentieth of the tick, ``LATER`` if one begins above, else ``not
 shown``.
@@ -94,12 +94,12 @@ async def wire_fault(case: DeviceCase, fault: str, cycles: int) -> Outcome:
         after = session.driver.counters()
         back = session.near(await session.reach(near), near)
     mended = {name: after.get(name, 0) - before.get(name, 0) for name in MENDED}
-    told = [f"{count} {name}" for name, count in raised.items()]
-    told += [f"{count} {name}" for name, count in mended.items() if count]
+    counts = [f"{count} {name}" for name, count in raised.items()]
+    counts += [f"{count} {name}" for name, count in mended.items() if count]
     share = 1.0 - sum(raised.values()) / cycles
     survived = f"{100.0 * share:.1f} %"
     good = back and share >= case.share
-    return Outcome(survived, ", ".join(told) or "bears it", "yes" if back else "NO", good)
+    return Outcome(survived, ", ".join(counts) or "bears it", "yes" if back else "NO", good)
 
 
 async def unplugged(session: Session, case: DeviceCase) -> Outcome:

@@ -77,7 +77,7 @@ class Witness:
         self._process = child(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
     def stop(self) -> list[tuple[float, float]] | None:
-        """Return when a CPU stood still, from and to [s]; ``None``: nobody looked."""
+        """Return when a CPU did not run, from and to [s]; ``None`` without a measurement."""
         if self._process is None or self._process.poll() is not None:
             return None
         self._process.send_signal(signal.SIGINT)

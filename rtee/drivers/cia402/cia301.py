@@ -226,7 +226,7 @@ def error_register(code: int) -> int:
     if not code:
         return 0
     register = ErrorRegister.GENERIC | _REGISTERS.get(code >> 12, ErrorRegister(0))
-    # Errors of communication are told by the second digit, too.
+    # The second digit distinguishes errors of communication, too.
     if code >> 8 in (0x81, 0x82):
         register |= ErrorRegister.COMMUNICATION
     elif code >> 8 in (0x84, 0x85, 0x86):  # velocity, torque and position control

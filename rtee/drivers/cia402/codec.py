@@ -251,9 +251,9 @@ class Scale:
         """Return the drive's position [counts]."""
         return round(position * self.counts) + self.zero
 
-    def to_velocity(self, told: int) -> float:
+    def to_velocity(self, raw: int) -> float:
         """Return the actuator's velocity [rad/s | m/s] of the drive's."""
-        return told * self.velocity_unit / self.counts
+        return raw * self.velocity_unit / self.counts
 
     def to_velocity_limit(self, velocity: float) -> int:
         """Return a speed limit in the drive's unit, at least 1."""

@@ -237,7 +237,7 @@ class DriveCycle:
         self.mode = Mode.HOMING
         try:
             await self._search(drive)
-        # A drive that goes on homing with nobody watching might run into something.
+        # A drive that goes on homing unsupervised might run into something.
         except BaseException:
             drive.controlword = Control.DISABLE_VOLTAGE
             with contextlib.suppress(BusError):

@@ -150,10 +150,10 @@ async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
 
 
 def _identity(driver: Driver) -> Check:
-    told = driver.capabilities.identity
-    if not told:
+    identity = driver.capabilities.identity
+    if not identity:
         return ok("identity", "it reports nothing about itself")
-    return ok("identity", ", ".join(f"{name} {value}" for name, value in told.items()))
+    return ok("identity", ", ".join(f"{name} {value}" for name, value in identity.items()))
 
 
 def _state(state: ActuatorState, homing: bool) -> list[Check]:

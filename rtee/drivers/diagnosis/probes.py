@@ -197,14 +197,14 @@ def dynamixel(baudrate: int) -> Probe:
     from rtee.drivers.dynamixel.codec import ALERT
     from rtee.drivers.dynamixel.table import BAUD_RATE, BAUD_RATES, model_of
 
-    def told(bus: DynamixelBus, number: int) -> int:
+    def reported_rate(bus: DynamixelBus, number: int) -> int:
         value, result, error = bus.packets.read1ByteTxRx(bus.port, number, BAUD_RATE.address)
         heard = result == 0 and not error & ~ALERT and value < len(BAUD_RATES)
         return BAUD_RATES[value] if heard else baudrate
 
     def everybody(bus: DynamixelBus) -> list[tuple[int, int, int, int]]:
         data, _ = bus.packets.broadcastPing(bus.port)
-        return [(n, *data[n], told(bus, n)) for n in sorted(data)]
+        return [(n, *data[n], reported_rate(bus, n)) for n in sorted(data)]
 
     async def listen(bus: DynamixelBus, address: str) -> list[Found]:
         return [

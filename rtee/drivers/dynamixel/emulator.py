@@ -242,8 +242,8 @@ class DynamixelEmulator(Emulator, Grasps):
         level = servo.get(table.STATUS_RETURN_LEVEL)
         match packet.instruction:
             case Instruction.PING:
-                told = servo.read(0, 7) or bytes(7)
-                return self._status(servo, 0, told[0:2] + told[6:7])
+                reply = servo.read(0, 7) or bytes(7)
+                return self._status(servo, 0, reply[0:2] + reply[6:7])
             case Instruction.READ if len(params) < 4:
                 error = Error.DATA_LENGTH
             case Instruction.WRITE | Instruction.REG_WRITE if len(params) < 3:

@@ -95,11 +95,11 @@ def find(
         if s.model is not None and models[s.id] is not None and models[s.id] != s.model
     ]
     if missing or wrong:
-        told = [f"no {', '.join(str(n) for n in missing)}"] if missing else []
+        problems = [f"no {', '.join(str(n) for n in missing)}"] if missing else []
         raise HandshakeError(
             device,
             f"servos {_ranges([s.id for s in servos.values()])}",
-            "; ".join(told + wrong),
+            "; ".join(problems + wrong),
             hint="check ids and cables; `rtee scan` lists the servos there are",
         )
     for name, servo in servos.items():
@@ -199,17 +199,17 @@ def refuse(
     alerted = [number for number, error in errors.items() if error & ALERT]
     if not alerted:
         return
-    told, code = [], 0
+    problems, code = [], 0
     for number in alerted:
         data, _ = link.read_group(table.HARDWARE_ERROR.address, 1, [number])
         hardware = Hardware(data[number][0])
         code |= hardware
         words = ", ".join(bit.name.lower().replace("_", " ") for bit in hardware if bit.name)
-        told.append(f"{words or 'alert'} in servo {number} ({names[number]})")
+        problems.append(f"{words or 'alert'} in servo {number} ({names[number]})")
     raise DeviceFault(
         device,
         code,
-        "; ".join(told),
+        "; ".join(problems),
         hint="free the hand and check its supply, then `rtee recover` reboots the servo",
     )
 

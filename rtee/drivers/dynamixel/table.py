@@ -116,15 +116,15 @@ REGISTERS: tuple[Register, ...] = tuple(
 INDIRECT = range(168, 208, 2)
 """Addresses of the twenty indirect addresses."""
 INDIRECT_DATA = range(208, 228)
-"""Where the bytes they point to appear; at first each points to its own."""
+"""Where the bytes they point to appear; by default each points to its own address."""
 POINTABLE = range(64, END)
 """What they may point to."""
 
 STATE = PRESENT_CURRENT.address
-"""Where current, velocity and position begin, side by side."""
+"""Where current, velocity and position begin, one after the other."""
 STATE_SIZE = 10  # bytes
 HEALTH = PRESENT_VOLTAGE.address
-"""Where voltage and temperature begin, side by side."""
+"""Where voltage and temperature begin, one after the other."""
 HEALTH_SIZE = 3  # bytes
 
 BAUD_RATES: tuple[int, ...] = (

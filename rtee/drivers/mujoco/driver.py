@@ -29,12 +29,12 @@ GAINS = ("kp", "ki", "kd")
 """The gains of every actuator that can be set while it runs; see `Simulation.set_gain`."""
 
 _AFFORDABLE = 0.2
-"""A step that takes less than this share of a period is done in the loop's own thread: handing it
+"""A step that takes less than this share of a period runs in the loop's own thread: handing it
 to another one would cost more."""
 
 
 class MujocoDriver(Driver):
-    """Plays a hand with dynamics and contact.
+    """A hand with dynamics and contact, simulated.
 
     Every exchange advances the simulation by the time between exchanges, so simulated and real
     time go together when the loop keeps its rate, and two runs of the same goals are equal.
@@ -46,6 +46,7 @@ class MujocoDriver(Driver):
         super().__init__(spec, buses)
         self._options = read_options(SimOptions, spec)
         self._simulation: Simulation | None = None
+        # One thread at a time: MuJoCo's state must not be advanced twice at once.
         self._thread = anyio.CapacityLimiter(1)
         self._affordable = _AFFORDABLE * (spec.every or 1) / spec.rate
         self._cost = 0.0

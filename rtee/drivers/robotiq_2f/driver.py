@@ -34,7 +34,7 @@ from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, Han
 from rtee.types import ActuatorState, DeviceSpec, FloatArray, GripForce, Reference
 
 _MORE = 6
-"""Registers that published programs read from a two-finger gripper, too."""
+"""Registers that published programs also read from a two-finger gripper."""
 
 
 class Robotiq2FOptions(RobotiqOptions):
@@ -171,6 +171,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         contact = False
         if status.going:
             if status.grasp is Grasp.CONTACT_CLOSING:
+                # One count short of the end stop: against the stop itself contact is reported too.
                 contact = status.position < self.scale.closed_count - 1
             elif status.grasp is Grasp.CONTACT_OPENING:
                 contact = status.position > self.scale.open_count + 1
@@ -195,6 +196,8 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         if abs(command.position - status.position) <= SAME:
             if self._sent is None:
                 return None
+            # The request beyond the object is what presses on it; the measured position would let
+            # go.
             if _holds(status):
                 command = replace(command, position=self._sent.position)
         self._sent = command
@@ -219,7 +222,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         Args:
             path: File to write.
             rest: Not needed here.
-            ready: Called with what the user is to do; returns when it is done.
+            ready: Called with an instruction for the user; returns when the user has followed it.
 
         Raises:
             BusError: if the line fails.
@@ -230,6 +233,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         self.connection.link.deadline = PATIENT
         self._home_asked = True
         await self.activate()
+        # Closed first, so that the gripper ends open.
         closed = await self._end_stop(255)
         opened = await self._end_stop(0)
         stops = checked(
@@ -240,6 +244,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
 
     async def _end_stop(self, request: int) -> int:
         """Go to an end slowly and weakly; return the count where the gripper stops."""
+        # A quarter of the speed range and the least force: gentle on whatever is in the way.
         command = Command(activate=True, go=True, position=request, speed=64, force=0)
 
         def arrived(status: Status) -> bool:
