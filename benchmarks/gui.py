@@ -21,7 +21,6 @@ import argparse
 import os
 import statistics
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +28,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from common import Table, command_line
-from gui_common import chromium, gui_of, mover, program, remote_window, shown, used
+from gui_common import chromium, gui_of, mover, program, remote_window, runtime_folder, shown, used
 from gui_onlooker import kinds
 from gui_relay import Relay
 
@@ -164,9 +163,8 @@ def main() -> None:
     given = command_line(
         __doc__, rounds=3, seconds=6.0, hand="schunk_svh", nice=19, realtime=False
     ).parse_args()
-    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
-        os.environ["XDG_RUNTIME_DIR"] = place
-        measured(Path(place), given)
+    with runtime_folder() as place:
+        measured(place, given)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,6 +29,7 @@ from gui_common import (
     program,
     remote_window,
     resident,
+    runtime_folder,
     shown,
 )
 from gui_onlooker import controls, use, window
@@ -116,9 +116,8 @@ def main() -> None:
     given = command_line(
         __doc__, seconds=270.0, warm=60.0, hand="schunk_svh", chromium=False
     ).parse_args()
-    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
-        os.environ["XDG_RUNTIME_DIR"] = place
-        measured(Path(place), given)
+    with runtime_folder() as place:
+        measured(place, given)
 
 
 if __name__ == "__main__":

@@ -95,10 +95,7 @@ finally:
 """
 """`rtee run`, which also notes when it missed ticks."""
 
-CLIENT = """
-import sys, anyio, rtee
-from rtee.errors import RemoteError
-
+WATCH_AND_MOVE = """
 async def watch(hand):
     async for _ in hand.states(rate=100):
         pass
@@ -107,7 +104,17 @@ async def move(hand):
     while True:
         await hand.do("Grasp")
         await hand.do("open")
+"""
+"""What a client of a hand does: it receives its states, and opens and closes it."""
 
+CLIENT = (
+    """
+import sys, anyio, rtee
+from rtee.errors import RemoteError
+
+"""
+    + WATCH_AND_MOVE
+    + """
 async def main(name):
     async with rtee.connect(name) as hand, anyio.create_task_group() as group:
         group.start_soon(watch, hand)
@@ -118,8 +125,10 @@ try:
 except* RemoteError:
     pass
 """
+)
 
-JUNK = """
+JUNK = (
+    """
 import random, sys, anyio, rtee
 from rtee.errors import RequestRejected, RteeError
 from rtee.messages import network_key
@@ -140,15 +149,9 @@ BAD = (
     (("Grasp",), {"effort": {"elbow": 1.0}}),
 )
 
-async def watch(hand):
-    async for _ in hand.states(rate=100):
-        pass
-
-async def move(hand):
-    while True:
-        await hand.do("Grasp")
-        await hand.do("open")
-
+"""
+    + WATCH_AND_MOVE
+    + """
 async def refused(hand):
     for k in range(10**9):
         action, options = BAD[k % len(BAD)]
@@ -185,6 +188,7 @@ try:
 except* RteeError:
     pass
 """
+)
 
 
 @dataclass(frozen=True)
