@@ -140,6 +140,7 @@ class Watch:
         dof = int(model.joint("object").dofadr[0])
         velocity = data.qvel[dof : dof + 6]
         mass = model.body_subtreemass[self._object]
+        # Translation only: an object that chatters between fingers moves, whether it turns or not.
         self.energies.append(0.5 * float(mass * velocity[:3] @ velocity[:3]))
 
 
@@ -162,8 +163,10 @@ def grasp(name: str, shape: str, settings: Settings) -> Seen | None:
     watch = Watch(simulation)
     headless.before_tick(watch)
     headless.do(Goal(action.name, action.elements))
+    # The fingers come to rest before the object has to be held.
     headless.wait(0.4)
     around.remove_support()
+    # The object settles in the hand; that is not creep.
     headless.wait(0.4)
     start = around.position_in_hand
     watch.energies.clear()

@@ -99,6 +99,7 @@ def extracted(hand: str, runs: int, jobs: int) -> Measured:
             stderr=subprocess.DEVNULL,
         )
         assert process.stdout is not None
+        # Read to the end before waiting: a full pipe would stop the process.
         output = process.stdout.read()
         # With the processes that it started: `resource` would only count those of this one.
         _, status, usage = os.wait4(process.pid, 0)
@@ -136,6 +137,7 @@ def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Fingers, float]]:
     pairs = tip_pairs(scene)
     tips = sum(finger.tip is not None for finger in hand.fingers)
     rounds = [(real_limits(hand), TIGHT + DISTANCE), (widened_limits(hand), WIDE)]
+    # Groups of three fingers up to all: two are the pairs above.
     rounds += [(real_limits(hand), SEVERAL)] * max(0, tips - 2)
     for index, ((lower, upper), count) in enumerate(rounds):
         for u in random.uniform(lower, upper, (count, len(lower))):
@@ -226,6 +228,7 @@ def compare_depth(hands: Sequence[str], jobs: int, starts: int) -> None:
                 known = deepest(scene, goal, space, starts)
             depth = depths.get(names, 0.0)
             if known or depth:
+                # Shares of a bare contact would be quotients of rounding errors.
                 shares.append(depth / known if known > NOTHING else 1.0)
                 fingers = ", ".join(sorted(names))
                 table.row(
@@ -239,6 +242,7 @@ def main() -> None:
     parser = command_line(__doc__, runs=3, jobs=0, starts=0, no_sampling=False)
     parser.add_argument("--hands", nargs="+", default=list(HANDS), help=HELP["hands"])
     arguments = parser.parse_args()
+    # Otherwise the first run alone would pay for the compilation.
     compileall.compile_dir(str(Path(rtee.__file__).parent), quiet=1)
     compare_speed(
         arguments.hands, arguments.runs, arguments.jobs, sampling=not arguments.no_sampling

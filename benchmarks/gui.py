@@ -100,6 +100,7 @@ def one_round(parts: dict[str, Part], folder: Path, given: argparse.Namespace, p
     alone, closed, remote, opened = (parts[name] for name in PARTS)
     alone.measure(given.seconds, None)
     with gui_of(folder, given.hand) as (gui, address):
+        # Starting the GUI loads the computer for a moment, which no part is about.
         time.sleep(2.0)
         closed.measure(given.seconds, gui)
         with remote_window(address, folder):
@@ -120,6 +121,7 @@ def counted(folder: Path, hand: str, page: Page) -> list[list[str]]:
         time.sleep(2.0)
         for name, window in windows.items():
             with Relay(address) as relay, window(relay.address):
+                # What a window is sent at its beginning, such as meshes, is not counted.
                 time.sleep(2.0 * WARM)
                 relay.take()
                 time.sleep(COUNTED)

@@ -126,10 +126,12 @@ def tried(
         start = begin()
         watch.wait()
         times = [start, start, start, watch.changed, watch.moved]
+        # A client's own request passes neither stage of the GUI.
         if folder is not None:
             times[1:3] = [noted(folder, what, start) for what in ("click", "asked")]
         found.append([after - before for before, after in itertools.pairwise(times)])
         hand.stop()
+        # The next try begins with a goal, which a hand refuses while another client drives it.
         while hand.status().holder:
             time.sleep(0.01)
     return found

@@ -258,7 +258,7 @@ def beside(how: How, name: str) -> How:
         "unrecorded": "no recorder",
         "bare": "no client, no recorder",
         "junk": "and junk",
-        "idle-junk": "and junk for somebody else",
+        "idle-junk": "and junk for another hand",
     }
     label = f"… {words[name]}"
     return replace(how, label=label, **changes[name])  # type: ignore[arg-type]
@@ -271,6 +271,7 @@ def memory_of(pid: int) -> float:
 
 def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
     """Return copies of a hand under other names, with more in their hand.yaml."""
+    # Copies under other names: hands that run on this computer already stay out of it.
     names = []
     for _ in range(count):
         name = f"{hand}_{len(list(folder.iterdir()))}"
@@ -315,6 +316,7 @@ def run(
     while (passed := time.monotonic() - begin) < seconds:
         time.sleep(min(10.0, seconds - passed))
         memory.append(memory_of(process.pid))
+    # A client that crashed would make the loop look better than it is.
     failed = [client.args for client in clients if client.poll() is not None]
     assert not failed, f"a client ended early: {failed}"
     stood_still = watching.stop() if watching else None
@@ -330,9 +332,10 @@ def run(
     found = PRINTED.search("".join(said))
     assert found is not None, "".join(said)
     printed = {name: int(value) for name, value in found.groupdict().items()}
+    # Only the parts of the recordings; their folder also has other files.
     size = sum(file.stat().st_size for file in logs.glob("*_0*.mcap")) / 1e6
     missed = [judged(Missed(*values), stood_still) for values in json.loads(notes.read_text())]
-    # While programs start or end, no witness looked.
+    # While programs start or end, the witness does not run.
     unseen = [one for one in missed if one.woken > until or one.woken < begin]
     missed = [replace(one, computer=None) if one in unseen else one for one in missed]
     return Row(printed, memory, size / seconds * 60, missed)
@@ -343,6 +346,7 @@ def cyclictest(seconds: float, period_us: int = 1000) -> list[str]:
     nothing = ["not installed", *"–––––––––"]
     if shutil.which("cyclictest") is None:
         return nothing
+    # At least a thousand, or there is no 99.9th percentile.
     loops = max(1000, int(seconds * 1e6 / period_us))
     command = ["cyclictest", "-q", "-m", "-p80", f"-i{period_us}", f"-l{loops}", "-h2000"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -62,6 +62,7 @@ class Outcome:
 
 def applies(case: DeviceCase, fault: str) -> bool:
     """Return whether a fault of the wire can happen to a device, and be noticed."""
+    # Without checksums a damaged message is a valid one: no driver could notice it.
     if fault in NEEDS_CHECKSUMS and not case.checksums:
         return False
     return case.wire_faults is None or fault in case.wire_faults
@@ -161,6 +162,7 @@ async def _returned(session: Session, case: DeviceCase, name: str, *, good: bool
 
 async def _error(session: Session) -> str:
     """Return the name of the error that the device leads to; a time-out only if it lasts."""
+    # A single time-out is mended in the next cycle and is no finding.
     end, name = time.monotonic() + 0.5, "nothing"
     while time.monotonic() < end:
         try:
@@ -198,6 +200,7 @@ def job(name: str, fault: str, cycles: int) -> Outcome:
 
     try:
         return asyncio.run(test())
+    # Anything else is a result as well: the table must show it and not end.
     except Exception as error:
         return Outcome("NO", f"{type(error).__name__}: {error}"[:60], "NO", good=False)
 

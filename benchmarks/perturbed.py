@@ -54,6 +54,7 @@ def pinches(hand: Hand, jobs: int) -> dict[Fingers, Primitive]:
 
 def compare(table: Table, hand: Hand, times: int, jobs: int, *, every: bool) -> None:
     """Print what the extraction makes of a hand whose joints are moved, beside itself."""
+    # The same seed for all hands, so that runs can be compared.
     random = np.random.default_rng(0)
     runs = [pinches(moved(hand, random), jobs) for _ in range(times)]
     worst_best, worst_deepest, unequal = 1.0, 1.0, 0

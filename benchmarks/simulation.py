@@ -38,6 +38,7 @@ def headless(name: str, action: str, shape: str) -> float:
             ready.hand, SimOptions(object=shape), ready.hand.actuator_names, ready.settings.period
         )
         hand = HeadlessHand(ready.hand, ready.library, ready.settings, simulation)
+        # Processor time: the figure must not depend on what else the computer does.
         began = time.process_time()
         hand.do(Goal(action))
         hand.wait(1.0)

@@ -72,6 +72,7 @@ def sine_of(hand: Hand) -> tuple[Sine, FloatArray]:
     for spec in hand.actuators:
         low, high = max(spec.lower, -math.pi), min(spec.upper, math.pi)
         centre.append(0.5 * (low + high))
+        # Far enough below the limits that only the way of sending limits the motion.
         most = min(0.5 * spec.velocity / omega, 0.25 * spec.acceleration / omega**2)
         amplitude.append(min(SHARE * (high - low), most))
 
@@ -115,6 +116,7 @@ def played(
             command: Command = Jog(to)
             if way == "stream":
                 without = dict.fromkeys(names, math.nan)
+                # The client's clock is another one, 10,000 s behind: the offset must not matter.
                 command = StreamSample("s", stamp - 1e4, arrival, to, {}, to, without)
             if way != "steps":
                 controller.apply(command, now)
@@ -125,6 +127,7 @@ def played(
         here = list(controller.reference_position) if k else at(0.0)
         grasped, fresh = [-1] * len(names), [True] * len(names)
         controller.step(now, Measured(here, unknown, unknown, fresh, grasped))
+        # Emptied as the loop does; it would grow for the whole run.
         controller.outbox.items.clear()
         rows.append(list(controller.reference_position))
     return np.array(rows)
@@ -146,6 +149,7 @@ def figures(
         shares.append(math.hypot(sine, cosine) / amplitude[i])
         meant = at(0.0)[i] + amplitude[i] * np.sin(omega * (t - lags[-1]))
         errors.append(float(np.sqrt(np.mean((values - meant) ** 2))) / amplitude[i])
+        # The sine's own jerk has an RMS of amplitude · ω³ / √2, the unit of this column.
         third = np.diff(values, 3) / TICK**3
         jerks.append(float(np.sqrt(np.mean(third**2))) * math.sqrt(2) / (amplitude[i] * omega**3))
     return (

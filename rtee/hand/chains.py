@@ -100,6 +100,7 @@ def _check_passive(srdf: Srdf, urdf: Urdf) -> list[str]:
             raise UnknownJoint(name, tuple(urdf.joints), path=srdf.path, line=line)
         if not joint.moving:
             notes.append(f"passive joint '{name}' (line {line} of the SRDF) is fixed")
+        # Its position is determined by the joint it follows, which is more than passive says.
         elif joint.mimic is not None:
             notes.append(f"joint '{name}' is both mimic and passive; it is taken as a mimic")
     return notes
@@ -146,6 +147,7 @@ def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
             return group, f"group '{group.name}'"
     if not collections:
         return None, ""
+    # Without a hint by name, the group with most members is likelier to be all fingers.
     named = [group for group in collections if "finger" in group.name.lower()]
     group = max(named or collections, key=lambda g: len(g.subgroups))
     return group, f"group '{group.name}'"
@@ -153,6 +155,7 @@ def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
 
 def _members(srdf: Srdf, group: SrdfGroup, above: tuple[str, ...]) -> Iterator[SrdfGroup]:
     """Yield the groups without subgroups inside a group, each once and in order."""
+    # Checked on the way down, or groups that contain each other would never end.
     if group.name in above:
         raise ModelError(f"group '{group.name}' contains itself", path=srdf.path, line=group.line)
     for name in group.subgroups:

@@ -95,7 +95,7 @@ class HandConfig(BaseModel):
     limits: LimitsSection = LimitsSection()
     """Limits that tighten or complete the URDF's."""
     dynamics: DynamicsSection = DynamicsSection()
-    """What the actuators are like inside: gains, inertia, friction, how joints follow them; for
+    """Dynamics of the actuators: gains, inertia, friction, how joints follow them; for
     the simulation, and for planners that ask for the hand's description."""
     tip_friction: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default={})
     """Coefficient of friction of the fingertips' surfaces by finger, ``defaults``: of all others;

@@ -63,6 +63,7 @@ class Word(StrEnum):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Callable[[Any], Any]) -> Any:
+        # As a schema of literals, so that errors list the words and the JSON schema has them.
         words = {"type": "literal", "expected": [word.value for word in cls]}
         made = {"type": "no-info", "function": cls}
         return {"type": "function-after", "schema": words, "function": made}
@@ -78,7 +79,7 @@ class ProfileKind(Word):
 
 
 class Behaviour(Word):
-    """What the hand does when nobody drives it any more."""
+    """What the hand does when it is no longer driven."""
 
     HOLD = "hold"
     """Keep the measured posture, powered."""
@@ -127,7 +128,7 @@ class Following(Word):
 
 @dataclass(frozen=True, slots=True)
 class ActuatorDynamics(Section):
-    """What an actuator is like inside, where that is known; the simulation derives the rest."""
+    """Dynamics of an actuator, as far as known; the simulation derives the rest."""
 
     kp: Positive | None = None
     """Position gain of its servo [N·m/rad | N/m]."""

@@ -121,4 +121,5 @@ def _joint_model(joint: UrdfJoint) -> pin.JointModel:
     axis = np.array(joint.axis)
     if joint.kind == "prismatic":
         return pin.JointModelPrismaticUnaligned(axis)
+    # Pinocchio's own continuous joint has two numbers, cosine and sine.
     return pin.JointModelRevoluteUnaligned(axis)

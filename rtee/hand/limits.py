@@ -27,6 +27,7 @@ JERK_TIME: Final = 0.05
 """Time in which it reaches its acceleration limit [s], where no jerk is configured: half of the
 above, so that a motion has no jolts."""
 
+# By the kind of joint [rad/s | m/s]: slow enough to watch, and to stop by hand.
 _ASSUMED_VELOCITY: Final = {
     JointKind.REVOLUTE: 1.0,
     JointKind.CONTINUOUS: 1.0,
@@ -130,6 +131,7 @@ def actuator_spec(
         velocity=velocity,
         acceleration=acceleration,
         jerk=reader.configured("jerk") or acceleration / JERK_TIME,
+        # 0 means "not given", as above; without a limit the device's own one holds.
         effort=effort if effort > 0 else math.inf,
         rest=rest,
     )
@@ -198,6 +200,7 @@ class _Reader:
         if value is None or lower <= value <= upper:
             return value
         message = f"rest position {value:g} lies outside the limits {lower:g} … {upper:g}"
+        # The SRDF is wrong and not hand.yaml, so the error names the model's file.
         if configured is None:
             message = f"actuator '{name}': the SRDF's {message}"
             raise ModelError(message, path=self.urdf.path, line=self.joint.line)
@@ -224,6 +227,7 @@ def standing_position(
         rest = _Reader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)
         if rest is not None:
             return rest
+    # Without a motor it is wherever springs and weight put it; rest is the best guess.
     return clamped(state.get(joint.name, 0.0), joint.lower, joint.upper)
 
 

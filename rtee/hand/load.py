@@ -156,6 +156,7 @@ def _beside(folder: Path, name: str, key: str, document: YamlDocument) -> Path:
     try:
         if (folder / name).is_file():
             return folder / name
+    # A name may be too long for the file system, or hold a null character.
     except (OSError, ValueError):
         pass
     raise document.error((key,), f"the file '{name[:200]}' does not exist beside {FILE_NAME}")
@@ -218,6 +219,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         spec, assumed = actuator_spec(urdf.joints[name], urdf, state, overrides)
         specs.append(spec)
         notes += assumed
+    # Passive joints need a position, too: the transmission maps to all moving joints.
     standing = {
         joint.name: standing_position(urdf.joints[joint.name], urdf, state, overrides)
         for joint in joints
@@ -225,6 +227,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     }
     transmission = make_transmission(urdf, driven, standing)
     notes += images_outside(joints, specs, transmission)
+    # Fingers are known by what moves them, so the transmission comes first.
     moves = {joint.name: transmission.moves(i) for i, joint in enumerate(joints)}
     fingers, found = make_fingers(
         urdf, srdf, {joint: driven[i] for joint, i in moves.items() if i is not None}
@@ -234,6 +237,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         base=urdf.root,
         joints=joints,
         actuators=tuple(
+            # A finger without a tip cannot touch anything, so no action is about it.
             replace(s, fingers=tuple(f.name for f in fingers if f.tip and s.name in f.actuators))
             for s in specs
         ),
@@ -306,6 +310,7 @@ def _check_actuators(actuators: list[str], overrides: Overrides, urdf: Urdf) -> 
             ignored = name in overrides.ignore
             if name in actuators or (ignored and section == "rest"):
                 continue
+            # Without a hand.yaml there is no line to point at.
             if overrides.error is None:
                 raise UnknownActuator(name, actuators, path=urdf.path)
             hint = "the actuator is ignored" if ignored else "unknown actuator; "

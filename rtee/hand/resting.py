@@ -101,6 +101,7 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
     rest = {
         spec.name: float(value)
         for spec, value in zip(hand.actuators, u, strict=True)
+        # Only what differs from the default has to be in hand.yaml.
         if value != spec.rest or spec.rest != min(max(0.0, spec.lower), spec.upper)
     }
     names = tuple((hand.fingers[i].name, hand.fingers[j].name) for i, j in pairs)

@@ -59,6 +59,7 @@ class Coupling:
             # One stage: long chains of mimics cost no more than a single one.
             merged = Linear(stage.factor * last.factor, stage.factor * last.offset + stage.offset)
             return Coupling(self.actuator, (*self.stages[:-1], merged))
+        # The identity that every actuator begins with; dropping it saves one stage.
         if last == Linear() and len(self.stages) == 1:
             return Coupling(self.actuator, (stage,))
         return Coupling(self.actuator, (*self.stages, stage))
@@ -82,6 +83,7 @@ class Coupling:
 
 
 def _value(coupling: Coupling, q: float) -> float:
+    # An expression may raise for NaN instead of passing it on.
     return coupling.value(q) if math.isfinite(q) else math.nan
 
 
@@ -117,6 +119,7 @@ class Transmission:
             offset[row] = stage.offset
             if coupling.actuator is not None:
                 matrix[row, coupling.actuator] = stage.factor
+        # Shared by all callers; a change in place would move every later joint.
         matrix.flags.writeable = False
         self.matrix: FloatArray = matrix
         self.offset = readonly(offset)

@@ -239,6 +239,7 @@ def _axis(element: Element, name: str) -> Triple:
     norm = math.hypot(x, y, z)
     if norm < _NO_AXIS:
         raise axis.error(f"the axis of joint '{name}' is zero")
+    # URDFs are written with rounded axes; the kinematics need unit vectors.
     return x / norm, y / norm, z / norm
 
 
@@ -253,6 +254,7 @@ def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, fl
     if velocity < 0 or effort < 0:
         raise limit.error(f"joint '{name}' has a negative velocity or effort limit")
     if kind == "continuous":
+        # A continuous joint has no position limits, though some files give them.
         return -math.inf, math.inf, velocity, effort
     if kind == "fixed":
         return 0.0, 0.0, velocity, effort
@@ -270,6 +272,7 @@ def _mimic(element: Element) -> UrdfMimic | None:
         of=mimic.required("joint"),
         multiplier=mimic.number("multiplier", 1.0, most=MOST),
         offset=mimic.number("offset", 0.0, most=MOST),
+        # An extension of URDF for non-linear couplings, as in HERI II's description.
         expression=mimic.attributes.get("nlFunPos"),
         line=mimic.line,
     )

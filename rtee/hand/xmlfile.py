@@ -126,6 +126,7 @@ class _Builder:
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         element = Element(tag, attributes, self.parser.CurrentLineNumber, self.path)
+        # Before the tree is that deep: later steps may recurse over it.
         if len(self.open) >= MAX_DEPTH:
             raise element.error(f"elements are nested deeper than {MAX_DEPTH}")
         if self.open:
@@ -179,6 +180,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
         text = expat.ErrorString(error.code)
         raise ModelError(f"{what} is not XML: {text}", path=file, line=error.lineno) from None
     except (LookupError, ValueError) as error:
+        # The builder's own errors pass through the parser, and already say what is wrong.
         if isinstance(error, ModelError):
             raise
         raise ModelError(f"{what} is not XML: {error}", path=file) from None

@@ -153,10 +153,11 @@ def yaml_reader(*, keep_comments: bool = False) -> Any:
 def too_deep(text: str) -> int | None:
     """Return the line from which on a text opens too many brackets, which take long to parse.
 
-    Brackets in quotes and comments count, too; nobody leaves so many of them open there.
+    Brackets in quotes and comments count, too; no real file leaves that many open there.
     """
     depth = 0
     for number, row in enumerate(text.splitlines(), 1):
+        # Counted without parsing: the parser itself is what deep nesting makes slow.
         depth += row.count("[") + row.count("{") - row.count("]") - row.count("}")
         if depth > _DEEPEST:
             return number
@@ -196,6 +197,7 @@ def _composed(text: str, path: Path, what: str, raised: type[UserError], *, fore
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     rows = enumerate(text.splitlines(), 1)
+    # ruamel.yaml reports a tab as something else, some lines later.
     tab = next((n for n, row in rows if "\t" in row[: len(row) - len(row.lstrip())]), None)
     tabbed = raised("a tab in the indentation; use blanks", path=path, line=tab)
     if tab is not None and not foreign:
@@ -210,6 +212,7 @@ def _composed(text: str, path: Path, what: str, raised: type[UserError], *, fore
             raise tabbed from None
         mark = error.problem_mark or error.context_mark
         problem = str(error.problem or error.context)
+        # ruamel.yaml splits one sentence into context and problem.
         if problem.startswith("but "):
             problem = f"{error.context}, {problem}"
         raise raised(
@@ -243,6 +246,7 @@ def read_emitted(text: str) -> dict[str, Any] | None:
     starts only when its actions are read. It need not judge the text: what it makes of any text is
     right if `emit` writes the same text for it.
     """
+    # `emit` escapes all others, so such a text is not its own.
     if not text.isascii() or not text.replace("\n", "").isprintable():
         return None
     lines = text.split("\n")
@@ -296,6 +300,7 @@ class _Reader:
 
     def value(self, node: Any, location: Location) -> Any:
         line = node.start_mark.line + 1
+        # The key's line is set before and comes first: it is where a user looks.
         self.lines.setdefault(location, line)
         if (id(node) in self.seen or node.anchor) and not self.foreign:
             raise self._error(line, "anchors and aliases are refused; write the value out")

@@ -422,7 +422,7 @@ class HandLoop:
         if grip is not None:
             self._pending.append(SetGripEffort(float(grip)))
 
-    # --- when nobody drives it ---------------------------------------------------------------
+    # --- when it is no longer driven ---------------------------------------------------------
 
     def client_lost(self, client: str) -> None:
         """Do what is configured for when the client that holds the hand has died."""
@@ -434,7 +434,7 @@ class HandLoop:
         self.behave(self.settings.safety.on_link_lost, reason)
 
     def behave(self, behaviour: Behaviour, reason: str) -> None:
-        """Do what the settings say for when nobody drives the hand any more; returns at once."""
+        """Do what the settings say for a hand that is no longer driven; returns at once."""
         match behaviour:
             case Behaviour.HOLD:
                 self.hold(reason)

@@ -120,6 +120,7 @@ class DriverContract:
                 await session.driver.configure()
             assert str(caught.value)
             session.wire.replug()
+            # The port is there and all frames are lost: the other way in which a device is absent.
             session.wire.faults = Faults(drop=1.0)
             with pytest.raises((BusTimeout, NotConnected)):
                 await session.driver.configure()
@@ -132,6 +133,7 @@ class DriverContract:
             heard = commands(session.emulator)
             state = await session.start()
             here = Reference.at(state.position)
+            # Several cycles: nothing may be sent when the same reference comes again, either.
             for _ in range(5):
                 await session.cycle(here)
                 await asyncio.sleep(0.005)
@@ -220,6 +222,7 @@ class DriverContract:
             for _ in range(5):
                 await session.cycle(Reference.at(list(far)))
             session.wire.faults = Faults(drop=1.0, requests=False)
+            # Answers return while stop still retries, as after a real disturbance.
             heal = asyncio.get_running_loop().call_later(
                 _DEAF, setattr, session.wire, "faults", Faults()
             )
@@ -276,6 +279,7 @@ class DriverContract:
             assert caught.name
             assert caught.hint
             assert caught.recoverable
+            # The cause is still there, so recovering must not pretend success.
             with pytest.raises(DeviceFault):
                 await self._recover(session)
             session.emulator.clear()
@@ -318,6 +322,8 @@ class DriverContract:
                     break
                 assert session.near(state, [float(q) for q in there.position])
                 await asyncio.sleep(0.005)
+            # A device that homes has lost its zero: going on without a word would be wrong
+            # positions.
             assert noticed or not self.case.homes
 
     # --- faults of the wire ------------------------------------------------------------------

@@ -109,6 +109,7 @@ class Session:
                 return state
             if time.monotonic() > end:
                 return state or await self.sense()
+            # A pause lets emulators run that share this process, at any speed of the machine.
             await asyncio.sleep(0.002)
 
     def near(self, state: ActuatorState, goal: Sequence[float]) -> bool:
