@@ -29,7 +29,7 @@ COLOURS = (
     "#7f7f7f",
     "#bcbd22",
 )
-TOLD = frozenset(
+DRAWN = frozenset(
     {
         "mark",
         "grasp_lost",
@@ -123,6 +123,7 @@ def thinned(
     """Return at most ``most`` points of a line: the lowest and the highest of every stretch."""
     if len(t) <= most:
         return t, values
+    # Rounded up, two points for each stretch: never more than `most`.
     stretch = -(-2 * len(t) // most)
     count = len(t) // stretch
     # argmin and argmax would return a NaN's place: infinities never win against a number.
@@ -175,6 +176,7 @@ def figure(
         positions: list[Line] = []
         forces: list[Line] = []
         for name in names:
+            # By its place among all chosen ones, so that its colour is the same in every row.
             colour = COLOURS[chosen.index(name) % len(COLOURS)]
             column = states.index(name)
             positions += _position_lines(recording, name, colour, begin, until)
@@ -186,7 +188,7 @@ def figure(
     marks = [
         (entry.t, entry.value.text if entry.value.kind == "mark" else entry.value.kind)
         for entry in recording.events
-        if entry.value.kind in TOLD and begin <= entry.t <= until
+        if entry.value.kind in DRAWN and begin <= entry.t <= until
     ]
     return Figure(
         title=_title(recording),
@@ -220,6 +222,7 @@ def _groups(
         own = [name for name in names if owners[name] == [finger]]
         if own:
             groups[finger] = own
+    # An actuator of several fingers would otherwise be drawn once in each of them.
     shared = [name for name in names if len(owners[name]) != 1]
     if shared:
         groups["several fingers"] = shared
@@ -247,6 +250,7 @@ def _position_lines(
 def _efforts(recording: Recording, within: NDArray[np.bool_]) -> tuple[FloatArray | None, str]:
     """Return the right column: efforts, or currents where only those are measured."""
     states = recording.actuator_states
+    # A device may measure neither, or currents without a known torque constant.
     if not np.isnan(states.effort[within]).all():
         return states.effort, "effort [N·m | N]"
     if not np.isnan(states.current[within]).all():

@@ -65,6 +65,7 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
     def indexed(names: Sequence[str], values: Any) -> dict[int, float]:
         try:
             indices = [actuators.index(name) for name in names]
+            # Plans are recorded by name, since the order of actuators may change with the URDF.
             return dict(zip(indices, values.tolist(), strict=True))
         except ValueError as error:
             raise MessageError(f"a plan does not fit the hand: {error}") from None
@@ -118,6 +119,7 @@ def _grip_of(fields: Mapping[str, Any], actuators: Sequence[str]) -> Grip:
     try:
         indices = tuple(actuators.index(name) for name in fields["actuator"])
         rows, columns = len(fields["intensity"]), len(indices)
+        # Messages have flat arrays only; the lengths of the others give its shape.
         lever = fields["lever"].reshape(rows, columns).tolist()
         fingers = fields["finger"].tolist()
         between = fingers.index(_SIDES)

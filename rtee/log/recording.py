@@ -234,6 +234,7 @@ class Recording:
             feedback.setdefault(entry.value.goal_id, []).append(entry)
         spans = []
         names = {plan.value.goal.goal_id: plan.value.action for plan in self.plans}
+        # Where a result is missing: the next goal preempted this one at the latest.
         ends = [(entry.t, "unknown") for entry in self.goals[1:]] + [(self.duration, "running")]
         for goal, (after, left) in zip(self.goals, ends, strict=False):
             action = names.get(goal.value.goal_id, goal.value.action)
@@ -258,5 +259,6 @@ def _inner_spans(
         if name:
             yield Span(name, start, entry.t, "reached", goal_id)
         name, start = entry.value.inner, entry.t
+    # Only the last inner action shares the outcome of the whole; the ones before were reached.
     if name:
         yield Span(name, start, end, outcome, goal_id)

@@ -65,6 +65,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
     def fastSyncReadRxPacket(self) -> int:  # noqa: N802 - the SDK's name
         """Receive the one answer of all servos."""
         self.last_result = False
+        # Each servo's part: error, id, data and checksum.
         part = self.data_length + 4
         raw, result, _ = self.ph.fastSyncReadRx(
             self.port, sdk.BROADCAST_ID, part * len(self.data_dict)
@@ -144,6 +145,8 @@ class DynamixelLink:
                 if time.monotonic() >= end:
                     break
                 counters.retries += 1
+            # The SDK leaves its flag set when an exception ends a request, and refuses all others
+            # then.
             self.bus.port.is_using = False
             result = attempt()
             if result == sdk.COMM_SUCCESS:
