@@ -45,7 +45,7 @@ from rtee.log import read
 from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
 from rtee.loop.settings import LoopSettings
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 TICK = 1e-3
 """Period of the loop [s]."""

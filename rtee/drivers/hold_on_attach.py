@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Sequence
 
-from rtee.types import ActuatorSpec, FloatArray, Reference
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, Reference
 
 _SAME = 0.01
 """A reference this near to the measured position asks for no motion [part of the range]."""

@@ -13,6 +13,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import ClassVar, Generic, TypeVar
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.robotiq_common import (
@@ -30,7 +31,8 @@ from rtee.errors import (
     HandshakeError,
     NotConnected,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _POLL = 0.01
 """Time between two readings of the status while the gripper moves by itself [s]."""

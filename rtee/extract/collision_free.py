@@ -18,7 +18,8 @@ from rtee.extract.polish import polish
 from rtee.extract.resolution import COARSE, MEDIUM
 from rtee.extract.search import distinct, minima_on_line
 from rtee.hand.linalg import dot
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 _LITTLE: Final = 0.03
 """A recalibrated step that gains less than this share of the value is the last one."""

@@ -16,7 +16,7 @@ from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import norms, rotated
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 STEP: Final = 0.001
 """Between two exact checks on a path, near links move at most this far against each other [m]."""

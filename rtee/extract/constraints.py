@@ -13,7 +13,8 @@ from rtee.extract.goals import GoalFunction
 from rtee.extract.motion import Motion, StraightPath
 from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE, MEDIUM
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 WEIGHT: Final = 5.0
 """What a metre beyond a constraint counts at first, in metres of depth: more than the goal gains by

@@ -11,7 +11,7 @@ from rtee.extract.space import widened_limits
 from rtee.hand.linalg import matvec
 from rtee.hand.model import Hand
 from rtee.hand.transmission import Coupling, Linear
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _KNOTS: Final = 1025
 """Knots of a table, which agrees with smooth couplings to 1e-8 rad."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.extract.resolution import COARSE, Resolution
 from rtee.hand.linalg import dot, matvec
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 Slope = Callable[[], FloatArray]
 """Returns the derivative ``(k,)`` where a function was evaluated last.

@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee.hand.geometry import Shape, hull_of
 from rtee.hand.linalg import rotated
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 SLACK: Final = 1e-4
 """A draft may lie this far within a mesh's hull [m]; hands differ more from their models."""

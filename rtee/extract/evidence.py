@@ -18,7 +18,7 @@ from rtee.extract.ranking import Candidate
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import norm
 from rtee.hand.model import Finger, Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _DIGITS: Final = 9
 """Decimals of the evidence: lengths to a nanometre, far below the accuracy of models."""

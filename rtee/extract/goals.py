@@ -12,7 +12,7 @@ from rtee.extract.descent import Slope
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
 from rtee.extract.space import Space, rounded
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _MARGIN: Final = 2e-4
 """By how much the convex parts of linked tips should overlap [m], so that the tips themselves,

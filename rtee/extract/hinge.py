@@ -13,7 +13,7 @@ import pinocchio as pin
 from rtee.hand.geometry import Shape, hull_of
 from rtee.hand.linalg import norms, rotated
 from rtee.hand.tessellation import subdivided
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 OUTER: Final = 0.5
 """From where on a jaw counts, between the reach of its contact at rest (0) and its end (1)."""

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import dot, matmul, matvec, norm, norms, rotated
-from rtee.types import FloatArray, JointKind, from_rest
+from rtee.sample import FloatArray
+from rtee.types import JointKind, from_rest
 
 _STATIONS: Final = 33
 """At how many places of a path non-linear couplings are evaluated; between two of them those of

@@ -18,7 +18,7 @@ from rtee.extract.ranking import Candidate, FoundPinch, Rank, ranked
 from rtee.extract.search import FEW, MANY, SEVERAL, Block, Minima, minima
 from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _MOST_TREES: Final = 4
 """From how many spanning trees starts are combined; the hands in ``config/`` have no more."""

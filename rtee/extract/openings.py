@@ -23,7 +23,8 @@ from rtee.extract.jobs import Progress
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.linalg import dot, matmul, matvec, norm, norms, vecmat
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, from_rest, readonly
+from rtee.sample import FloatArray
+from rtee.types import from_rest, readonly
 
 ERROR: Final = 2e-5
 """With one actuator, the table is made finer until interpolating is off by less than this [m]: a

@@ -13,7 +13,7 @@ from rtee.actions.types import Opposition
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import dot, matvec, norm
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 FRICTION: Final = 0.5
 """Coefficient of friction: rubber on most surfaces has more, bare plastic less."""

@@ -17,7 +17,7 @@ from rtee.extract.resolution import FINE
 from rtee.extract.search import minima
 from rtee.extract.space import Space, make_space, real_limits, widened_limits
 from rtee.hand.model import Finger
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _TRIED: Final = 4
 """From how many minima contact of the geometry as given is sought; the others are shallower."""

@@ -9,7 +9,7 @@ import numpy as np
 from rtee.extract.descent import Bounds, Minimum, Objective, within
 from rtee.extract.resolution import FINE, Resolution
 from rtee.hand.linalg import dot, matmul, matvec, vecmat
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _FIRST_STEP: Final = 0.3
 """Length of the first step in the steepest coordinate, as a part of an actuator's range."""

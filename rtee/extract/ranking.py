@@ -12,7 +12,7 @@ import numpy as np
 from rtee.actions.types import Evidence, PrimitiveKind
 from rtee.extract.space import real_limits
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 Rank = Literal["depth", "opposition"]
 

@@ -35,7 +35,8 @@ from rtee.hand.names import common_prefix
 from rtee.hand.urdf import UrdfMimic
 from rtee.render.hand import SIZE, HandRenderer
 from rtee.render.image import Contact
-from rtee.types import ActuatorSpec, FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 if TYPE_CHECKING:
     from jinja2 import Template

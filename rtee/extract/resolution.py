@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _GOLDEN: Final = (5.0**0.5 - 1.0) / 2.0
 """The golden section, whose multiples modulo 1 are the most evenly spread ones."""

@@ -22,7 +22,8 @@ from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.linalg import matmul, matvec, norm, vecmat
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import JointKind
 
 _BATCH: Final = 3
 """From this many derivatives on, adding them up before the last products is faster."""

@@ -16,7 +16,7 @@ from rtee.extract.polish import polish
 from rtee.extract.resolution import COARSE, FINE, MEDIUM
 from rtee.extract.space import Space
 from rtee.hand.halton import halton
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

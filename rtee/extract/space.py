@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import JointKind
 
 DECIMALS: Final = 6
 """Postures are stored rounded to a millionth of a radian or metre."""

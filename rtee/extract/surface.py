@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtee.hand.geometry import Shape
 from rtee.hand.linalg import matvec, norms
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _sum = np.add.reduce
 

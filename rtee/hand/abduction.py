@@ -9,7 +9,8 @@ import numpy as np
 
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
-from rtee.types import ActuatorSpec, FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 _PARALLEL: Final = 0.9
 """Least cosine of the angle of axes that count as parallel: 26 degrees."""

@@ -12,7 +12,7 @@ import numpy as np
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.halton import halton
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 ADJACENT: Final = "adjacent"
 ALWAYS: Final = "touching at every configuration"

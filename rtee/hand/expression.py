@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rtee.errors import ExpressionError
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 MAX_LENGTH: Final = 4000
 """Longest text [characters]; the longest of a hand in ``config/`` has 180."""

@@ -10,7 +10,7 @@ import numpy as np
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple
 from rtee.object_description import BASE_POSE, OBJECT_POSE
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 def rotation(axis: Sequence[float], angle: float) -> FloatArray:

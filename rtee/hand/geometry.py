@@ -22,7 +22,7 @@ from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
 from rtee.hand.urdfread import FARTHEST
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _FLAT: Final = 1e-4
 """A mesh flatter than this share of its extent has no proper convex hull and is thickened."""

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 @lru_cache(maxsize=32)

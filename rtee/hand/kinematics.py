@@ -14,7 +14,7 @@ import pinocchio as pin
 from rtee.errors import ModelError, UnknownLink
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple, UrdfJoint
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 class Kinematics:

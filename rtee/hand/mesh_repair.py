@@ -16,7 +16,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _FEWEST: Final = 3
 """Fewest corners of a part: those of one triangle."""

@@ -14,7 +14,8 @@ from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.transmission import Transmission
 from rtee.hand.urdf import Urdf
-from rtee.types import ActuatorSpec, FloatArray, JointKind, readonly
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind, readonly
 
 CLEARANCE: Final = 0.001
 """Default distance that clear poses keep from other links [m]: real hands differ from their models

@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee.hand.model import Hand
 from rtee.hand.yamlwrite import rest_line
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 if TYPE_CHECKING:
     from rtee.hand.geometry import HandGeometry

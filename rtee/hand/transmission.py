@@ -16,7 +16,8 @@ import numpy as np
 
 from rtee.errors import ExpressionError, ModelError, UnknownJoint
 from rtee.hand.urdf import Urdf, UrdfJoint, UrdfMimic
-from rtee.types import FloatArray, readonly
+from rtee.sample import FloatArray
+from rtee.types import readonly
 
 if TYPE_CHECKING:
     from rtee.hand.expression import Expression

@@ -21,8 +21,8 @@ from rtee.log.recording import Entry, Recording
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
 from rtee.loop.plan import Plan
-from rtee.sample import Measurements, measured_arrays
-from rtee.types import FloatArray, Result, readonly
+from rtee.sample import FloatArray, Measurements, measured_arrays
+from rtee.types import Result, readonly
 
 _QUANTITIES = ("position", "velocity", "effort")
 

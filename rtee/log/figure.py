@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtee.errors import LogError
 from rtee.log.labels import Band, Label, bands_of, labels_of
 from rtee.log.recording import JointSeries, Recording
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 MOST_POINTS = 4000
 """Points of a line; more are thinned out so that every peak stays: twice a screen's pixels."""

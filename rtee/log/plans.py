@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rtee.capabilities import GripForce
 from rtee.errors import MessageError
 from rtee.loop.grip import Grip
 from rtee.loop.plan import Leg, Plan
 from rtee.messages.codec import header
 from rtee.messages.schema import message_type
-from rtee.types import Goal, GripForce
+from rtee.types import Goal
 
 _PLAN = message_type("rtee_msgs/msg/Plan")
 

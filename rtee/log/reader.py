@@ -25,8 +25,8 @@ from rtee.messages import convert, topics
 from rtee.messages.codec import SECOND, channels_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.state import ACTUATOR_COLUMNS
-from rtee.sample import COLUMNS
-from rtee.types import FloatArray, Goal
+from rtee.sample import COLUMNS, FloatArray
+from rtee.types import Goal
 
 T = TypeVar("T")
 

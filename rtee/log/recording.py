@@ -16,17 +16,8 @@ from rtee.errors import LogError, suggestion
 from rtee.loop.plan import Plan
 from rtee.messages.codec import SECOND
 from rtee.object_description import ObjectDescription
-from rtee.sample import Measurements
-from rtee.types import (
-    BoolArray,
-    DeviceStatus,
-    Event,
-    Feedback,
-    FloatArray,
-    Goal,
-    LoopStatistics,
-    Result,
-)
+from rtee.sample import BoolArray, FloatArray, Measurements
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 T = TypeVar("T")
 

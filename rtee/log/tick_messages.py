@@ -22,8 +22,7 @@ from rtee.messages.layout import (
     stamp_bytes,
 )
 from rtee.messages.state import actuator_state_pieces, actuator_state_template
-from rtee.sample import TickRecord
-from rtee.types import FloatArray
+from rtee.sample import FloatArray, TickRecord
 
 _TIMES = struct.Struct("<IQQ")
 """The last part of a message record's head: sequence, log time and publish time [ns]."""

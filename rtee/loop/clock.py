@@ -12,7 +12,7 @@ from typing import Protocol
 
 from rtee.buses import timerfd
 from rtee.errors import ConfigError
-from rtee.loop.settings import MAX_RATE, MIN_RATE
+from rtee.hand.config_schema import MAX_RATE, MIN_RATE
 
 _NANOSECONDS = 1_000_000_000  # per second
 

@@ -7,15 +7,9 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 from rtee.errors import ConfigError
-from rtee.hand.config_schema import DeviceSection
+from rtee.hand.config_schema import DeviceSection, ProfileKind, RealtimeSettings
 from rtee.hand.model import Hand
-from rtee.loop.settings import (
-    DeviceSettings,
-    LoopSettings,
-    ProfileKind,
-    RealtimeSettings,
-    usual_profile,
-)
+from rtee.loop.settings import DeviceSettings, LoopSettings, usual_profile
 from rtee.types import DeviceSpec
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from rtee.errors import (
 )
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
-from rtee.sample import measured_arrays
-from rtee.types import ActuatorState, Lifecycle, Reference
+from rtee.sample import ActuatorState, measured_arrays
+from rtee.types import Lifecycle, Reference
 
 log = logging.getLogger(__name__)
 

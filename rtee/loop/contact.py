@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtee.loop.settings import GraspSettings, StallSettings
+from rtee.hand.config_schema import GraspSettings, StallSettings
 from rtee.sample import FloatArray, Measurements
 from rtee.types import ActuatorSpec
 

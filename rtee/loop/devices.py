@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, 
 import anyio
 import numpy as np
 
+from rtee.capabilities import GripForce
 from rtee.commands import Abort, Command, Freeze, SetAcceptsEffort, SetActive
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
@@ -18,8 +19,8 @@ from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
 from rtee.object_description import ObjectDescription
-from rtee.sample import TickRecord
-from rtee.types import Event, FloatArray, GripForce, Lifecycle, Reference, readonly
+from rtee.sample import FloatArray, TickRecord
+from rtee.types import Event, Lifecycle, Reference, readonly
 
 log = logging.getLogger(__name__)
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from rtee.actions.openings import Opening
+from rtee.capabilities import GripForce
 from rtee.errors import GoalRejected
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.model import Hand
 from rtee.loop.contact import TIP_FORCE, tip_forces
 from rtee.sample import TickRecord
-from rtee.types import GripForce
 
 TIPS: Final = "tip forces"
 """The force is the sum of what sensors at the fingertips measure."""

@@ -10,7 +10,7 @@ from typing import Protocol
 from rtee.commands import CommandRecord
 from rtee.loop.plan import Plan
 from rtee.object_description import ObjectDescription
-from rtee.sample import TickRecord as TickRecord  # what `on_tick` is given
+from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 log = logging.getLogger(__name__)

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Final
 from rtee.actions.naming import label
 from rtee.actions.openings import Opening
 from rtee.actions.types import Action, Primitive
+from rtee.capabilities import GripForce
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.grip import Grip, check_force
-from rtee.types import Goal, GripForce, Stage
+from rtee.types import Goal, Stage
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary

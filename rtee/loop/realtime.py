@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rtee.buses.timing import ask_for_short_slices
-from rtee.loop.settings import RealtimeSettings
+from rtee.hand.config_schema import RealtimeSettings
 
 SWITCH_INTERVAL = 50e-6
 """Longest time another thread runs Python while the loop waits [s]: a twentieth of a period at 1

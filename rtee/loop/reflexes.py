@@ -9,13 +9,13 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
+from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.free_motion import FreeMotion
 from rtee.loop.limiter import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile
-from rtee.loop.settings import GraspSettings
 from rtee.loop.squeeze import Held, Squeeze, finger_forces
 from rtee.types import Event, OnContact
 

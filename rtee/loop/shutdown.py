@@ -7,9 +7,9 @@ import logging
 import anyio
 
 from rtee.errors import RteeError
+from rtee.hand.config_schema import Behaviour
 from rtee.loop.handloop import ITSELF, HandLoop
 from rtee.loop.plan import OPEN
-from rtee.loop.settings import Behaviour
 from rtee.types import Event, Goal
 
 log = logging.getLogger(__name__)

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.profiles import Profile
-from rtee.loop.settings import GraspSettings
 from rtee.types import Event
 
 _SETTLE = 0.15

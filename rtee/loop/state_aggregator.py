@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.supervisor import Supervisor
-from rtee.sample import MEASURED, Measurements, measured_arrays
-from rtee.types import ActuatorState, BoolArray, FloatArray, readonly
+from rtee.sample import (
+    MEASURED,
+    ActuatorState,
+    BoolArray,
+    FloatArray,
+    Measurements,
+    measured_arrays,
+)
+from rtee.types import readonly
 
 _WORDS = {None: -1, False: 0, True: 1}
 

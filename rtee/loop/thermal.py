@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from rtee.loop.settings import ThermalSettings
+from rtee.hand.config_schema import ThermalSettings
 from rtee.types import Event
 
 PLAUSIBLE = (-40.0, 150.0)

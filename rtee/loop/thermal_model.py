@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from rtee.errors import ConfigError, suggestion
-from rtee.loop.settings import ThermalSettings
+from rtee.hand.config_schema import ThermalSettings
 from rtee.loop.thermal import PLAUSIBLE
 
 DEFAULTS = "defaults"

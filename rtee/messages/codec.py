@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtee.errors import MessageError
 from rtee.messages.cdr import HEADER, SCALARS, Reader, Writer
 from rtee.messages.schema import Field, message_type, reader_of, writer_of
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 T = TypeVar("T")
 Data = bytes | bytearray | memoryview

@@ -16,7 +16,7 @@ import numpy as np
 from rtee.messages.cdr import SCALARS, Reader
 from rtee.messages.codec import SECOND, header
 from rtee.messages.schema import MessageType, message_type
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _STAMP = struct.Struct("<iI")
 STAMP = "header.stamp"

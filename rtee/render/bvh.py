@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _LEAF: Final = 4
 """Triangles in a leaf of the tree: with fewer, boxes cost more than they save."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 FIELD: Final = math.radians(22.0)
 """Vertical field of view [rad]: that of a long lens, which hardly distorts fingers."""

@@ -18,7 +18,7 @@ from rtee.render.image import Contact, FileFormat, encode, linear_rgb, with_silh
 from rtee.render.mesh import HandMesh, Mesh
 from rtee.render.raycast import RayCaster, check_pictures
 from rtee.render.renderer import Renderer, Shading
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 SIZE: Final = (430, 400)
 """Width and height of a picture of a hand [pixels]."""

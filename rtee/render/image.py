@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from rtee.render.camera import Camera
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 if TYPE_CHECKING:
     from PIL import ImageDraw

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.hand.geometry import HandGeometry
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 IntArray = NDArray[np.int64]
 

@@ -16,7 +16,7 @@ from rtee.render.sampling import (
     fibonacci_lattice,
     normalised,
 )
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _TILE: Final = 4
 """Side of a tile [pixels]: its pixels use different rays, and are averaged afterwards."""

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _LIGHT_ANGLE: Final = math.radians(9.0)
 """Half the angle under which the light is seen [rad]: shadows get soft edges."""

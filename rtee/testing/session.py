@@ -16,8 +16,9 @@ from rtee.drivers.base import Driver
 from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import BusTimeout, FrameError
+from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
-from rtee.types import ActuatorState, Reference
+from rtee.types import Reference
 
 
 def open_files() -> int:

@@ -14,6 +14,7 @@ import numpy as np
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import (
     FINGERS,
@@ -39,7 +40,8 @@ from rtee.errors import (
     NotConnected,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _STALE = 0.25
 """Positions older than this count as lost [s]: more than eighty of the hand's periods."""

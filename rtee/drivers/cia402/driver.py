@@ -13,6 +13,7 @@ import numpy as np
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.cia301 import NmtCommand
@@ -33,7 +34,8 @@ from rtee.errors import (
     HandshakeError,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, JointKind, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, JointKind, Reference
 
 _DISARM_WITHIN = 0.5
 """Longest time to disarm the drives' watch over this program when closing [s]."""

@@ -16,7 +16,8 @@ from rtee.drivers.diagnosis.probes import can
 from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
 from rtee.drivers.registry import find_driver
 from rtee.errors import BusBusy, DeviceFault, DriverError, HandshakeError, NotConnected, RteeError
-from rtee.types import ActuatorState, DeviceSpec
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec
 
 _CAN_RATE = 1_000_000
 """Bit rate of the CAN bus of devices that have no option for it [bit/s]."""

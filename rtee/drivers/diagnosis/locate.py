@@ -8,7 +8,8 @@ import math
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.errors import BusTimeout, FrameError
-from rtee.types import ActuatorState, Reference
+from rtee.sample import ActuatorState
+from rtee.types import Reference
 
 _STEP = 0.02
 """Time between two references while it twitches [s], slow enough for every bus."""

@@ -19,7 +19,8 @@ from rtee.drivers.dynamixel.table import model_of
 from rtee.drivers.dynamixel.units import Scale, Scales
 from rtee.drivers.hold_on_attach import Attached
 from rtee.errors import CalibrationError, ConfigError, DeviceFault
-from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
 
 _STATE = struct.Struct("<hii")
 """Present current, velocity and position, side by side in the control table."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtee.drivers.dynamixel.table import PULSES, RAD_PER_PULSE, VELOCITY_UNIT
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _STATE = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 

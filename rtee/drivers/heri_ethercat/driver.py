@@ -16,6 +16,7 @@ from pydantic import Field
 from rtee.buses.ethercat import EthercatBus, Ring, State
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
@@ -44,7 +45,8 @@ from rtee.errors import (
     HandshakeError,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _REFUSED = 0x10000
 """Code of the fault that a board takes no command, above the sixteen bits of the fault word."""

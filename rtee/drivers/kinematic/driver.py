@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pydantic import BaseModel, ConfigDict, Field
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.kinematic.plant import Plant
 from rtee.drivers.options import read_options
@@ -20,7 +21,8 @@ from rtee.errors import (
     NotConnected,
     suggestion,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _MEASURES = frozenset({"position", "velocity", "effort"})
 

@@ -23,7 +23,8 @@ from rtee.hand.config_schema import ActuatorDynamics, Following
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.transmission import Coupling, sample
 from rtee.hand.urdf import UrdfJoint
-from rtee.types import ActuatorSpec, FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 DEGREE = 4
 """Degree of a joint equality's polynomial in MuJoCo."""

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, ClassVar
 import anyio
 import anyio.to_thread
 
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.options import read_options
 from rtee.errors import CommandRejected, NotConnected, needing_extra
 from rtee.hand.load import load_hand
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

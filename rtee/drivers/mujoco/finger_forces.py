@@ -7,7 +7,7 @@ import numpy as np
 
 from rtee.drivers.mujoco.pairs import LINK
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 class FingerForces:

@@ -23,7 +23,8 @@ from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
 from rtee.errors import ModelError
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.urdf import UrdfGeometry, UrdfJoint, UrdfLink
-from rtee.types import ActuatorSpec, FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 CARRIER = "carrier"
 """The body that carries the hand."""

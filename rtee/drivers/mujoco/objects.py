@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee.drivers.mujoco.contacts import make_object
 from rtee.errors import ConfigError
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 OBJECT = "object"
 """Name of the object's body, joint and (first) geom."""

@@ -11,7 +11,7 @@ from rtee.drivers.mujoco.contacts import make_pair_hard
 from rtee.drivers.mujoco.couplings import motor_joint
 from rtee.errors import ModelError
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 LINK = "link/"
 """Prefix of the name of a link's body: a link may be called ``world``, MuJoCo's own body."""

@@ -18,7 +18,8 @@ from rtee.hand.allowed_collisions import touch_at_rest
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 _INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)  # of the carrier's axes [kg, kg·m²]: a small arm's
 _STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)  # of its servos [N/m, N·m/rad]: 100 N bend it by 0.5 mm

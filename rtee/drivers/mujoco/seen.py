@@ -26,7 +26,7 @@ from rtee.object_description import (
     ObjectDescription,
     ObjectPart,
 )
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _LEAST_FORCE: Final = 1e-3
 """Weaker contacts are left out [N]: they cannot be seen, and touching links have many."""

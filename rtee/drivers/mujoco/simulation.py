@@ -16,7 +16,7 @@ from rtee.drivers.mujoco.seen import SeenChannels, describe
 from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.hand.model import Hand
-from rtee.types import BoolArray, FloatArray
+from rtee.sample import BoolArray, FloatArray
 
 
 class Simulation:

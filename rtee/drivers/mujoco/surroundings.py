@@ -9,7 +9,7 @@ from rtee.drivers.mujoco.model import CARRIER
 from rtee.drivers.mujoco.objects import OBJECT, TRIGGER
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 """The motions a carrier may have, in the order of its script's values."""

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.onrobot_3fg.codec import (
     FIRMWARE,
@@ -45,7 +46,8 @@ from rtee.errors import (
     HandshakeError,
     NotConnected,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, GripForce, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _SAME = 10
 """A diameter this near to the measured one asks for no motion [0.1 mm].

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
@@ -26,7 +27,8 @@ from rtee.drivers.qb_softhand.link import QbLink
 from rtee.drivers.qb_softhand.parameters import Limits, current_limit, limits
 from rtee.drivers.qb_softhand.synergy import CLOSURE_TICKS, Mapping, OneMotor, TwoMotors
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected, RteeError
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 INACTIVE = 1
 """Code of the only detectable fault, inactive motors; the hand itself has no codes."""

@@ -13,12 +13,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
-from rtee.sample import MEASURED
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import MEASURED, ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _PATIENCE = 0.02
 """Longest time that an exchange waits for the file [s]; longer, it would count as unanswered."""

@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 from pydantic import BaseModel, Field
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import GripForce
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.calibration import (
@@ -31,7 +32,8 @@ from rtee.drivers.robotiq_2f.codec import (
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
-from rtee.types import ActuatorState, DeviceSpec, FloatArray, GripForce, Reference
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
 
 _MORE = 6
 """Registers that published programs also read from a two-finger gripper."""

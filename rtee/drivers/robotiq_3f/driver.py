@@ -9,6 +9,7 @@ from typing import ClassVar
 from pydantic import BaseModel
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import GripForce
 from rtee.drivers.options import read_options
 from rtee.drivers.robotiq_3f.codec import (
     AXES,
@@ -27,7 +28,8 @@ from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import DeviceFault, HandshakeError
-from rtee.types import ActuatorState, DeviceSpec, GripForce, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _PRESSING = (Contact.OPENING, Contact.CLOSING)
 _SIMPLE = 3

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.drivers.schunk_svh.channels import Channel
 from rtee.drivers.schunk_svh.codec import FeedbackAll
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _LEEWAY = 1000
 """Change of a position that may be noise at any speed [ticks]: 1 to 3 % of a range."""

@@ -13,6 +13,7 @@ from typing import ClassVar
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
@@ -30,7 +31,8 @@ from rtee.errors import (
     RteeError,
     suggestion,
 )
-from rtee.types import ActuatorSpec, ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import ActuatorSpec, DeviceSpec, Reference
 
 _STALE = 0.3
 """A state older than this counts as lost [s]: thirty periods of the server's usual rate."""

@@ -11,7 +11,8 @@ from rtee.commands import BeginStream, StreamSample, StreamStatus
 from rtee.loop.motion import Limits
 from rtee.loop.streams.interpolator import Interpolator
 from rtee.loop.streams.playout import Playout
-from rtee.types import FloatArray, readonly
+from rtee.sample import FloatArray
+from rtee.types import readonly
 
 CHANNEL = "stream/lag"
 """The channel of the state that has lag and jitter of a stream [s], while it plays."""
