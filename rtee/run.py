@@ -15,6 +15,7 @@ import anyio
 from rtee.buses.pool import BusPool
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, LoopError, RteeError
+from rtee.hand.config_schema import Behaviour, RealtimeSettings
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
 from rtee.loop.configure import profile_words, realtime_settings
@@ -28,7 +29,6 @@ from rtee.loop.realtime import (
     small_stacks,
 )
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
-from rtee.loop.settings import Behaviour, RealtimeSettings
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.shutdown_signals import Signals, companion, receive_signals, wait_for_end
 from rtee.loop.tick_driver import drive

@@ -1,4 +1,4 @@
-"""What about this computer helps or hinders a fast loop, and the files that make it a robot PC."""
+"""Check what helps or hinders a fast loop on this computer, and write the files for a robot PC."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ def _python() -> Check:
 
 def _kernel(root: Path) -> Check:
     release, version = platform.release(), platform.version()
+    # Older real-time kernels say so only there.
     realtime = root / "sys/kernel/realtime"
     if "PREEMPT_RT" in version or _read(realtime) == "1":
         return ok("kernel", f"{release}, real-time")
