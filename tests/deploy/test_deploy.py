@@ -130,7 +130,7 @@ def test_a_hand_that_was_changed_is_brought_up_to_date(root: Path, tmp_path: Pat
 def test_hands_share_files_until_the_last_one_goes(root: Path, tmp_path: Path) -> None:
     before = tree(root)
     for name in ("left", "right"):
-        install(root, write_hand(tmp_path, name), **{"gripper": f"FT{name}"})
+        install(root, write_hand(tmp_path, name), gripper=f"FT{name}")
     assert UNIT not in Installation(root).uninstall("left")
     assert (root / UNIT[1:]).exists()
     assert not (root / "etc/udev/rules.d/90-rtee-left.rules").exists()
