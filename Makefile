@@ -24,7 +24,8 @@ test: lint types layers
 
 # The wheel as a user gets it: in an empty environment of each Python there is, and on ARM.
 wheels: .venv/.ready
-	RTEE_WHEELS=1 $(BIN)/python -m pytest -v tests/install tests/deploy/test_bundle.py
+	RTEE_WHEELS=1 $(BIN)/python -m pytest -v tests/install \
+		tests/deploy/test_bundle.py tests/deploy/test_container.py
 
 # For a robot PC without a network: make bundle FOR="--python 3.12 --platform aarch64"
 bundle: .venv/.ready
