@@ -268,6 +268,28 @@ def test_the_kernel_leaves_cpus_to_the_loop(tmp_path: Path) -> None:
     assert "isolcpus=2,3 nohz_full=2,3 rcu_nocbs=2,3" in text
 
 
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+def test_systemd_understands_what_is_added_to_the_unit(tmp_path: Path) -> None:
+    pytest.importorskip("pysoem")
+    more = "remote: {listen: ['tcp/0.0.0.0:7447']}\nlog: {directory: /data/logs}\n"
+    hand = write_hand(tmp_path, driver="heri_ethercat", options="{interface: eth1}", more=more)
+    files = system_files(needs_of(hand), "/bin/true", realtime=False)
+    units = tmp_path / "units"
+    for path, content in files.items():
+        if path.startswith("/etc/systemd/system/"):
+            place = units / Path(path).relative_to("/etc/systemd/system")
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(content)
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "rtee@jaw.service"],
+        env=os.environ | {"SYSTEMD_UNIT_PATH": f"{units}:"},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert "AF_PACKET" in (units / "rtee@jaw.service.d/10-hand.conf").read_text()
+
+
 # --- the doctor ----------------------------------------------------------------------------------
 
 
