@@ -4,10 +4,11 @@
 
 `rtee run` at 1 kHz records into files of 20 s, of which 20 MB are kept, while a client opens and
 closes the hand and a window on another computer (see `benchmarks/gui.py`) shows all of it in the
-GUI. Every two seconds the processes' memory (their share of it, PSS), threads and open files are
-noted, and what the recordings take of the disk. After the warm-up, in which the flight recorder
-fills, a straight line is put through each by least squares: its slope is what an hour would add.
-The error is twice the slope's standard error, from the means of ten notes each.
+GUI. Every two seconds the processes' own memory (not the pages of files, which other programs share
+or not), threads and open files are noted, and what the recordings take of the disk. After the
+warm-up, in which the flight recorder fills, a straight line is put through each by least squares:
+its slope is what an hour would add. The error is twice the slope's standard error, from the means
+of ten notes each.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ LOG = "\nlog: {max_file_time: 20.0, max_total_size: 2.0e7}\n"
 """A week's worth of rotations in an hour or two."""
 
 
-def share(pid: int) -> float:
-    """Return a process' share of the memory [byte]."""
+def own(pid: int) -> float:
+    """Return the memory that is a process' own [byte]."""
     for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-        if line.startswith("Pss:"):
+        if line.startswith("Pss_Anon:"):
             return float(line.split()[1]) * 1024
-    raise SystemExit("this kernel does not tell shares of memory")
+    raise SystemExit("this kernel does not tell whose memory is whose")
 
 
 def count(pid: int, what: str) -> float:
@@ -47,7 +48,7 @@ def note(processes: Mapping[str, int], logs: Path) -> dict[str, float]:
     """Return what there is at this moment, in MB and numbers."""
     found: dict[str, float] = {}
     for name, pid in processes.items():
-        found[f"{name}: memory [MB]"] = share(pid) / MEGA
+        found[f"{name}: own memory [MB]"] = own(pid) / MEGA
         found[f"{name}: threads"] = count(pid, "task")
         found[f"{name}: open files"] = count(pid, "fd")
     files = [path.stat().st_size for path in logs.glob("*.mcap") if path.exists()]
