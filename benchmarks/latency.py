@@ -146,7 +146,8 @@ def serve(arguments: argparse.Namespace) -> None:
 
 def echo() -> None:
     """Answer a Zenoh query at once, with the time at which it came, until standard input ends."""
-    session, endpoint = open_server([], [])
+    folder = tempfile.TemporaryDirectory()
+    session, endpoint = open_server(Path(folder.name) / "echo.sock")
 
     def answer(query: zenoh.Query) -> None:
         came = now()
@@ -157,6 +158,7 @@ def echo() -> None:
     print(endpoint, flush=True)
     sys.stdin.read()
     session.close()
+    folder.cleanup()
 
 
 async def send_goals(

@@ -24,7 +24,7 @@ from rtee.messages import network_key
 from rtee.messages.requests import ALIVE, ANSWERS, ASK, CLIENTS, CONTROL, STOP
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.command_handlers import CommandHandlers
-from rtee.remote.directory import announced
+from rtee.remote.directory import claimed
 from rtee.remote.incoming_request import handle_request, number_and_client, refusal, reply
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
@@ -38,7 +38,7 @@ class RemoteSettings(Protocol):
 
     @property
     def listen(self) -> Sequence[str]:
-        """Zenoh endpoints to listen on, besides loopback."""
+        """Zenoh endpoints to listen on, besides the socket on this computer."""
 
     @property
     def connect(self) -> Sequence[str]:
@@ -107,8 +107,9 @@ class Server:
         in_thread = anyio.to_thread.run_sync
         hand = loop.hand
         async with contextlib.AsyncExitStack() as stack:
+            place = stack.enter_context(claimed(hand.name))
             session, endpoint = await in_thread(
-                open_server, list(settings.listen), list(settings.connect)
+                open_server, place.socket, list(settings.listen), list(settings.connect)
             )
             stack.push_async_callback(in_thread, session.close)
             streams = Streams(session, hand, loop.settings.rate, settings.state_rate)
@@ -124,7 +125,8 @@ class Server:
             stack.callback(loop.remove_observer, publisher)
             server.declare()
             # Last: waiting clients send requests as soon as the hand is announced.
-            stack.enter_context(announced(hand.name, [endpoint]))
+            place.write([endpoint])
+            stack.callback(place.withdraw)
             yield server
 
     def declare(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -169,6 +170,13 @@ class Served:
         """Wait for an event of a kind."""
         await until(lambda: kind in [event.kind for event in self.watcher.events])
         return next(event for event in self.watcher.events if event.kind == kind)
+
+
+def free_endpoint() -> str:
+    """Return a loopback endpoint with a free port."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 async def until(condition: Callable[[], bool]) -> None:
