@@ -254,10 +254,10 @@ async def connect(
         NoHand: if no such hand runs.
         ConfigError: if several hands run and none is named.
     """
-    session, name = await open_hand(hand, endpoint, wait, on_wait)
+    session, name, way = await open_hand(hand, endpoint, wait, on_wait)
     # The process and a random part distinguish clients that have the same name.
     identity = safe_name(f"{client[:60]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
-    link = Link(session, name, identity)
+    link = Link(session, name, identity, way)
     try:
         remote = RemoteHand(link)
         await link.connect()

@@ -7,13 +7,13 @@ threads. The loop's thread never takes it, so that requests cannot hold up the l
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
-from rtee.errors import ConfigError, GoalRejected, RequestRejected
+from rtee.errors import GoalRejected, RequestRejected
 from rtee.hand.names import check_name
 from rtee.loop.handloop import HandLoop
 from rtee.messages import decode_goal
@@ -25,15 +25,12 @@ from rtee.types import Goal
 
 Fields = Mapping[str, Any]
 
-_WITHOUT_LEASE = ("hello", "release")
+_WITHOUT_LEASE = ("release",)
 """Requests that are accepted while another client holds the lease."""
-
-_MOST_WAITING = 64
-"""Clients that may wait for the answer to ``hello``: far more than connect at once, but bounded."""
 
 
 class CommandHandlers:
-    """Handles the requests of the groups ``control`` and ``stop``, and keeps the list of clients.
+    """Handles the requests of the groups ``control`` and ``stop``.
 
     Args:
         loop: The hand's loop.
@@ -44,10 +41,7 @@ class CommandHandlers:
     def __init__(self, loop: HandLoop, lease: Lease, thread: LoopThread) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
         self._lock = threading.Lock()
-        self._clients: set[str] = set()
-        self._greeting: dict[str, IncomingRequest] = {}
         self._handlers: dict[str, Callable[[IncomingRequest], str | None]] = {
-            "hello": self._hello,
             "cancel": self._cancel,
             "hold": self._hold,
             "jog": self._jog,
@@ -72,12 +66,13 @@ class CommandHandlers:
         if name == "sample":
             raise RequestRejected("samples of a stream are put, not queried")
         goal = decode_goal(request.question) if name == "do" else None
-        client = request.fields["client"] if goal is None else goal.client
+        if goal is None:
+            request.check()
+        elif goal.client != request.client:
+            goal = replace(goal, client=request.client)
         with self._lock:
-            if name != "hello":
-                self._check_known(client)
             if name not in _WITHOUT_LEASE:
-                self._lease.check(client)
+                self._lease.check(request.client)
             text = self._handlers[name](request) if goal is None else self._do(goal)
         return None if text is None else REPLY.encode(accepted(text))
 
@@ -88,10 +83,6 @@ class CommandHandlers:
         self._take_sample(request)
         return None
 
-    def _check_known(self, client: str) -> None:
-        if client not in self._clients:
-            raise RequestRejected("this client is not known here; say hello first")
-
     def _take_sample(self, request: IncomingRequest) -> None:
         """Take a sample of a stream; only refusals are answered."""
         streams = self._loop.streams
@@ -99,13 +90,13 @@ class CommandHandlers:
             if not streams.admit():
                 return
             sample = STREAM_TARGETS.decode(request.question)
-            self._check_known(sample.client)
-            self._lease.check(sample.client)
+            self._lease.check(request.client)
             streams.sample(sample)
 
     def stop(self, request: IncomingRequest) -> None:
         """Stop all devices; any client may ask for it, even without ``hello``."""
-        client = request.fields["client"] or "a client"
+        request.check()
+        client = request.client or "a client"
 
         async def run() -> None:
             confirmed = dict(await self._loop.stop(f"stopped by {client}"))
@@ -113,34 +104,12 @@ class CommandHandlers:
 
         self._thread.start(run)
 
-    def knows(self, client: str) -> bool:
-        """Return whether a client is connected."""
-        return client in self._clients
-
-    def client_came(self, client: str) -> None:
-        """Note that a client has connected."""
-        with contextlib.suppress(ConfigError), self._lock:
-            self._clients.add(check_name(client, "client"))
-            greeting = self._greeting.pop(client, None)
-            if greeting is not None:
-                greeting.answer(accepted())
-
     def client_left(self, client: str) -> None:
         """Note that a client has left; if it held the lease, the loop acts as configured."""
         with self._lock:
-            self._clients.discard(client)
             held = self._lease.client_left(client)
         if held:
             self._thread.call_soon(self._loop.client_lost, client)
-
-    def _hello(self, request: IncomingRequest) -> str | None:
-        client = check_name(request.fields["client"], "client")
-        if client in self._clients:
-            return ""
-        if len(self._greeting) >= _MOST_WAITING:
-            raise RequestRejected("too many clients say hello without a liveliness token")
-        self._greeting[client] = request  # answered when its liveliness token is seen
-        return None
 
     def _do(self, goal: Goal) -> str:
         check_name(goal.goal_id, "goal")
@@ -160,14 +129,14 @@ class CommandHandlers:
         return ""
 
     def _hold(self, request: IncomingRequest) -> str:
-        self._loop.hold(f"{request.fields['client']} asked to hold")
+        self._loop.hold(f"{request.client} asked to hold")
         return ""
 
     def _jog(self, request: IncomingRequest) -> str:
         fields = request.fields
         limit = None if math.isnan(fields["limit"]) else fields["limit"]  # NaN: no limit given
         self._loop.jog(_values(fields), limit)
-        self._lease.jogged(fields["client"])
+        self._lease.jogged(request.client)
         return ""
 
     def _begin_stream(self, request: IncomingRequest) -> str:
@@ -176,7 +145,7 @@ class CommandHandlers:
         if self._lease.runs(stream):
             raise GoalRejected(f"the stream '{stream}' runs already")
         # Before it is begun: the loop may end the stream before `begin` returns.
-        self._lease.started(fields["client"], stream)
+        self._lease.started(request.client, stream)
         try:
             within = None if math.isnan(deadline) else deadline  # NaN: as configured
             self._loop.streams.begin(stream, fields["rate"], within)
@@ -199,11 +168,11 @@ class CommandHandlers:
         self._answer_after(request, lambda: self._loop.recover(device))
 
     def _acquire(self, request: IncomingRequest) -> str:
-        self._lease.acquire(request.fields["client"])
+        self._lease.acquire(request.client)
         return ""
 
     def _release(self, request: IncomingRequest) -> str:
-        self._lease.release(request.fields["client"])
+        self._lease.release(request.client)
         return ""
 
     def _answer_after(self, request: IncomingRequest, work: Callable[[], Awaitable[None]]) -> None:

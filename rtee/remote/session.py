@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import zenoh
 
 from rtee.errors import ConfigError, NoHand
+from rtee.messages.requests import HERE, PLAIN
 
 RUNTIME = "(rx:(worker_threads:1),tx:(worker_threads:1)"
 RUNTIME += ",acc:(handover:rx),net:(handover:rx),app:(handover:rx))"
@@ -190,9 +191,12 @@ def open_server(
         return session, endpoint
     except (OSError, zenoh.ZError) as error:
         where = ", ".join([*listen, *connect]) or endpoint
-        raise ConfigError(
-            f"the network endpoint {where} cannot be used: {_words(error)}"
-        ) from None
+        raise ConfigError(f"the network endpoint {where} cannot be used: {_words(error)}") from None
+
+
+def way_to(endpoint: str) -> str:
+    """Return how a client comes to a hand through an endpoint; see `HELLO`."""
+    return HERE if endpoint.startswith(LOCAL) else PLAIN
 
 
 def open_client(endpoints: Sequence[str]) -> zenoh.Session:
