@@ -98,10 +98,8 @@ def _watching(hand: str) -> Iterable[dict[str, Any]]:
 
 def _requests(hand: str, role: Role, way: str) -> dict[str, Any]:
     """Return which requests those who come in a way may send: what their role allows, and hello."""
-    keys = [f"{HELLO}/{way}"]
-    for request in REQUESTS.values():
-        if request.group != HELLO and request.role <= role:
-            keys.append(f"{request.group}/{request.name}")
+    allowed = [one for one in REQUESTS.values() if one.group != HELLO and one.role <= role]
+    keys = [f"{HELLO}/{way}", *(f"{one.group}/{one.name}" for one in allowed)]
     return _rule(_name(role, way), "ingress", ["put", "query"], hand, keys)
 
 

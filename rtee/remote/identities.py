@@ -18,6 +18,7 @@ from rtee.errors import RequestRejected
 from rtee.hand.names import check_name
 from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import HERE, PLAIN, Request, Role
+from rtee.remote.credentials import person
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.rates import Rates
 
@@ -35,7 +36,7 @@ RoleOf = Callable[[str], Role | None]
 
 
 def local_roles(way: str) -> Role | None:
-    """Return the role of those who come through the Unix socket or an endpoint left open."""
+    """Return the role of those who come without a certificate."""
     return Role.MAINTAINER if way in (HERE, PLAIN) else None
 
 
@@ -192,11 +193,6 @@ class Identities:
             return None
         with self._lock:
             return client if client.is_new(request, claim.count) else None
-
-
-def person(way: str) -> str:
-    """Return for whom a certificate was made: its name without the part that makes it unique."""
-    return way.rpartition(".")[0]
 
 
 def _shorten(waiting: OrderedDict[str, Any]) -> None:

@@ -19,11 +19,11 @@ import anyio.to_thread
 import zenoh
 
 from rtee.errors import RequestRejected
+from rtee.hand.config_schema import SecuritySettings
 from rtee.loop.handloop import HandLoop
 from rtee.messages import network_key
 from rtee.messages.identity import claim_of
 from rtee.messages.requests import ALIVE, ANSWERS, ASK, CLIENTS, CONTROL, HELLO, STOP, Request
-from rtee.remote.access import access_control
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.directory import claimed
@@ -38,6 +38,7 @@ from rtee.remote.incoming_request import (
 )
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
+from rtee.remote.protection import Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
 from rtee.remote.session import EXPRESS, direct, disable_linger, open_server
@@ -53,6 +54,10 @@ class RemoteSettings(Protocol):
     @property
     def connect(self) -> Sequence[str]:
         """Zenoh endpoints to connect to."""
+
+    @property
+    def security(self) -> SecuritySettings:
+        """Who may use the hand on a network."""
 
     @property
     def state_rate(self) -> float:
@@ -120,14 +125,9 @@ class Server:
         hand = loop.hand
         async with contextlib.AsyncExitStack() as stack:
             place = stack.enter_context(claimed(hand.name))
+            protection = await in_thread(Protection, hand.name, settings)
             session, endpoint = await in_thread(
-                partial(
-                    open_server,
-                    place.socket,
-                    list(settings.listen),
-                    list(settings.connect),
-                    {"access_control": access_control(hand.name, {}, plain=True)},
-                )
+                open_server, place.socket, settings.listen, settings.connect, protection.settings
             )
             stack.push_async_callback(in_thread, session.close)
             streams = Streams(session, hand, loop.settings.rate, settings.state_rate)
@@ -135,7 +135,7 @@ class Server:
             lease, thread = Lease(), LoopThread()
             commands = CommandHandlers(loop, lease, thread)
             queries = QueryHandlers(loop, lease, thread, streams, recording, profile)
-            identities = Identities()
+            identities = Identities(protection.role_of)
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)
             stack.push_async_callback(thread.close)
@@ -202,7 +202,7 @@ class Server:
 
         def answer(data: bytes, ok: bool) -> None:
             claim = claim_of(attachment)
-            # Only who has signed the request is answered: others could refuse it in the hand's name.
+            # Only who has signed it is answered; else others could have it refused.
             if claim is not None and name:
                 self._answer_put(name, claim.number, data, ok)
 

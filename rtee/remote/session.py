@@ -7,6 +7,7 @@ user, or the group of a service, may enter.
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import json
 import os
 import re
@@ -21,6 +22,7 @@ import zenoh
 
 from rtee.errors import ConfigError, NoHand
 from rtee.messages.requests import HERE, PLAIN
+from rtee.remote.credentials import identity
 
 RUNTIME = "(rx:(worker_threads:1),tx:(worker_threads:1)"
 RUNTIME += ",acc:(handover:rx),net:(handover:rx),app:(handover:rx))"
@@ -45,6 +47,9 @@ T = TypeVar("T")
 
 LOCAL = "unixsock-stream"
 """Zenoh's name of the protocol on this computer."""
+
+TLS = "tls/"
+"""Beginning of the endpoints that admit nobody without a certificate."""
 
 _LONGEST_SOCKET = 107 if sys.platform == "linux" else 103
 """Longest path of a Unix socket [bytes]; operating systems store it in a field of fixed size."""
@@ -77,7 +82,7 @@ _ENDPOINT = re.compile(
     r"((tcp|udp|tls|quic|ws)/(\[[^\]]+\]|[^:/?#]+):[0-9]{1,5}"
     r"|(serial|unixpipe|unixsock-stream|vsock)/[^?#]+)(\?[^#]*)?(#.*)?"
 )
-_TCP = re.compile(r"tcp/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
+_TCP = re.compile(r"(?:tcp|tls)/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
 _SOCKET = re.compile(LOCAL + r"/([^?#]+)")
 
 _COMMON: dict[str, Any] = {
@@ -196,7 +201,19 @@ def open_server(
 
 def way_to(endpoint: str) -> str:
     """Return how a client comes to a hand through an endpoint; see `HELLO`."""
+    if endpoint.startswith(TLS):
+        return identity().name
     return HERE if endpoint.startswith(LOCAL) else PLAIN
+
+
+def is_safe(endpoint: str) -> bool:
+    """Return whether nobody can come through an endpoint who is not admitted."""
+    match = _TCP.fullmatch(endpoint)
+    if match is not None and not endpoint.startswith(TLS):
+        with contextlib.suppress(ValueError):
+            return ipaddress.ip_address(match[1].strip("[]")).is_loopback
+        return match[1] == "localhost"
+    return endpoint.startswith((TLS, LOCAL))
 
 
 def open_client(endpoints: Sequence[str]) -> zenoh.Session:
@@ -207,12 +224,14 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         ConfigError: if an endpoint is malformed.
     """
     _check(endpoints)
-    settings = {
+    settings: dict[str, Any] = {
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
         "connect/exit_on_failure": True,
         "connect/timeout_ms": _CONNECT_WITHIN * 1000,
     }
+    if any(endpoint.startswith(TLS) for endpoint in endpoints):
+        settings |= identity().settings()
     try:
         # Zenoh itself would retry for a long time where nobody listens.
         for endpoint in endpoints:
@@ -234,7 +253,7 @@ def _check(endpoints: Sequence[str]) -> None:
 
 
 def _probe(endpoint: str) -> None:
-    """Raise `OSError` if nobody listens on a plain TCP endpoint or a Unix socket."""
+    """Raise `OSError` if nobody listens on an endpoint of TCP, TLS or a Unix socket."""
     if match := _TCP.fullmatch(endpoint):
         socket.create_connection((match[1].strip("[]"), int(match[2])), _PROBE_WITHIN).close()
     elif match := _SOCKET.fullmatch(endpoint):

@@ -15,6 +15,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference, Evidence, Opposition, Primitive, PrimitiveKind
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.hand.config_schema import SecuritySettings
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.log.settings import RecorderStatus
@@ -148,6 +149,7 @@ class Remote:
     listen: list[str] = field(default_factory=list)
     connect: list[str] = field(default_factory=list)
     state_rate: float = 100.0
+    security: SecuritySettings = field(default_factory=SecuritySettings)
 
 
 @dataclass

@@ -185,7 +185,7 @@ async def test_who_is_not_there_moves_nothing(
             ok, answer = (await anyio.to_thread.run_sync(rude[0].ask, request.key("small"), data))[
                 0
             ]
-            assert not ok, key
+            assert not ok
             assert REPLY.decode(answer)["reason"]
         await _still_well(remote)
 
