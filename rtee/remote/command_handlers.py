@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -24,6 +25,9 @@ from rtee.remote.loop_thread import LoopThread
 from rtee.types import Goal
 
 Fields = Mapping[str, Any]
+
+_STOPPED_FOR = 0.02
+"""Time for which a stop counts for the next one, too [s]: below it nobody presses twice."""
 
 _WITHOUT_LEASE = ("release",)
 """Requests that are accepted while another client holds the lease."""
@@ -41,6 +45,11 @@ class CommandHandlers:
     def __init__(self, loop: HandLoop, lease: Lease, thread: LoopThread) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
         self._lock = threading.Lock()
+        self._stop_lock = threading.Lock()
+        self._stopping: list[IncomingRequest] = []
+        self._stopped: Fields = {}
+        self._stopped_at, self._stopped_after = -math.inf, 0
+        self._moves = 0  # counts what may have moved the hand, before and after it does
         self._handlers: dict[str, Callable[[IncomingRequest], str | None]] = {
             "cancel": self._cancel,
             "hold": self._hold,
@@ -73,7 +82,9 @@ class CommandHandlers:
         with self._lock:
             if name not in _WITHOUT_LEASE:
                 self._lease.check(request.client)
+            self._moves += 1
             text = self._handlers[name](request) if goal is None else self._do(goal)
+            self._moves += 1
         return None if text is None else REPLY.encode(accepted(text))
 
     def handle_put(self, request: IncomingRequest) -> bytes | None:
@@ -91,23 +102,63 @@ class CommandHandlers:
                 return
             sample = STREAM_TARGETS.decode(request.question)
             self._lease.check(request.client)
+            self._moves += 1
             streams.sample(sample)
+            self._moves += 1
 
     def stop(self, request: IncomingRequest) -> None:
-        """Stop all devices; any client may ask for it, even without ``hello``."""
+        """Stop all devices; anybody may ask for it, even without ``hello``.
+
+        Stops that come while the devices are being stopped are carried out together afterwards. One
+        that comes right after another, with nothing in between that could move the hand, is
+        answered as that one was.
+        """
         request.check()
-        client = request.client or "a client"
+        with self._stop_lock:
+            if self._is_stopped():
+                request.answer(self._stopped)
+                return
+            self._stopping.append(request)
+            if len(self._stopping) > 1:
+                return  # the one before has begun
+        self._thread.start(self._stop_together)
 
-        async def run() -> None:
+    def _is_stopped(self) -> bool:
+        recently = time.monotonic() - self._stopped_at < _STOPPED_FOR
+        still = self._loop.controller.running is None  # a goal of the loop's own would move it
+        return recently and still and self._stopped_after == self._moves
+
+    async def _stop_together(self) -> None:
+        try:
+            await self._stop_all()
+        except BaseException:
+            with self._stop_lock:
+                self._stopping.clear()  # else no stop would ever begin again
+            raise
+
+    async def _stop_all(self) -> None:
+        while True:
+            with self._stop_lock:
+                asked, moves = len(self._stopping), self._moves
+                client = self._stopping[0].client or "a client"
             confirmed = dict(await self._loop.stop(f"stopped by {client}"))
-            request.answer({"device": list(confirmed), "confirmed": list(confirmed.values())})
-
-        self._thread.start(run)
+            answer = {"device": list(confirmed), "confirmed": list(confirmed.values())}
+            with self._stop_lock:
+                done, self._stopping[:asked] = self._stopping[:asked], []
+                if all(confirmed.values()):
+                    self._stopped, self._stopped_after = answer, moves
+                    self._stopped_at = time.monotonic()
+                more = bool(self._stopping)
+            for request in done:
+                request.answer(answer)
+            if not more:
+                return
 
     def client_left(self, client: str) -> None:
         """Note that a client has left; if it held the lease, the loop acts as configured."""
         with self._lock:
             held = self._lease.client_left(client)
+            self._moves += 1  # what is configured for it may move the hand
         if held:
             self._thread.call_soon(self._loop.client_lost, client)
 

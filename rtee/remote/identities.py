@@ -20,7 +20,7 @@ from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import HERE, PLAIN, Request, Role
 from rtee.remote.credentials import person
 from rtee.remote.incoming_request import IncomingRequest, accepted
-from rtee.remote.rates import Rates
+from rtee.remote.rates import Ignored, Rates
 
 _MOST_CLIENTS = 64
 """Clients that may come the same way, such as with the same certificate: far more than work."""
@@ -46,16 +46,15 @@ class Client:
     Attributes:
         name: Its name, which no other client has.
         way: How it came to the hand, see `HELLO`.
-        role: What it may do.
         secret: What it signs its requests with.
         token: Name of its liveliness token.
         rates: How fast it may send requests.
     """
 
-    __slots__ = ("_newest", "name", "rates", "role", "secret", "token", "way")
+    __slots__ = ("_newest", "name", "rates", "secret", "token", "way")
 
-    def __init__(self, name: str, way: str, role: Role, token: str) -> None:
-        self.name, self.way, self.role, self.token = name, way, role, token
+    def __init__(self, name: str, way: str, token: str) -> None:
+        self.name, self.way, self.token = name, way, token
         self.secret = secrets.token_bytes(SECRET)
         self.rates = Rates()
         self._newest: dict[str, int] = {}
@@ -78,6 +77,7 @@ class Identities:
     def __init__(self, role_of: RoleOf = local_roles) -> None:
         self._role_of = role_of
         self._lock = threading.Lock()
+        self._strangers = Rates()
         self._there: dict[str, Client] = {}
         self._by_token: dict[str, Client] = {}
         self._gone: OrderedDict[str, Client] = OrderedDict()
@@ -101,8 +101,7 @@ class Identities:
             RequestRejected: if it is not admitted, with the reason.
         """
         name, token = check_name(request.fields["client"], "client"), request.fields["what"]
-        role = self._role_of(way)
-        if role is None:
+        if self._role_of(way) is None:
             raise RequestRejected(f"the certificate of '{way[:50]}' is not admitted here")
         if way not in (HERE, PLAIN) and not name.startswith(f"{person(way)}-"):
             raise RequestRejected(
@@ -115,7 +114,7 @@ class Identities:
                 raise RequestRejected(f"there is a client '{name}' already")
             if sum(one.way == way for one in self._there.values()) >= _MOST_CLIENTS:
                 raise RequestRejected(f"there are {_MOST_CLIENTS} clients of this kind already")
-            client = Client(name, way, role, token)
+            client = Client(name, way, token)
             if token in self._tokens:
                 del self._tokens[token]
                 self._admit(client, request)
@@ -165,24 +164,38 @@ class Identities:
         Raises:
             RequestRejected: if nobody has signed it, it was sent before, its client may not send
                 it, or sends too many.
+            Ignored: if there are too many even to be refused.
         """
         client = self._signer(request.name, attachment, question)
         if client is None:
-            raise RequestRejected("this client is not known here; say hello first")
-        if self._role_of(client.way) is None:
-            raise RequestRejected("the certificate of this client was revoked")
-        if client.role < request.role:
-            raise RequestRejected(
+            self._strangers.refuse("this client is not known here; say hello first")
+        rates, role = client.rates, self._role_of(client.way)
+        if role is None:
+            rates.refuse("the certificate of this client was revoked")
+        if role < request.role:
+            rates.refuse(
                 f"'{request.name}' needs the role {request.role.name.lower()}; this client has"
-                f" the role {client.role.name.lower()}"
+                f" the role {role.name.lower()}"
             )
-        client.rates.check(request.name)
+        if not rates.allow(request.name):
+            rates.refuse(f"too many requests '{request.name}' in a short time")
         return client.name
+
+    def welcome(self, request: Request, attachment: bytes | None, question: bytes) -> str:
+        """Return the empty name of somebody who says hello; raises `Ignored` if too many do."""
+        if not self._strangers.allow(request.name):
+            raise Ignored
+        return ""
 
     def name(self, request: Request, attachment: bytes | None, question: bytes) -> str:
         """Return the name of the client that has sent a request; empty if nobody has signed it."""
         client = self._signer(request.name, attachment, question)
         return "" if client is None else client.name
+
+    def answers_stop(self, name: str) -> bool:
+        """Return whether one more stop of a client is answered; it takes effect in any case."""
+        client = self._there.get(name)
+        return (self._strangers if client is None else client.rates).allow("stop")
 
     def _signer(self, request: str, attachment: bytes | None, question: bytes) -> Client | None:
         claim = claim_of(attachment)

@@ -14,6 +14,7 @@ from rtee.messages import network_key
 from rtee.messages.identity import LONGEST_CLAIM
 from rtee.messages.requests import HELLO, REQUESTS, Request
 from rtee.messages.schema import message_type
+from rtee.remote.rates import Ignored
 
 log = logging.getLogger(__name__)
 
@@ -103,6 +104,8 @@ def handle_request(
         request, question = read(message, group)
         client = check(request, attachment_of(message), question)
         answer = handle(IncomingRequest(request, question, send, client))
+    except Ignored:
+        pass
     except Exception as error:
         send(refusal(error), False)
     else:

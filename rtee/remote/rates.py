@@ -1,14 +1,19 @@
-"""How many requests of a kind a client may send in a second."""
+"""How many requests of a kind a client may send in a second, and how many are refused aloud."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import NoReturn
 
 from rtee.errors import RequestRejected
 
 _BURST = 0.5
 """Requests that may come at once are those of this time [s]."""
+
+REFUSALS = "refusals"
+"""Name under which refusals are counted; further ones are not answered, since an answer costs more
+than to look at a request."""
 
 _USUAL = 100.0
 """Requests of a kind [1/s]: several times what programs ask for that poll."""
@@ -25,8 +30,13 @@ _RATES = {
     "remove": 40.0,
     "rename": 40.0,
     "record": 10.0,
+    REFUSALS: 200.0,
 }
 """Requests of some kinds [1/s]."""
+
+
+class Ignored(Exception):
+    """A request that is not even answered."""
 
 
 class Rates:
@@ -42,11 +52,18 @@ class Rates:
         self._now = now
         self._left: dict[str, tuple[float, float]] = {}
 
-    def check(self, name: str) -> None:
-        """Count a request; raises `RequestRejected` if there are too many."""
+    def allow(self, name: str) -> bool:
+        """Count a request and return whether it may be handled."""
         rate, now = _RATES.get(name, _USUAL), self._now()
         left, then = self._left.get(name, (_BURST * rate, now))
         left = min(left + (now - then) * rate, _BURST * rate)
         if left < 1.0:
-            raise RequestRejected(f"more than {rate:g} requests '{name}' a second")
+            return False
         self._left[name] = left - 1.0, now
+        return True
+
+    def refuse(self, reason: str) -> NoReturn:
+        """Raise `RequestRejected` with a reason, or `Ignored` if too many are refused already."""
+        if self.allow(REFUSALS):
+            raise RequestRejected(reason)
+        raise Ignored

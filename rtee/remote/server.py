@@ -41,7 +41,7 @@ from rtee.remote.loop_thread import LoopThread
 from rtee.remote.protection import Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
-from rtee.remote.session import EXPRESS, direct, disable_linger, open_server
+from rtee.remote.session import DELIVER, direct, disable_linger, open_server
 
 
 class RemoteSettings(Protocol):
@@ -178,11 +178,17 @@ class Server:
             self._identities.hello(request, last_part(query))
 
         replier = self._replier(query, self.outbox)
-        handle_request(query, HELLO, _nobody, handle, replier)
+        handle_request(query, HELLO, self._identities.welcome, handle, replier)
 
     def _on_stop(self, query: zenoh.Query) -> None:
-        replier = self._replier(query, self.stops)
-        handle_request(query, STOP, self._identities.name, self._commands.stop, replier)
+        send = self._replier(query, self.stops)
+
+        def handle(request: IncomingRequest) -> None:
+            if not self._identities.answers_stop(request.client):
+                request.send = _unanswered
+            self._commands.stop(request)
+
+        handle_request(query, STOP, self._identities.name, handle, send)
 
     def _on_control(self, query: zenoh.Query) -> None:
         replier = self._replier(query, self.outbox)
@@ -211,7 +217,7 @@ class Server:
     def _answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
         key = network_key(self._hand, f"{ANSWERS}/{client}")
         attachment = f"{'+' if ok else '-'}{number}"
-        self.outbox.put(partial(self._session.put, key, data, attachment=attachment, **EXPRESS))
+        self.outbox.put(partial(self._session.put, key, data, attachment=attachment, **DELIVER))
 
     def _on_question(self, query: zenoh.Query) -> None:
         send = partial(reply, self._hand, query)
@@ -231,6 +237,5 @@ class Server:
             self._commands.client_left(client)
 
 
-def _nobody(request: Request, attachment: bytes | None, question: bytes) -> str:
-    """Return that nobody has sent a request, as is so before a client is known."""
-    return ""
+def _unanswered(data: bytes, ok: bool) -> None:
+    """Send no answer."""

@@ -43,6 +43,14 @@ EXPRESS: dict[str, Any] = {
 """For messages that must arrive, and soon: they wait for slow readers, but not for a batch to
 fill."""
 
+DELIVER = {**EXPRESS, "congestion_control": zenoh.CongestionControl.DROP}
+"""For what the hand sends: a client that reads so slowly that everything between is full misses
+it, instead of holding up all others. A hand keeps a megabyte for each, see `open_server`."""
+
+_CLOSE_AFTER = 50_000
+"""Time for which a hand waits for a client that must read before it can go on [µs]; then the
+connection is closed. It waits only with the answers to queries that ask it to."""
+
 T = TypeVar("T")
 
 LOCAL = "unixsock-stream"
@@ -189,6 +197,9 @@ def open_server(
         "connect/timeout_ms": 0 if not connect else -1,
         "transport/link/rx/max_message_size": LARGEST,
         "transport/unicast/max_sessions": MOST_SESSIONS,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": _CLOSE_AFTER,
+        # Batches of 64 KiB that may wait for a client, the most that Zenoh allows.
+        "transport/link/tx/queue/size/interactive_high": 16,
     }
     try:
         session = zenoh.open(_configured(settings | dict(further or {})))

@@ -8,7 +8,6 @@ from pathlib import Path
 import anyio
 import anyio.to_thread
 import pytest
-from pytest import MonkeyPatch
 
 import rtee
 from rtee.actions.library import ActionLibrary
@@ -46,7 +45,7 @@ class People:
 
 
 @pytest.fixture
-def people(tmp_path: Path, monkeypatch: MonkeyPatch) -> People:
+def people(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> People:
     monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
     return People(tmp_path)
 
@@ -62,7 +61,7 @@ async def refused(what: object) -> str:
 
 
 async def test_each_role_may_do_what_it_should(
-    hand: Hand, library: ActionLibrary, people: People, monkeypatch: MonkeyPatch
+    hand: Hand, library: ActionLibrary, people: People, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = {role: people.add(role.name.lower(), role) for role in Role}
     endpoint = tls()
@@ -101,7 +100,7 @@ async def _tries(remote: RemoteHand, role: Role) -> None:
 
 
 async def test_the_hand_itself_refuses_what_a_role_may_not(
-    hand: Hand, library: ActionLibrary, people: People, monkeypatch: MonkeyPatch
+    hand: Hand, library: ActionLibrary, people: People, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     everything = people.authority.people
     file = people.add("ann", Role.MAINTAINER)
@@ -120,7 +119,11 @@ async def test_the_hand_itself_refuses_what_a_role_may_not(
 
 
 async def test_without_a_certificate_nobody_gets_in(
-    hand: Hand, library: ActionLibrary, people: People, tmp_path: Path, monkeypatch: MonkeyPatch
+    hand: Hand,
+    library: ActionLibrary,
+    people: People,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     endpoint = tls()
     async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
@@ -140,7 +143,7 @@ async def test_without_a_certificate_nobody_gets_in(
 
 
 async def test_a_revoked_certificate_is_refused_at_once_and_at_the_next_start(
-    hand: Hand, library: ActionLibrary, people: People, monkeypatch: MonkeyPatch
+    hand: Hand, library: ActionLibrary, people: People, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ann, bob = people.add("ann", Role.OPERATOR), people.add("bob", Role.OPERATOR)
     monkeypatch.setattr(credentials, "_READ_AGAIN", 0.0)
@@ -168,7 +171,7 @@ async def test_a_revoked_certificate_is_refused_at_once_and_at_the_next_start(
 
 
 async def test_a_client_cannot_pass_for_the_hand(
-    hand: Hand, library: ActionLibrary, people: People, monkeypatch: MonkeyPatch
+    hand: Hand, library: ActionLibrary, people: People, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ann, eve = people.add("ann", Role.OPERATOR), people.add("eve", Role.OPERATOR)
     monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(eve))
@@ -188,7 +191,7 @@ async def test_an_endpoint_without_certificates_must_be_allowed(
     hand: Hand, library: ActionLibrary, caplog: pytest.LogCaptureFixture
 ) -> None:
     endpoint = free_endpoint().replace("127.0.0.1", "0.0.0.0")
-    with pytest.raises(ConfigError, match="could move the hand.*insecure: true"):
+    with pytest.raises(ConfigError, match=r"could move the hand.*insecure: true"):
         async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
             pass
     with pytest.raises(ConfigError, match="could move the hand"):
@@ -203,7 +206,7 @@ async def test_an_endpoint_without_certificates_must_be_allowed(
 
 
 async def test_keys_that_others_can_read_are_refused(
-    hand: Hand, library: ActionLibrary, people: People, monkeypatch: MonkeyPatch
+    hand: Hand, library: ActionLibrary, people: People, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ann = people.add("ann", Role.OPERATOR)
     key = people.folder / credentials.HAND_KEY
