@@ -76,6 +76,7 @@ def doctor(
         return
 
     from rtee.buses.pool import BusPool
+    from rtee.cli.secure import checks as check_certificates
     from rtee.drivers.diagnosis.checks import Verdict
     from rtee.drivers.diagnosis.device import check_device
     from rtee.drivers.diagnosis.machine import check_machine
@@ -85,6 +86,8 @@ def doctor(
         found = {"computer": check_machine()}
         if hand:
             found[_MODEL] = check_model(hand)
+            if certificates := check_certificates(hand):
+                found["network"] = certificates
         if hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated):

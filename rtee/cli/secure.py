@@ -13,12 +13,16 @@ from rtee.cli._table import Column, Row, Table
 from rtee.errors import ConfigError, needing_extra
 
 if TYPE_CHECKING:
+    from rtee.drivers.diagnosis.checks import Check
     from rtee.messages.requests import Role
 
 app = typer.Typer(no_args_is_help=True)
 
 _DAY = 86400.0
 """Seconds in a day."""
+
+_SOON = 30.0
+"""Certificates that hold for less than this are told [days]: time to bring new ones to clients."""
 
 HandArgument = Annotated[str, typer.Argument(metavar="HAND", help="Name of the hand.")]
 PersonArgument = Annotated[
@@ -103,15 +107,49 @@ def revoke(hand: HandArgument, name: PersonArgument) -> None:
 @app.command(name="list")
 def list_(hand: HandArgument) -> None:
     """List for whom certificates were made."""
-    folder = _folder(hand)
-    authority = _authority()
+    from rtee.remote.credentials import Credentials
+
+    known = Credentials(_folder(hand))
+    known.read()
     rows = [
         Row((one.name, one.role.name.lower(), _date(one.until), _state(one.until, one.revoked)))
-        for one in authority.people(folder)
+        for one in known.people
     ]
-    print(f"{hand}: certificate until {_date(authority.hand_until(folder))}, in {folder}")
+    print(f"{hand}: certificate until {_date(known.until)}, in {known.folder}")
     columns = (Column("client", whole=True), Column("role"), Column("until"), Column(""))
     Table(columns, tuple(rows)).show()
+
+
+def checks(name: str) -> list[Check]:
+    """Return what `rtee doctor` says about the certificates of a hand; nothing if it needs none."""
+    from rtee.drivers.diagnosis.checks import ok, warning, wrong
+    from rtee.hand.load import load_configured
+    from rtee.remote.protection import Protection, credentials_of
+
+    hand, config = load_configured(name)
+    try:
+        Protection(hand.name, config.remote)
+        known = credentials_of(hand.name, config.remote)
+        if known is not None:
+            known.read()
+    except ConfigError as error:
+        return [wrong("network", str(error), f"rtee secure init {hand.name}")]
+    if known is None:
+        return []
+    left = (known.until - time.time()) / _DAY
+    renew = f"rtee secure renew {hand.name}"
+    if left <= 0:
+        found = [wrong("certificate", f"expired on {_date(known.until)}", renew)]
+    elif left < _SOON:
+        found = [warning("certificate", f"expires on {_date(known.until)}", renew)]
+    else:
+        found = [ok("certificate", f"until {_date(known.until)}")]
+    for one in known.people:
+        if not one.revoked and one.until - time.time() < _SOON * _DAY:
+            person = one.name.rpartition(".")[0]
+            remedy = f"rtee secure add-client {hand.name} {person} --role {one.role.name.lower()}"
+            found.append(warning(f"client {one.name}", f"until {_date(one.until)}", remedy))
+    return found
 
 
 def _role(word: str) -> Role:

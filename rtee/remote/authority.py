@@ -10,7 +10,6 @@ import json
 import os
 import re
 import secrets
-import time
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -80,7 +79,7 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     certificate = made.sign(key, hashes.SHA256())
     write_private(folder / AUTHORITY_KEY, _key_text(key))
     write_atomically(folder / AUTHORITY, _text(certificate))
-    _write_people(folder, ())
+    _write_people(folder, (), 0.0)
     renew(folder, hand, days)
 
 
@@ -90,6 +89,7 @@ def renew(folder: Path, hand: str, days: int = DAYS) -> None:
     certificate = _issued(folder, hand, key, days, ExtendedKeyUsageOID.SERVER_AUTH)
     write_private(folder / HAND_KEY, _key_text(key))
     write_atomically(folder / HAND, _text(certificate))
+    _write_people(folder, people(folder), certificate.not_valid_after_utc.timestamp())
 
 
 def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Person, str]:
@@ -140,15 +140,13 @@ def revoke(folder: Path, name: str) -> list[Person]:
 
 def people(folder: Path) -> tuple[Person, ...]:
     """Return those for whom certificates were made; raises `ConfigError` without an authority."""
+    return _known(folder).people
+
+
+def _known(folder: Path) -> Credentials:
     found = Credentials(folder)
     found.read()
-    return found.people
-
-
-def hand_until(folder: Path) -> float:
-    """Return when the hand's certificate expires, since 1970 [s]."""
-    certificate = x509.load_pem_x509_certificate((folder / HAND).read_bytes())
-    return certificate.not_valid_after_utc.timestamp()
+    return found
 
 
 def write_private(path: Path, text: str) -> None:
@@ -230,7 +228,10 @@ def _key_text(key: Key) -> str:
     ).decode("ascii")
 
 
-def _write_people(folder: Path, found: Iterable[Person]) -> None:
+def _write_people(folder: Path, found: Iterable[Person], until: float | None = None) -> None:
+    """Write the list of people, and when the hand's certificate expires if that has changed."""
+    if until is None:
+        until = _known(folder).until
     entries = [
         {
             "name": one.name,
@@ -240,5 +241,5 @@ def _write_people(folder: Path, found: Iterable[Person]) -> None:
         }
         for one in found
     ]
-    text = json.dumps({"made": time.time(), "people": entries}, indent=2)
+    text = json.dumps({"until": until, "people": entries}, indent=2)
     write_atomically(folder / PEOPLE, text + "\n")

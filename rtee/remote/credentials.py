@@ -91,10 +91,12 @@ class Credentials:
     Attributes:
         folder: Where they are.
         people: Those for whom certificates were made.
+        until: When the hand's certificate expires, since 1970 [s].
     """
 
     folder: Path
     people: tuple[Person, ...] = ()
+    until: float = 0.0
     _stamp: int = field(default=-1, repr=False)
     _looked: float = field(default=0.0, repr=False)
 
@@ -109,7 +111,7 @@ class Credentials:
             stamp = path.stat().st_mtime_ns
             if stamp == self._stamp:
                 return
-            self.people = _people(path)
+            self.people, self.until = _people(path)
             self._stamp = stamp
         except OSError as error:
             raise ConfigError(
@@ -154,18 +156,19 @@ class Credentials:
         }
 
 
-def _people(path: Path) -> tuple[Person, ...]:
+def _people(path: Path) -> tuple[tuple[Person, ...], float]:
     try:
-        entries = json.loads(path.read_text("utf-8"))["people"]
-        return tuple(
+        document = json.loads(path.read_text("utf-8"))
+        people = tuple(
             Person(
                 str(entry["name"]),
                 Role[str(entry["role"]).upper()],
                 float(entry["until"]),
                 bool(entry["revoked"]),
             )
-            for entry in entries
+            for entry in document["people"]
         )
+        return people, float(document["until"])
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"is not a list of people: {error!r}", path=path) from None
 

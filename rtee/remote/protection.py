@@ -32,6 +32,13 @@ class Endpoints(Protocol):
         """Who may use the hand on a network."""
 
 
+def credentials_of(hand: str, endpoints: Endpoints) -> Credentials | None:
+    """Return the certificates of a hand, not yet read; ``None`` if its endpoints need none."""
+    if not any(endpoint.startswith(TLS) for endpoint in endpoints.listen):
+        return None
+    return Credentials(endpoints.security.folder or secure_folder(hand))
+
+
 class Protection:
     """Who may do what with a hand, by how they come to it.
 
@@ -66,12 +73,11 @@ class Protection:
                 hand,
                 ", ".join(exposed),
             )
-        self._credentials: Credentials | None = None
         self._plain = any(not each.startswith(TLS) for each in everywhere) or bool(exposed)
         self.settings: dict[str, Any] = {}
         people: dict[str, Role] = {}
-        if any(endpoint.startswith(TLS) for endpoint in endpoints.listen):
-            self._credentials = Credentials(security.folder or secure_folder(hand))
+        self._credentials = credentials_of(hand, endpoints)
+        if self._credentials is not None:
             self.settings |= self._credentials.settings()
             people = dict(self._credentials.admitted)
         self.settings["access_control"] = access_control(hand, people, plain=self._plain)

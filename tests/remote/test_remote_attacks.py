@@ -169,7 +169,7 @@ async def test_names_in_messages_are_not_believed(hand: Hand, library: ActionLib
             await two.jog({"near": 0.5})
         await two.release()
         assert (await one.status()).holder == one.client
-        assert await two.stop() == {"sim": True}, "stop needs no permission"
+        assert list(await two.stop()) == ["sim"], "stop needs no permission"
         event = await served.event("stop")
         assert "by two-" in event.text
 
@@ -243,7 +243,7 @@ async def test_nobody_answers_or_speaks_for_the_hand(
                 await in_thread(partial(bad.session.put, f"rtee/small/{topic}", data))
             for name in ("status", "info", "actions"):
                 assert await getattr(victim, name)() is not None
-            assert await victim.stop() == {"sim": True}
+            assert list(await victim.stop()) == ["sim"]
             result = await running.result()
             assert result.reason != "forged"
             told = await anext(events)

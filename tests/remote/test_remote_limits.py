@@ -17,7 +17,7 @@ from rtee.errors import RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages.identity import Signer, claim_of
 from rtee.messages.requests import REQUESTS
-from rtee.remote import query_handlers
+from rtee.remote import command_handlers, query_handlers, rates
 from rtee.remote.identities import _MOST_WAITING, Identities
 from rtee.remote.incoming_request import IncomingRequest
 from rtee.remote.publishing import MOST_STREAMS
@@ -80,38 +80,45 @@ async def test_large_messages_take_no_memory(hand: Hand, library: ActionLibrary)
 
 
 async def test_who_asks_too_often_is_refused_and_others_are_not(
-    hand: Hand, library: ActionLibrary
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(rates, "_BURST", 5e6)
+    monkeypatch.setitem(rates._RATES, "info", 1e-6)
     async with (
         serving(hand, library),
         rtee.connect("small", client="flood") as flood,
         rtee.connect("small") as other,
     ):
+        for number in range(5):
+            await flood.info({"near": number / 10})
         with pytest.raises(RequestRejected, match="too many requests 'info'"):
-            for number in range(200):
-                await flood.info({"near": number / 200})
+            await flood.info({"near": 0.9})
         await flood.status()  # other kinds are counted for themselves
         assert (await other.info()).name == "small"
 
 
 def test_rates() -> None:
     now = 100.0
-    rates = Rates(lambda: now)
-    assert sum(rates.allow("info") for _ in range(100)) == 10
-    assert rates.allow("status"), "kinds are counted for themselves"
+    one = Rates(lambda: now)
+    assert sum(one.allow("info") for _ in range(100)) == 10
+    assert one.allow("status"), "kinds are counted for themselves"
     now += 0.5
-    assert sum(rates.allow("info") for _ in range(100)) == 10
+    assert sum(one.allow("info") for _ in range(100)) == 10
     for _ in range(100):
         with pytest.raises(RequestRejected, match="why"):
-            rates.refuse("why")
+            one.refuse("why")
     with pytest.raises(Ignored):
-        rates.refuse("why")
-    assert not rates.allow(REFUSALS)
+        one.refuse("why")
+    assert not one.allow(REFUSALS)
 
 
 async def test_stops_are_carried_out_together_and_always_take_effect(
-    hand: Hand, library: ActionLibrary, sessions: list[zenoh.Session]
+    hand: Hand,
+    library: ActionLibrary,
+    sessions: list[zenoh.Session],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(command_handlers, "_STOPPED_FOR", 1e9)
     async with serving(hand, library) as served, rtee.connect("small") as remote:
         rude = await anyio.to_thread.run_sync(open_client, [served.server.endpoint])
         sessions.append(rude)
@@ -126,12 +133,15 @@ async def test_stops_are_carried_out_together_and_always_take_effect(
 
         await anyio.to_thread.run_sync(flood)
         await until(lambda: stops() > 0)
-        assert await remote.stop() == {"sim": True}
-        assert stops() < 250
+        assert list(await remote.stop()) == ["sim"]
+        # All that came during the first one were carried out together; unless the computer was too
+        # busy to confirm them, they count for those afterwards.
+        told = [event for event in served.watcher.events if event.kind == "stop"]
+        assert stops() <= 2 or any("not confirmed" in event.text for event in told)
         # One that comes right after another, but with a goal in between, ends that goal.
         for _ in range(5):
             running = await remote.start("fist", speed=0.05)
-            assert await remote.stop() == {"sim": True}
+            assert list(await remote.stop()) == ["sim"]
             assert (await running.result()).cancelled
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import anyio
@@ -11,6 +12,8 @@ import pytest
 
 import rtee
 from rtee.actions.library import ActionLibrary
+from rtee.cli import secure
+from rtee.drivers.diagnosis.checks import Verdict
 from rtee.errors import ConfigError, NoHand, RemoteError, RequestRejected
 from rtee.hand.config_schema import SecuritySettings
 from rtee.hand.model import Hand
@@ -72,7 +75,7 @@ async def test_each_role_may_do_what_it_should(
                 assert remote.client.startswith(f"{role.name.lower()}-python-")
                 assert (await remote.status()).hand == "small"
                 assert (await anext(remote.states(50.0))).names
-                assert await remote.stop() == {"sim": True}
+                assert list(await remote.stop()) == ["sim"]
                 await _tries(remote, role)
         moved = {goal.client.partition("-")[0] for goal in served.watcher.goals}
         assert moved == {"operator", "maintainer"}
@@ -115,7 +118,7 @@ async def test_the_hand_itself_refuses_what_a_role_may_not(
             assert "needs the role maintainer" in await refused(
                 remote.set_gains({"grip_effort": 0.3})
             )
-            assert await remote.stop() == {"sim": True}
+            assert list(await remote.stop()) == ["sim"]
 
 
 async def test_without_a_certificate_nobody_gets_in(
@@ -240,3 +243,51 @@ async def test_keys_that_others_can_read_are_refused(
 )
 def test_which_endpoints_are_safe(endpoint: str, safe: bool) -> None:
     assert is_safe(endpoint) == safe
+
+
+def test_the_command_makes_lists_and_revokes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
+    monkeypatch.chdir(tmp_path)
+    secure.init("small")
+    secure.add_client("small", "ann", role="observer")
+    secure.add_client("small", "bob", role="maintainer", days=3)
+    assert (tmp_path / "ann@small.pem").stat().st_mode & 0o777 == 0o600
+    secure.revoke("small", "ann")
+    capsys.readouterr()
+    secure.list_("small")
+    said = capsys.readouterr().out
+    assert "refused" in said
+    assert "maintainer" in said
+    with pytest.raises(ConfigError, match="there already"):
+        secure.init("small")
+    with pytest.raises(ConfigError, match="no client 'eve'"):
+        secure.revoke("small", "eve")
+    with pytest.raises(ConfigError, match="unknown role 'king'"):
+        secure.add_client("small", "eve", role="king")
+    for name in ("", "../x", "a.b", "x" * 40):
+        with pytest.raises(ConfigError, match="name of a client"):
+            secure.add_client("small", name, out=tmp_path / "other.pem")
+
+
+def test_doctor_tells_what_expires(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repository: Path
+) -> None:
+    monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
+    folder = tmp_path / "robotiq_2f_85"
+    shutil.copytree(repository / "config" / "robotiq_2f_85", folder)
+    assert secure.checks(str(folder)) == [], "a hand on this computer alone needs none"
+    text = (folder / "hand.yaml").read_text()
+    (folder / "hand.yaml").write_text(f"{text}\nremote:\n  listen: [tls/0.0.0.0:7447]\n")
+    (missing,) = secure.checks(str(folder))
+    assert missing.verdict is Verdict.WRONG
+    assert missing.remedy == "rtee secure init robotiq_2f_85"
+    secure.init("robotiq_2f_85")
+    secure.add_client("robotiq_2f_85", "ann", role="operator", days=3, out=tmp_path / "ann.pem")
+    hand, ann = secure.checks(str(folder))
+    assert hand.verdict is Verdict.OK
+    assert ann.verdict is Verdict.WARNING
+    assert ann.remedy.startswith("rtee secure add-client robotiq_2f_85 ann")
+    secure.renew("robotiq_2f_85", days=1)
+    assert secure.checks(str(folder))[0].remedy == "rtee secure renew robotiq_2f_85"
