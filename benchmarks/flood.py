@@ -152,6 +152,7 @@ async def missed(remote: RemoteHand, kind: str, endpoint: str, args: argparse.Na
         one.stdin.flush()
     after = (await remote.status()).statistics
     for one in clients:
+        one.kill()  # what it has not sent yet does not matter any more
         one.communicate()
     ticks, lost = after.ticks - before.ticks, after.missed - before.missed
     return 100.0 * lost / (ticks + lost)
