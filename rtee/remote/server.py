@@ -12,6 +12,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol, Self
 
 import anyio
@@ -41,7 +43,7 @@ from rtee.remote.loop_thread import LoopThread
 from rtee.remote.protection import Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
-from rtee.remote.session import DELIVER, direct, disable_linger, open_server
+from rtee.remote.session import DELIVER, direct, disable_linger, fits, open_server
 
 
 class RemoteSettings(Protocol):
@@ -126,8 +128,13 @@ class Server:
         async with contextlib.AsyncExitStack() as stack:
             place = stack.enter_context(claimed(hand.name))
             protection = await in_thread(Protection, hand.name, settings)
+            socket = place.socket
+            if not fits(socket):  # a folder of its own, readable by this user alone
+                folder = await in_thread(partial(TemporaryDirectory, prefix="rtee-"))
+                stack.push_async_callback(in_thread, folder.cleanup)
+                socket = Path(folder.name) / "hand.sock"
             session, endpoint = await in_thread(
-                open_server, place.socket, settings.listen, settings.connect, protection.settings
+                open_server, socket, settings.listen, settings.connect, protection.settings
             )
             stack.push_async_callback(in_thread, session.close)
             streams = Streams(session, hand, loop.settings.rate, settings.state_rate)

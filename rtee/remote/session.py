@@ -149,10 +149,15 @@ def disable_linger() -> None:
                 link.setsockopt(*_LINGER, _NO_LINGER)
 
 
+def fits(path: Path) -> bool:
+    """Return whether the path of a socket is short enough."""
+    return len(os.fsencode(str(path.absolute()))) <= _LONGEST_SOCKET
+
+
 def local_endpoint(path: Path) -> str:
     """Return the endpoint of a Unix socket; raises `ConfigError` if the path cannot be used."""
     name = str(path.absolute())
-    if len(os.fsencode(name)) > _LONGEST_SOCKET:
+    if not fits(path):
         raise ConfigError(
             f"is longer than the {_LONGEST_SOCKET} bytes that the path of a socket may have; set"
             " RTEE_RUNTIME_DIR to a folder with a shorter one",

@@ -123,6 +123,18 @@ def test_a_path_that_is_too_long_for_a_socket_is_a_mistake(tmp_path: Path) -> No
         session.local_endpoint(tmp_path / "a#b.sock")
 
 
+async def test_a_long_path_of_the_runtime_folder_is_no_obstacle(
+    hand: Hand, library: ActionLibrary, runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", str(runtime / ("x" * 120)))
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        assert (await remote.status()).hand == "small"
+        place = os.path.dirname(served.server.endpoint.removeprefix("unixsock-stream/"))
+        assert os.stat(place).st_mode & 0o777 == 0o700
+    with pytest.raises(FileNotFoundError):
+        os.stat(place)
+
+
 async def test_a_hand_that_also_listens_elsewhere_keeps_its_socket(
     hand: Hand, library: ActionLibrary
 ) -> None:
