@@ -14,7 +14,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
-from rtee.errors import RequestRejected
+from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.names import check_name
 from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import HERE, PLAIN, Request, Role
@@ -178,7 +178,7 @@ class Identities:
                 f" the role {role.name.lower()}"
             )
         if not rates.allow(request.name):
-            rates.refuse(f"too many requests '{request.name}' in a short time")
+            rates.refuse(f"too many requests '{request.name}' in a short time", TooManyRequests)
         return client.name
 
     def welcome(self, request: Request, attachment: bytes | None, question: bytes) -> str:

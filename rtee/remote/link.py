@@ -11,7 +11,14 @@ from typing import Any
 
 import zenoh
 
-from rtee.errors import LeaseHeld, MessageError, NoHand, RemoteError, RequestRejected
+from rtee.errors import (
+    LeaseHeld,
+    MessageError,
+    NoHand,
+    RemoteError,
+    RequestRejected,
+    TooManyRequests,
+)
 from rtee.messages import network_key
 from rtee.messages.identity import Signer
 from rtee.messages.requests import ALIVE, CLIENTS, HELLO, PUT, REQUESTS, STOP
@@ -23,6 +30,10 @@ _REPLY = message_type("rtee_msgs/msg/Reply")
 
 ANSWER_WITHIN = 5.0
 """Default time to wait for an answer [s]: far longer than any request takes on a busy computer."""
+
+
+_TOO_FAST = 0.05
+"""Time until a request is sent again that came too fast [s]: the hand takes one more by then."""
 
 
 class Link:
@@ -142,10 +153,20 @@ class Link:
     async def ask(
         self, name: str, fields: Mapping[str, Any] | None = None, *, within: float = ANSWER_WITHIN
     ) -> dict[str, Any]:
-        """Send a request and return the fields of its answer; see `send`."""
+        """Send a request and return the fields of its answer; see `send`.
+
+        If this client sends such requests faster than the hand takes them, this call waits.
+        """
         request = REQUESTS[name]
         question = b"" if fields is None else request.question.encode(fields)
-        return request.answer.decode(await self.send(name, question, within=within))
+        until = self._loop.time() + within
+        while True:
+            try:
+                return request.answer.decode(await self.send(name, question, within=within))
+            except TooManyRequests:
+                if self._loop.time() > until:
+                    raise
+            await asyncio.sleep(_TOO_FAST)
 
     async def request(
         self, name: str, what: str = "", *, within: float = ANSWER_WITHIN
@@ -227,8 +248,13 @@ class Link:
             reply = _REPLY.decode(data)
         except MessageError:
             return NoHand(f"the hand '{self.hand}' does not answer")
-        held = reply["error"] == LeaseHeld.__name__
-        return LeaseHeld(reply["text"]) if held else RequestRejected(reply["reason"])
+        match reply["error"]:
+            case "LeaseHeld":
+                return LeaseHeld(reply["text"])
+            case "TooManyRequests":
+                return TooManyRequests(reply["reason"])
+            case _:
+                return RequestRejected(reply["reason"])
 
     def close(self) -> None:
         """Undeclare everything and close the session; blocks for a moment."""

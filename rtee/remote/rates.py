@@ -62,8 +62,8 @@ class Rates:
         self._left[name] = left - 1.0, now
         return True
 
-    def refuse(self, reason: str) -> NoReturn:
-        """Raise `RequestRejected` with a reason, or `Ignored` if too many are refused already."""
+    def refuse(self, reason: str, kind: type[RequestRejected] = RequestRejected) -> NoReturn:
+        """Raise an error with a reason, or `Ignored` if too many are refused already."""
         if self.allow(REFUSALS):
-            raise RequestRejected(reason)
+            raise kind(reason)
         raise Ignored

@@ -13,7 +13,7 @@ import zenoh
 
 import rtee
 from rtee.actions.library import ActionLibrary
-from rtee.errors import RequestRejected
+from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.model import Hand
 from rtee.messages.identity import Signer, claim_of
 from rtee.messages.requests import REQUESTS
@@ -91,10 +91,19 @@ async def test_who_asks_too_often_is_refused_and_others_are_not(
     ):
         for number in range(5):
             await flood.info({"near": number / 10})
-        with pytest.raises(RequestRejected, match="too many requests 'info'"):
-            await flood.info({"near": 0.9})
+        question = REQUESTS["info"].question.encode({"name": ["near"], "position": [0.9]})
+        with pytest.raises(TooManyRequests, match="too many requests 'info'"):
+            await flood._link.send("info", question)
         await flood.status()  # other kinds are counted for themselves
         assert (await other.info()).name == "small"
+
+
+async def test_a_script_that_asks_too_often_only_takes_longer(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        for number in range(30):
+            await remote.info({"near": number / 30})
 
 
 def test_rates() -> None:
