@@ -147,7 +147,8 @@ def serve(arguments: argparse.Namespace) -> None:
 
 def echo() -> None:
     """Answer a Zenoh query at once, with the time at which it came, until standard input ends."""
-    session, endpoint = open_server([], [])
+    folder = tempfile.TemporaryDirectory()
+    session, endpoint = open_server(Path(folder.name) / "echo.sock")
 
     def answer(query: zenoh.Query) -> None:
         came = now()
@@ -159,6 +160,7 @@ def echo() -> None:
     # The parent closes standard input to end it.
     sys.stdin.read()
     session.close()
+    folder.cleanup()
 
 
 async def send_goals(

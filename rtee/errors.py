@@ -33,6 +33,7 @@ The tree::
         ├── NotReady (TimeoutError)  a device of the hand is not active in time
         ├── LeaseHeld              another client holds the hand
         └── RequestRejected        the hand refused, with its reason
+            └── TooManyRequests    for now: this client sends them too fast
 """
 
 from __future__ import annotations
@@ -407,3 +408,9 @@ class RequestRejected(RemoteError):
     """The hand refused a request, with its reason."""
 
     exit_status: ClassVar[int] = 2
+
+
+class TooManyRequests(RequestRejected):
+    """The hand refused a request because this client sends too many of its kind."""
+
+    exit_status: ClassVar[int] = 1

@@ -77,6 +77,7 @@ def doctor(
         return
 
     from rtee.buses.pool import BusPool
+    from rtee.cli.secure import checks as check_certificates
     from rtee.drivers.diagnosis.checks import Verdict
     from rtee.drivers.diagnosis.device import check_device
     from rtee.drivers.diagnosis.machine import check_machine
@@ -88,6 +89,8 @@ def doctor(
             found[_MODEL] = check_model(hand)
         if hand and sys.platform.startswith("linux"):
             found["computer"] += _service(hand)
+            if certificates := check_certificates(hand):
+                found["network"] = certificates
         if hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated):

@@ -60,7 +60,7 @@ async def _check_running(hand: str | None, endpoint: str | None) -> None:
     from rtee.remote.find import open_hand
 
     try:
-        session, _ = await open_hand(hand, endpoint, 0.0)
+        session = (await open_hand(hand, endpoint, 0.0)).session
     except NoHand as error:
         start = "" if "rtee run" in str(error) else f"; start it with 'rtee run {hand or 'HAND'}'"
         raise ConfigError(f"{error}{start}") from None

@@ -45,6 +45,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     # devices
     "emulate": ("rtee.cli.emulate:emulate", "Emulate a device for other software."),
     "scan": ("rtee.cli.scan:scan", "Find devices on all buses."),
+    "secure": ("rtee.cli.secure:app", "Make certificates for a hand on a network."),
     "doctor": ("rtee.cli.devices:doctor", "Report what is wrong and what to type."),
     "locate": ("rtee.cli.devices:locate", "Twitch a hand to see which one it is."),
     "calibrate": ("rtee.cli.devices:calibrate", "Calibrate a device that has offsets."),

@@ -329,13 +329,27 @@ class LogSection(Section):
 
 
 @dataclass(frozen=True, slots=True)
+class SecuritySettings(Section):
+    """Who may use the hand on a network."""
+
+    folder: Annotated[Path | None, _Converted()] = None
+    """Folder with the certificates that ``rtee secure`` has made; unless given, where it makes
+    them."""
+    insecure: bool = False
+    """Allow endpoints without certificates beyond this computer: whoever reaches them can move the
+    hand."""
+
+
+@dataclass(frozen=True, slots=True)
 class RemoteSettings(Section):
     """The hand on the network."""
 
     listen: Names = ()
-    """Zenoh endpoints to listen on, such as ``tcp/192.168.1.10:7447``; empty: this machine only."""
+    """Zenoh endpoints to listen on, such as ``tls/192.168.1.10:7447``; empty: this machine only."""
     connect: Names = ()
     """Zenoh endpoints to connect to."""
+    security: SecuritySettings = SecuritySettings()
+    """Who may use the hand on a network."""
     state_rate: Positive = 100.0
     """Rate at which states are published [Hz]."""
 

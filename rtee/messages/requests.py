@@ -1,19 +1,31 @@
 """The requests that a hand answers on the network, with the types of question and answer.
 
-A client asks by a Zenoh query on ``rtee/<hand>/<group>/<name>``. The answer is a message of the
-reply's type, or, as a Zenoh error, a ``rtee_msgs/Reply`` that says why not.
+A client asks by a Zenoh query on ``rtee/<hand>/<group>/<name>``, with an attachment that proves who
+it is, see `rtee.messages.identity`. The answer is a message of the reply's type, or, as a Zenoh
+error, a ``rtee_msgs/Reply`` that says why not.
 
-What steers the hand may also be put on that key, with the attachment ``<number> <client>``. The
-answer is put on ``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or
-``-<number>`` with a ``rtee_msgs/Reply`` that says why not.
+What steers the hand may also be put on that key. The answer is put on
+``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or ``-<number>`` with a
+``rtee_msgs/Reply`` that says why not.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 from rtee.messages.schema import MessageType, message_type
 from rtee.messages.topics import PREFIX
+
+HELLO = "hello"
+"""Group of the request with which a client introduces itself. Its name is how the client comes to
+the hand: `HERE`, `PLAIN`, or the name in its certificate."""
+
+HERE = "here"
+"""Clients on the hand's own computer, through its Unix socket."""
+
+PLAIN = "plain"
+"""Clients through an endpoint without certificates."""
 
 STOP = "stop"
 """Group of the one request that is always taken, from everybody, before all others."""
@@ -41,6 +53,17 @@ PUT = ("do", "jog", "sample")
 millisecond more."""
 
 
+class Role(IntEnum):
+    """What a client may do; each role may also do what the ones before it may."""
+
+    OBSERVER = 1
+    """Watch, and stop the hand."""
+    OPERATOR = 2
+    """Move it."""
+    MAINTAINER = 3
+    """Change its actions and gains, and control the recording."""
+
+
 @dataclass(frozen=True, slots=True)
 class Request:
     """A request.
@@ -51,6 +74,7 @@ class Request:
         question: Type of the question.
         answer: Type of the answer.
         text: What it does, in one sentence.
+        role: The least role that may send it.
     """
 
     group: str
@@ -58,25 +82,33 @@ class Request:
     question: MessageType
     answer: MessageType
     text: str
+    role: Role
 
     def key(self, hand: str) -> str:
         """Return its key on the network; ``*`` as the hand stands for all."""
         return f"{PREFIX}/{hand}/{self.group}/{self.name}"
 
 
-def _request(group: str, name: str, question: str, answer: str, text: str) -> Request:
+def _request(
+    group: str, name: str, question: str, answer: str, text: str, role: Role | None = None
+) -> Request:
+    if role is None:
+        role = Role.OPERATOR if group == CONTROL else Role.OBSERVER
     return Request(
         group,
         name,
         message_type(f"rtee_msgs/msg/{question}"),
         message_type(f"rtee_msgs/msg/{answer}" if answer != "String" else "std_msgs/msg/String"),
         text,
+        role,
     )
 
 
+_M = Role.MAINTAINER
+
 _ALL = (
     _request(STOP, "stop", "ClientRequest", "StopReply", "Stop all devices now; needs no lease."),
-    _request(CONTROL, "hello", "ClientRequest", "Reply", "Answered once the client is known."),
+    _request(HELLO, "hello", "ClientRequest", "Reply", "Introduce a client; gives it a secret."),
     _request(CONTROL, "do", "Goal", "Reply", "Execute an action; feedback and a result follow."),
     _request(CONTROL, "cancel", "GoalReference", "Reply", "Cancel a goal; the hand holds."),
     _request(CONTROL, "hold", "ClientRequest", "Reply", "Hold the measured posture."),
@@ -86,7 +118,7 @@ _ALL = (
         CONTROL, "sample", "StreamTargets", "Reply", "Put a sample; only a refusal is answered."
     ),
     _request(CONTROL, "end_stream", "StreamEnd", "Reply", "End a stream; the hand brakes, holds."),
-    _request(CONTROL, "gains", "NamedValues", "Reply", "Change gains of a device."),
+    _request(CONTROL, "gains", "NamedValues", "Reply", "Change gains of a device.", _M),
     _request(CONTROL, "recover", "ClientRequest", "Reply", "Bring devices out of a fault."),
     _request(
         CONTROL,
@@ -109,11 +141,11 @@ _ALL = (
     _request(ASK, "trials", "Empty", "String", "What trials of the actions found, as YAML."),
     _request(ASK, "grasp_plan", "GraspRequest", "String", "Grasps of an object, ranked, as JSON."),
     _request(ASK, "reach", "ReachRequest", "String", "How a planner's grasp is reached, as JSON."),
-    _request(ASK, "record", "RecordRequest", "Reply", "Start, stop or mark the recording."),
-    _request(ASK, "add", "NewAction", "Reply", "Add an action."),
-    _request(ASK, "store", "ActionName", "Reply", "Write an action to the hand's folder."),
-    _request(ASK, "remove", "ActionName", "Reply", "Remove an action."),
-    _request(ASK, "rename", "ActionName", "Reply", "Rename an action."),
+    _request(ASK, "record", "RecordRequest", "Reply", "Start, stop or mark the recording.", _M),
+    _request(ASK, "add", "NewAction", "Reply", "Add an action.", _M),
+    _request(ASK, "store", "ActionName", "Reply", "Write an action to the hand's folder.", _M),
+    _request(ASK, "remove", "ActionName", "Reply", "Remove an action.", _M),
+    _request(ASK, "rename", "ActionName", "Reply", "Rename an action.", _M),
 )
 
 REQUESTS: dict[str, Request] = {request.name: request for request in _ALL}

@@ -19,7 +19,9 @@ import anyio.to_thread
 
 from rtee.errors import RemoteError
 from rtee.hand.names import safe_name
+from rtee.messages.requests import HERE, PLAIN
 from rtee.remote.action_client import ActionClient
+from rtee.remote.credentials import person
 from rtee.remote.find import open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.link import Link
@@ -254,10 +256,11 @@ async def connect(
         NoHand: if no such hand runs.
         ConfigError: if several hands run and none is named.
     """
-    session, name = await open_hand(hand, endpoint, wait, on_wait)
+    session, name, way = await open_hand(hand, endpoint, wait, on_wait)
     # The process and a random part distinguish clients that have the same name.
-    identity = safe_name(f"{client[:60]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
-    link = Link(session, name, identity)
+    whose = "" if way in (HERE, PLAIN) else f"{person(way)}-"
+    identity = safe_name(f"{whose}{client[:50]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
+    link = Link(session, name, identity, way)
     try:
         remote = RemoteHand(link)
         await link.connect()

@@ -7,13 +7,14 @@ threads. The loop's thread never takes it, so that requests cannot hold up the l
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
+import time
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
-from rtee.errors import ConfigError, GoalRejected, RequestRejected
+from rtee.errors import GoalRejected, RequestRejected
 from rtee.hand.names import check_name
 from rtee.loop.handloop import HandLoop
 from rtee.messages import decode_goal
@@ -25,15 +26,15 @@ from rtee.types import Goal
 
 Fields = Mapping[str, Any]
 
-_WITHOUT_LEASE = ("hello", "release")
-"""Requests that are accepted while another client holds the lease."""
+_STOPPED_FOR = 0.02
+"""Time for which a stop counts for the next one, too [s]: below it nobody presses twice."""
 
-_MOST_WAITING = 64
-"""Clients that may wait for the answer to ``hello``: far more than connect at once, but bounded."""
+_WITHOUT_LEASE = ("release",)
+"""Requests that are accepted while another client holds the lease."""
 
 
 class CommandHandlers:
-    """Handles the requests of the groups ``control`` and ``stop``, and keeps the list of clients.
+    """Handles the requests of the groups ``control`` and ``stop``.
 
     Args:
         loop: The hand's loop.
@@ -44,10 +45,12 @@ class CommandHandlers:
     def __init__(self, loop: HandLoop, lease: Lease, thread: LoopThread) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
         self._lock = threading.Lock()
-        self._clients: set[str] = set()
-        self._greeting: dict[str, IncomingRequest] = {}
+        self._stop_lock = threading.Lock()
+        self._stopping: list[IncomingRequest] = []
+        self._stopped: Fields = {}
+        self._stopped_at, self._stopped_after = -math.inf, 0
+        self._moves = 0  # counts what may have moved the hand, before and after it does
         self._handlers: dict[str, Callable[[IncomingRequest], str | None]] = {
-            "hello": self._hello,
             "cancel": self._cancel,
             "hold": self._hold,
             "jog": self._jog,
@@ -72,13 +75,16 @@ class CommandHandlers:
         if name == "sample":
             raise RequestRejected("samples of a stream are put, not queried")
         goal = decode_goal(request.question) if name == "do" else None
-        client = request.fields["client"] if goal is None else goal.client
+        if goal is None:
+            request.check()
+        elif goal.client != request.client:
+            goal = replace(goal, client=request.client)
         with self._lock:
-            if name != "hello":
-                self._check_known(client)
             if name not in _WITHOUT_LEASE:
-                self._lease.check(client)
+                self._lease.check(request.client)
+            self._moves += 1
             text = self._handlers[name](request) if goal is None else self._do(goal)
+            self._moves += 1
         return None if text is None else REPLY.encode(accepted(text))
 
     def handle_put(self, request: IncomingRequest) -> bytes | None:
@@ -88,10 +94,6 @@ class CommandHandlers:
         self._take_sample(request)
         return None
 
-    def _check_known(self, client: str) -> None:
-        if client not in self._clients:
-            raise RequestRejected("this client is not known here; say hello first")
-
     def _take_sample(self, request: IncomingRequest) -> None:
         """Take a sample of a stream; only refusals are answered."""
         streams = self._loop.streams
@@ -99,48 +101,66 @@ class CommandHandlers:
             if not streams.admit():
                 return
             sample = STREAM_TARGETS.decode(request.question)
-            self._check_known(sample.client)
-            self._lease.check(sample.client)
+            self._lease.check(request.client)
+            self._moves += 1
             streams.sample(sample)
+            self._moves += 1
 
     def stop(self, request: IncomingRequest) -> None:
-        """Stop all devices; any client may ask for it, even without ``hello``."""
-        client = request.fields["client"] or "a client"
+        """Stop all devices; anybody may ask for it, even without ``hello``.
 
-        async def run() -> None:
+        Stops that come while the devices are being stopped are carried out together afterwards. One
+        that comes right after another, with nothing in between that could move the hand, is
+        answered as that one was.
+        """
+        request.check()
+        with self._stop_lock:
+            if self._is_stopped():
+                request.answer(self._stopped)
+                return
+            self._stopping.append(request)
+            if len(self._stopping) > 1:
+                return  # the one before has begun
+        self._thread.start(self._stop_together)
+
+    def _is_stopped(self) -> bool:
+        recently = time.monotonic() - self._stopped_at < _STOPPED_FOR
+        still = self._loop.controller.running is None  # a goal of the loop's own would move it
+        return recently and still and self._stopped_after == self._moves
+
+    async def _stop_together(self) -> None:
+        try:
+            await self._stop_all()
+        except BaseException:
+            with self._stop_lock:
+                self._stopping.clear()  # else no stop would ever begin again
+            raise
+
+    async def _stop_all(self) -> None:
+        while True:
+            with self._stop_lock:
+                asked, moves = len(self._stopping), self._moves
+                client = self._stopping[0].client or "a client"
             confirmed = dict(await self._loop.stop(f"stopped by {client}"))
-            request.answer({"device": list(confirmed), "confirmed": list(confirmed.values())})
-
-        self._thread.start(run)
-
-    def knows(self, client: str) -> bool:
-        """Return whether a client is connected."""
-        return client in self._clients
-
-    def client_came(self, client: str) -> None:
-        """Note that a client has connected."""
-        with contextlib.suppress(ConfigError), self._lock:
-            self._clients.add(check_name(client, "client"))
-            greeting = self._greeting.pop(client, None)
-            if greeting is not None:
-                greeting.answer(accepted())
+            answer = {"device": list(confirmed), "confirmed": list(confirmed.values())}
+            with self._stop_lock:
+                done, self._stopping[:asked] = self._stopping[:asked], []
+                if all(confirmed.values()):
+                    self._stopped, self._stopped_after = answer, moves
+                    self._stopped_at = time.monotonic()
+                more = bool(self._stopping)
+            for request in done:
+                request.answer(answer)
+            if not more:
+                return
 
     def client_left(self, client: str) -> None:
         """Note that a client has left; if it held the lease, the loop acts as configured."""
         with self._lock:
-            self._clients.discard(client)
             held = self._lease.client_left(client)
+            self._moves += 1  # what is configured for it may move the hand
         if held:
             self._thread.call_soon(self._loop.client_lost, client)
-
-    def _hello(self, request: IncomingRequest) -> str | None:
-        client = check_name(request.fields["client"], "client")
-        if client in self._clients:
-            return ""
-        if len(self._greeting) >= _MOST_WAITING:
-            raise RequestRejected("too many clients say hello without a liveliness token")
-        self._greeting[client] = request  # answered when its liveliness token is seen
-        return None
 
     def _do(self, goal: Goal) -> str:
         check_name(goal.goal_id, "goal")
@@ -160,14 +180,14 @@ class CommandHandlers:
         return ""
 
     def _hold(self, request: IncomingRequest) -> str:
-        self._loop.hold(f"{request.fields['client']} asked to hold")
+        self._loop.hold(f"{request.client} asked to hold")
         return ""
 
     def _jog(self, request: IncomingRequest) -> str:
         fields = request.fields
         limit = None if math.isnan(fields["limit"]) else fields["limit"]  # NaN: no limit given
         self._loop.jog(_values(fields), limit)
-        self._lease.jogged(fields["client"])
+        self._lease.jogged(request.client)
         return ""
 
     def _begin_stream(self, request: IncomingRequest) -> str:
@@ -176,7 +196,7 @@ class CommandHandlers:
         if self._lease.runs(stream):
             raise GoalRejected(f"the stream '{stream}' runs already")
         # Before it is begun: the loop may end the stream before `begin` returns.
-        self._lease.started(fields["client"], stream)
+        self._lease.started(request.client, stream)
         try:
             within = None if math.isnan(deadline) else deadline  # NaN: as configured
             self._loop.streams.begin(stream, fields["rate"], within)
@@ -199,11 +219,11 @@ class CommandHandlers:
         self._answer_after(request, lambda: self._loop.recover(device))
 
     def _acquire(self, request: IncomingRequest) -> str:
-        self._lease.acquire(request.fields["client"])
+        self._lease.acquire(request.client)
         return ""
 
     def _release(self, request: IncomingRequest) -> str:
-        self._lease.release(request.fields["client"])
+        self._lease.release(request.client)
         return ""
 
     def _answer_after(self, request: IncomingRequest, work: Callable[[], Awaitable[None]]) -> None:

@@ -80,13 +80,35 @@ def _own_folder() -> Path:
     return folder
 
 
+class Place:
+    """The place of a hand in the runtime folder, while its file is locked; made by `claimed`.
+
+    Attributes:
+        path: The hand's file.
+        socket: Where the hand's Unix socket belongs.
+    """
+
+    def __init__(self, path: Path, descriptor: int) -> None:
+        self.path, self.socket = path, path.with_suffix(".sock")
+        self._descriptor = descriptor
+
+    def write(self, endpoints: Sequence[str]) -> None:
+        """Announce the hand with its endpoints on this computer."""
+        entry = json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)})
+        os.ftruncate(self._descriptor, 0)
+        os.pwrite(self._descriptor, entry.encode(), 0)
+
+    def withdraw(self) -> None:
+        """Announce the hand no longer."""
+        os.ftruncate(self._descriptor, 0)
+
+
 @contextlib.contextmanager
-def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
-    """Announce a hand for as long as the context lasts.
+def claimed(hand: str) -> Iterator[Place]:
+    """Keep the place of a hand for as long as the context lasts, so that it runs once.
 
     Args:
         hand: Its name.
-        endpoints: Zenoh endpoints of the hand on this computer.
 
     Raises:
         ConfigError: if the hand runs already, or the folder cannot be used.
@@ -94,14 +116,26 @@ def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
     path = _own_folder() / f"{check_name(hand, 'hand')}.json"
     descriptor = _locked(path, hand)
     try:
-        entry = json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)})
-        os.ftruncate(descriptor, 0)  # a killed server may have left a longer entry
-        os.pwrite(descriptor, entry.encode(), 0)
-        yield path
+        place = Place(path, descriptor)
+        place.withdraw()  # what a killed server may have left
+        yield place
     finally:
         with contextlib.suppress(OSError):
             path.unlink()
         os.close(descriptor)
+
+
+@contextlib.contextmanager
+def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
+    """Announce a hand for as long as the context lasts; errors are those of `claimed`.
+
+    Args:
+        hand: Its name.
+        endpoints: Zenoh endpoints of the hand on this computer.
+    """
+    with claimed(hand) as place:
+        place.write(endpoints)
+        yield place.path
 
 
 def _locked(path: Path, hand: str) -> int:

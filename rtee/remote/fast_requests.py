@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 from collections.abc import Callable, Iterator
 
 import zenoh
 
 from rtee.errors import NoHand
 from rtee.messages import network_key
+from rtee.messages.identity import Signer
 from rtee.messages.requests import ANSWERS, PUT, REQUESTS
 from rtee.remote.session import EXPRESS, direct
 
@@ -27,7 +27,7 @@ _CONNECT_WITHIN = 5.0
 class FastRequests:
     """Publishes requests to one hand and waits for their answers.
 
-    Each request carries a number as its attachment, and its answer the same number. Whatever does
+    Each request carries a number in its attachment, and its answer the same number. Whatever does
     not depend on a single request is prepared when this object is made. All methods are called in
     the event loop's thread.
 
@@ -35,6 +35,7 @@ class FastRequests:
         session: The Zenoh session.
         hand: The hand's name.
         client: This client's name on the network.
+        signer: Signs the requests.
         call_soon: Calls a function in the event loop's thread, from any thread.
         settle: Completes the future of an answer, see `Link`.
     """
@@ -44,13 +45,13 @@ class FastRequests:
         session: zenoh.Session,
         hand: str,
         client: str,
+        signer: Signer,
         call_soon: Callable[..., None],
         settle: Callable[[asyncio.Future[bytes], bool, bytes], None],
     ) -> None:
-        self._hand, self._client = hand, client
+        self._hand, self._signer = hand, signer
         self._call_soon, self._complete = call_soon, settle
         self._loop = asyncio.get_running_loop()
-        self._numbers = itertools.count(1)
         self._waiting: dict[str, asyncio.Future[bytes]] = {}
         self._refusals: dict[str, Callable[[bytes], None]] = {}
         self._gone = False
@@ -88,43 +89,44 @@ class FastRequests:
         """Publish a request and return the future of its answer; see `Link.send`."""
         if self._gone:
             raise NoHand(f"the hand '{self._hand}' does not answer")
-        number = str(next(self._numbers))
-        try:
-            self._publishers[name].put(question, attachment=f"{number} {self._client}")
-        except zenoh.ZError as error:
-            raise NoHand(f"the hand '{self._hand}' cannot be asked: {error}") from None
+        number = self._signer.number()
+        self._publish(name, question, number)
         # The answer is delivered in this thread, so it cannot come before the future is there.
         future = self._waiting[number] = self._loop.create_future()
         timer = self._loop.call_later(within, self._settle, number, False, b"")
         future.add_done_callback(lambda _: self._forget(number, timer))
         return future
 
-    def put(self, name: str, question: bytes, number: str) -> None:
+    def _publish(self, name: str, question: bytes, number: str) -> None:
+        attachment = self._signer.attachment(number, name, question)
+        try:
+            self._publishers[name].put(question, attachment=attachment)
+        except zenoh.ZError as error:
+            raise NoHand(f"the hand '{self._hand}' cannot be asked: {error}") from None
+
+    def put(self, name: str, question: bytes, label: str) -> None:
         """Publish a request that is only answered if it is refused.
 
         Args:
             name: Name of the request.
             question: The question, encoded.
-            number: Under which a refusal comes; see `refusals`.
+            label: Under which a refusal comes; see `refusals`.
 
         Raises:
             NoHand: if the hand has gone.
         """
         if self._gone:
             raise NoHand(f"the hand '{self._hand}' has gone")
-        try:
-            self._publishers[name].put(question, attachment=f"{number} {self._client}")
-        except zenoh.ZError as error:
-            raise NoHand(f"the hand '{self._hand}' cannot be asked: {error}") from None
+        self._publish(name, question, self._signer.number(label))
 
     @contextlib.contextmanager
-    def refusals(self, number: str, refused: Callable[[bytes], None]) -> Iterator[None]:
-        """Have a function called with the refusals under a number while the context lasts."""
-        self._refusals[number] = refused
+    def refusals(self, label: str, refused: Callable[[bytes], None]) -> Iterator[None]:
+        """Have a function called with the refusals under a label while the context lasts."""
+        self._refusals[label] = refused
         try:
             yield
         finally:
-            del self._refusals[number]
+            del self._refusals[label]
 
     def _forget(self, number: str, timer: asyncio.TimerHandle) -> None:
         timer.cancel()
@@ -141,8 +143,8 @@ class FastRequests:
         future = self._waiting.pop(number, None)
         if future is not None:
             self._complete(future, ok, data)
-        elif not ok and number in self._refusals:
-            self._refusals[number](data)
+        elif not ok and (refused := self._refusals.get(number.partition(".")[2])) is not None:
+            refused(data)
 
     def fail_all(self) -> None:
         """End all waiting requests with an error, and refuse new ones: the hand has gone."""

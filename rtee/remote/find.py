@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Collection
+from typing import NamedTuple
 
 import anyio
 import anyio.to_thread
@@ -15,7 +16,7 @@ from rtee.hand.names import check_name
 from rtee.messages import network_key
 from rtee.messages.requests import ALIVE
 from rtee.remote.directory import Running, running
-from rtee.remote.session import open_client
+from rtee.remote.session import open_client, way_to
 
 VARIABLE = "RTEE_CONNECT"
 """Environment variable with the endpoint of a hand on another computer."""
@@ -25,6 +26,20 @@ _POLL_PERIOD = 0.02
 
 _ANSWER_WITHIN = 1.0
 """Time for the hands at an endpoint to report that they are there [s]: a round trip or two."""
+
+
+class Found(NamedTuple):
+    """A hand that was found.
+
+    Attributes:
+        session: A session with it.
+        hand: Its name.
+        way: How it was reached, see `rtee.messages.requests.HELLO`.
+    """
+
+    session: zenoh.Session
+    hand: str
+    way: str
 
 
 def hands_running() -> dict[str, Running]:
@@ -37,7 +52,7 @@ async def open_hand(
     endpoint: str | None,
     wait: float,
     on_wait: Callable[[str], object] | None = None,
-) -> tuple[zenoh.Session, str]:
+) -> Found:
     """Find a hand and open a session with it.
 
     Args:
@@ -47,7 +62,7 @@ async def open_hand(
         on_wait: Called with the reason for waiting, in words, whenever it changes.
 
     Returns:
-        The session, and the hand's name.
+        The session, the hand's name, and how it was reached.
 
     Raises:
         NoHand: if there is no such hand.
@@ -69,7 +84,7 @@ async def open_hand(
         await anyio.sleep(_POLL_PERIOD)
 
 
-async def _here(hand: str | None) -> tuple[zenoh.Session, str]:
+async def _here(hand: str | None) -> Found:
     found = running()
     name = _chosen(hand, found, "on this computer")
     try:
@@ -78,14 +93,14 @@ async def _here(hand: str | None) -> tuple[zenoh.Session, str]:
         raise NoHand(
             f"the hand '{name}' does not answer; it runs in process {found[name].pid}"
         ) from None
-    return session, name
+    return Found(session, name, way_to(found[name].endpoints[0]))
 
 
-async def _elsewhere(hand: str | None, endpoint: str) -> tuple[zenoh.Session, str]:
+async def _elsewhere(hand: str | None, endpoint: str) -> Found:
     session = await anyio.to_thread.run_sync(open_client, [endpoint])
     try:
         names = await anyio.to_thread.run_sync(_alive, session)
-        return session, _chosen(hand, names, f"at {endpoint}")
+        return Found(session, _chosen(hand, names, f"at {endpoint}"), way_to(endpoint))
     except BaseException:  # cancellation included: a session keeps threads
         session.close()  # type: ignore[no-untyped-call]
         raise

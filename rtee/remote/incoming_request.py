@@ -11,16 +11,15 @@ import zenoh
 
 from rtee.errors import LeaseHeld, MessageError, RteeError
 from rtee.messages import network_key
-from rtee.messages.requests import REQUESTS, Request
+from rtee.messages.identity import LONGEST_CLAIM
+from rtee.messages.requests import HELLO, REQUESTS, Request
 from rtee.messages.schema import message_type
+from rtee.remote.rates import Ignored
 
 log = logging.getLogger(__name__)
 
 LONGEST = 65536
 """Longest question that is decoded [bytes]: ten times that of the longest timed action."""
-
-LONGEST_NUMBERED = 200
-"""Longest attachment of a published request [bytes]; names of clients have 100 at most."""
 
 REPLY = message_type("rtee_msgs/msg/Reply")
 _EMPTY = message_type("rtee_msgs/msg/Empty")
@@ -56,14 +55,16 @@ class IncomingRequest:
         request: Which request it is.
         question: The question, encoded.
         send: Sends the answer.
+        client: Name of the client that has sent it; names in the question are not believed.
     """
 
-    __slots__ = ("_fields", "question", "request", "send")
+    __slots__ = ("_fields", "client", "question", "request", "send")
 
-    def __init__(self, request: Request, question: bytes, send: Send) -> None:
+    def __init__(self, request: Request, question: bytes, send: Send, client: str) -> None:
         self.request = request
         self.question = question
         self.send = send
+        self.client = client
         self._fields: dict[str, Any] | None = None
 
     @property
@@ -72,6 +73,10 @@ class IncomingRequest:
         if self._fields is None:
             self._fields = self.request.question.decode(self.question) if self.question else {}
         return self._fields
+
+    def check(self) -> None:
+        """Raise `MessageError` if the question cannot be decoded."""
+        self._fields = self.fields
 
     def answer(self, fields: Mapping[str, Any]) -> None:
         """Send the fields of an answer."""
@@ -86,12 +91,21 @@ Handler = Callable[[IncomingRequest], bytes | None]
 """Handles a request; returns the encoded answer, or ``None`` if it will be sent later."""
 
 
+Check = Callable[[Request, bytes | None, bytes], str]
+"""Returns the name of the client that has sent a request, given the request's attachment and
+question; raises `RteeError` if the request is refused."""
+
+
 def handle_request(
-    message: zenoh.Query | zenoh.Sample, group: str, handle: Handler, send: Send
+    message: zenoh.Query | zenoh.Sample, group: str, check: Check, handle: Handler, send: Send
 ) -> None:
     """Check a request of a group, have it handled, and send the answer or the reason against it."""
     try:
-        answer = handle(IncomingRequest(*_read(message, group), send))
+        request, question = read(message, group)
+        client = check(request, attachment_of(message), question)
+        answer = handle(IncomingRequest(request, question, send, client))
+    except Ignored:
+        pass
     except Exception as error:
         send(refusal(error), False)
     else:
@@ -99,13 +113,14 @@ def handle_request(
             send(answer, True)
 
 
-def _read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, bytes]:
+def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, bytes]:
     """Return which request a message is and its encoded question; cheap for junk of any size.
 
     Raises:
         MessageError: if the message is not a request of the group.
     """
-    name = str(message.key_expr).rpartition("/")[2]
+    # The last part of the key of a hello says how the client comes.
+    name = HELLO if group == HELLO else last_part(message)
     request = REQUESTS.get(name)
     if request is None or request.group != group:
         raise MessageError(f"there is no request '{name[:50]}' in '{group}'")
@@ -120,13 +135,17 @@ def _read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, byt
     return request, payload.to_bytes()
 
 
-def number_and_client(sample: zenoh.Sample) -> tuple[str, str]:
-    """Return the number and the client of a published request; empty if it carries none."""
-    attachment = sample.attachment
-    if attachment is None or len(attachment) > LONGEST_NUMBERED:
-        return "", ""
-    number, _, client = attachment.to_bytes().decode("ascii", "replace").partition(" ")
-    return number, client
+def last_part(message: zenoh.Query | zenoh.Sample) -> str:
+    """Return the last part of a message's key."""
+    return str(message.key_expr).rpartition("/")[2]
+
+
+def attachment_of(message: zenoh.Query | zenoh.Sample) -> bytes | None:
+    """Return the attachment of a message, if it has one of a sensible length."""
+    attachment = message.attachment
+    if attachment is None or len(attachment) > LONGEST_CLAIM:
+        return None
+    return attachment.to_bytes()
 
 
 def reply(hand: str, query: zenoh.Query, data: bytes, ok: bool) -> None:

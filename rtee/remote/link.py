@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import secrets
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import zenoh
 
-from rtee.errors import LeaseHeld, MessageError, NoHand, RemoteError, RequestRejected
+from rtee.errors import (
+    LeaseHeld,
+    MessageError,
+    NoHand,
+    RemoteError,
+    RequestRejected,
+    TooManyRequests,
+)
 from rtee.messages import network_key
-from rtee.messages.requests import ALIVE, CLIENTS, PUT, REQUESTS, STOP
+from rtee.messages.identity import Signer
+from rtee.messages.requests import ALIVE, CLIENTS, HELLO, PUT, REQUESTS, STOP
 from rtee.messages.schema import message_type
 from rtee.remote.fast_requests import FastRequests
 from rtee.remote.session import direct
@@ -23,6 +32,10 @@ ANSWER_WITHIN = 5.0
 """Default time to wait for an answer [s]: far longer than any request takes on a busy computer."""
 
 
+_TOO_FAST = 0.05
+"""Time until a request is sent again that came too fast [s]: the hand takes one more by then."""
+
+
 class Link:
     """A client's connection to one hand. All methods are called in the event loop's thread.
 
@@ -30,12 +43,13 @@ class Link:
         session: The Zenoh session.
         hand: The hand's name.
         client: This client's name on the network.
+        way: How this client comes to the hand, see `rtee.messages.requests.HELLO`.
 
     Attributes:
         gone: Whether the hand has gone.
     """
 
-    def __init__(self, session: zenoh.Session, hand: str, client: str) -> None:
+    def __init__(self, session: zenoh.Session, hand: str, client: str, way: str) -> None:
         self.hand = hand
         self.client = client
         self.gone = False
@@ -43,9 +57,16 @@ class Link:
         self._loop = asyncio.get_running_loop()
         self._gone_callbacks: list[Callable[[], object]] = []
         self._subscribers: list[zenoh.Subscriber[None]] = []
-        self._fast = FastRequests(session, hand, client, self._call_soon, self._settle)
-        # While this token is there the hand knows that its client is alive.
-        self._token = session.liveliness().declare_token(network_key(hand, f"{CLIENTS}/{client}"))
+        self._way = way
+        self._signer = Signer(client)
+        self._fast = FastRequests(
+            session, hand, client, self._signer, self._call_soon, self._settle
+        )
+        # While this token is there the hand knows that its client is alive. Nobody else knows its
+        # name, and so nobody can declare it in this client's place.
+        self._token_name = secrets.token_hex(16)
+        key = network_key(hand, f"{CLIENTS}/{self._token_name}")
+        self._token = session.liveliness().declare_token(key)
         self._subscribers.append(
             session.liveliness().declare_subscriber(
                 network_key(hand, ALIVE), direct(self._on_liveliness), history=True
@@ -61,7 +82,7 @@ class Link:
 
     async def connect(self) -> None:
         """Introduce this client to the hand and wait until requests reach it; raises `NoHand`."""
-        await self.request("hello")
+        self._signer.secret = bytes.fromhex((await self.request("hello", self._token_name))["text"])
         await self._fast.connected()
 
     def on_gone(self, callback: Callable[[], object]) -> None:
@@ -132,10 +153,20 @@ class Link:
     async def ask(
         self, name: str, fields: Mapping[str, Any] | None = None, *, within: float = ANSWER_WITHIN
     ) -> dict[str, Any]:
-        """Send a request and return the fields of its answer; see `send`."""
+        """Send a request and return the fields of its answer; see `send`.
+
+        If this client sends such requests faster than the hand takes them, this call waits.
+        """
         request = REQUESTS[name]
         question = b"" if fields is None else request.question.encode(fields)
-        return request.answer.decode(await self.send(name, question, within=within))
+        until = self._loop.time() + within
+        while True:
+            try:
+                return request.answer.decode(await self.send(name, question, within=within))
+            except TooManyRequests:
+                if self._loop.time() > until:
+                    raise
+            await asyncio.sleep(_TOO_FAST)
 
     async def request(
         self, name: str, what: str = "", *, within: float = ANSWER_WITHIN
@@ -174,28 +205,32 @@ class Link:
             self._call_soon(self._settle, future, False, b"")
 
         first = request.group == STOP
+        key = request.key(self.hand)
+        if request.group == HELLO:
+            key = network_key(self.hand, f"{HELLO}/{self._way}")
         try:
             self._session.get(
-                request.key(self.hand),
+                key,
                 direct(replied, ended),
                 consolidation=zenoh.ConsolidationMode.NONE,  # else replies wait for the last one
                 timeout=within,
                 priority=zenoh.Priority.REAL_TIME if first else zenoh.Priority.INTERACTIVE_HIGH,
                 express=True,
                 payload=question,
+                attachment=self._signer.attachment(self._signer.number(), name, question),
             )
         except zenoh.ZError as error:
             raise NoHand(f"the hand '{self.hand}' cannot be asked: {error}") from None
         return future
 
-    def put(self, name: str, question: bytes, number: str) -> None:
+    def put(self, name: str, question: bytes, label: str) -> None:
         """Send a request that is only answered if it is refused; see `FastRequests.put`."""
-        self._fast.put(name, question, number)
+        self._fast.put(name, question, label)
 
     @contextlib.contextmanager
-    def refusals(self, number: str, refused: Callable[[RemoteError], None]) -> Iterator[None]:
-        """Have a function called with what the hand refuses under a number, see `put`."""
-        with self._fast.refusals(number, lambda data: refused(self._refusal(data))):
+    def refusals(self, label: str, refused: Callable[[RemoteError], None]) -> Iterator[None]:
+        """Have a function called with what the hand refuses under a label, see `put`."""
+        with self._fast.refusals(label, lambda data: refused(self._refusal(data))):
             yield
 
     def _settle(self, future: asyncio.Future[bytes], ok: bool, data: bytes) -> None:
@@ -213,8 +248,13 @@ class Link:
             reply = _REPLY.decode(data)
         except MessageError:
             return NoHand(f"the hand '{self.hand}' does not answer")
-        held = reply["error"] == LeaseHeld.__name__
-        return LeaseHeld(reply["text"]) if held else RequestRejected(reply["reason"])
+        match reply["error"]:
+            case "LeaseHeld":
+                return LeaseHeld(reply["text"])
+            case "TooManyRequests":
+                return TooManyRequests(reply["reason"])
+            case _:
+                return RequestRejected(reply["reason"])
 
     def close(self) -> None:
         """Undeclare everything and close the session; blocks for a moment."""

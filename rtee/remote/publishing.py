@@ -38,12 +38,13 @@ from rtee.messages.state import StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.lease import Lease
-from rtee.remote.session import EXPRESS, direct
+from rtee.remote.session import DELIVER, direct
 from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 MOST_STREAMS = 16
-"""Number of different rates streamed at once: more than clients need, but bounded."""
+"""Number of different rates streamed at once: more than clients need. Beyond it there are only
+those of every 1, 2, 4, 8 … ticks, so that subscribers cannot use up all."""
 
 _TOPICS = (
     topics.GOALS,
@@ -158,16 +159,18 @@ class Streams:
     def ask(self, rate: float) -> str:
         """Return the key of a stream of states at the nearest possible rate to a given one [Hz].
 
-        The stream begins when a client subscribes to it.
+        The stream begins when a client subscribes to it. While very many rates are streamed, it may
+        be up to twice as fast.
 
         Raises:
-            GoalRejected: if the rate is out of range, or too many rates are streamed.
+            GoalRejected: if the rate is out of range.
         """
         if not 0.01 <= rate <= 1e5:
             raise GoalRejected(f"the rate must be 0.01 Hz to that of the loop, not {rate:g}")
         every = self._every(rate)
         if every not in self._asked:
-            self._make_room()
+            every = every if self._has_room() else 1 << (every.bit_length() - 1)
+        if every not in self._asked:
             key = f"{network_key(self._hand, STATES)}/{every}"
             # Replaced rather than changed, because the loop's thread iterates over it.
             asked = dict(self._asked)
@@ -175,15 +178,17 @@ class Streams:
             self._replace(asked)
         return self._asked[every].key
 
-    def _make_room(self) -> None:
+    def _has_room(self) -> bool:
+        """Return whether there is room for one more rate, or an idle one was given up for it."""
         if len(self._asked) < MOST_STREAMS:
-            return
+            return True
         idle = [every for every, stream in self._asked.items() if not stream.wanted]
         if not idle:
-            raise GoalRejected(f"states are streamed at {MOST_STREAMS} rates already")
+            return False
         stream = self._asked[idle[0]]
         self._replace({every: kept for every, kept in self._asked.items() if kept is not stream})
         stream.close()
+        return True
 
     def _replace(self, asked: dict[int, Stream]) -> None:
         self._asked, self._all = asked, (*self._fixed, *asked.values())
@@ -232,7 +237,7 @@ class Publisher(Observer):
     ) -> None:
         self._streams, self._outbox, self._lease = streams, outbox, lease
         self._publishers = {
-            topic: session.declare_publisher(network_key(hand, topic), **EXPRESS)
+            topic: session.declare_publisher(network_key(hand, topic), **DELIVER)
             for topic in _TOPICS
         }
 

@@ -14,10 +14,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
+from rtee.actions.naming import normalise
+from rtee.actions.types import Primitive
 from rtee.errors import RequestRejected, RteeError
 from rtee.hand.catalog import fingerprint
 from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.loop.handloop import HandLoop
+from rtee.loop.plan import OPEN
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.object_description import NO_OBJECT
 from rtee.remote.actions import action_fields, group_fields, made_of
@@ -40,10 +43,16 @@ _LONGEST_MARK = 1000
 _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "partners"})
 """Requests whose answer changes only when the actions change."""
 
-_ABOUT_ACTIONS = frozenset(
-    {"actions", "primitives", "partners", "add", "store", "remove", "rename"}
-)
+_CHANGING = frozenset({"add", "store", "remove", "rename"})
+"""Requests that change the actions; not while another client holds the lease, since its next goal
+would mean something else."""
+
+_ABOUT_ACTIONS = _CHANGING | {"actions", "primitives", "partners"}
 """Requests before which the files of actions are read again if they have changed."""
+
+_MOST_ACTIONS = 256
+"""Actions, besides the primitives, beyond which clients may add no more: each takes a part of the
+time in which the files are read again, 0.3 ms."""
 
 _MOST_KEPT = 64
 """Cached answers: more than user interfaces ask for; each takes up to some hundred kilobytes."""
@@ -139,10 +148,14 @@ class QueryHandlers:
         if name in ("grasp_plan", "reach"):
             self._plans.handle(asked, self._library.folder)
             return None
+        if name in _CHANGING or (name == "record" and fields["what"] != "mark"):
+            self._lease.check(asked.client)
         if name in _ABOUT_ACTIONS:
             self._reload()
         if name in _CONSTANT:
             return self._cached(asked)
+        if name in _CHANGING:
+            fields = {**fields, "client": asked.client}  # the event names who it really was
         return asked.request.answer.encode(self._handlers[name](fields))
 
     def close(self) -> None:
@@ -259,6 +272,13 @@ class QueryHandlers:
 
     def _add(self, fields: Fields) -> Fields:
         action = made_of(self._library, fields["action"])
+        _check_free(action.name)
+        known = {normalise(each.name) for each in self._library if not isinstance(each, Primitive)}
+        if len(known) >= _MOST_ACTIONS and normalise(action.name) not in known:
+            raise RequestRejected(
+                f"{self._hand.name} has {len(known)} actions besides the primitives, and more than"
+                f" {_MOST_ACTIONS} would slow it down; remove some first"
+            )
         self._library.add(action, store=fields["store"], replace_same=fields["replace"])
         return self._done(fields, f"the action '{action.name}' was added")
 
@@ -267,10 +287,13 @@ class QueryHandlers:
         return self._done(fields, f"the action '{fields['name']}' was stored")
 
     def _remove(self, fields: Fields) -> Fields:
+        _check_free(fields["name"])
         self._library.remove(fields["name"])
         return self._done(fields, f"the action '{fields['name']}' was removed")
 
     def _rename(self, fields: Fields) -> Fields:
+        _check_free(fields["name"])
+        _check_free(fields["what"])
         self._library.rename(fields["name"], fields["what"])
         return self._done(fields, f"the action '{fields['name']}' is now called '{fields['what']}'")
 
@@ -291,3 +314,12 @@ class QueryHandlers:
     def _changed(self, client: str, text: str) -> None:
         event = Event("actions_changed", client, text, time.monotonic())
         self._thread.call_soon(self._loop.announce, event)
+
+
+def _check_free(name: str) -> None:
+    """Raise `RequestRejected` if clients may not give an action this name, or change that one."""
+    if normalise(name) == OPEN:
+        raise RequestRejected(
+            f"'{OPEN}' brings the hand to rest, also when a client is lost; an action of this name"
+            " can only be defined in the hand's own files"
+        )

@@ -12,6 +12,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol, Self
 
 import anyio
@@ -19,18 +21,29 @@ import anyio.to_thread
 import zenoh
 
 from rtee.errors import RequestRejected
+from rtee.hand.config_schema import SecuritySettings
 from rtee.loop.handloop import HandLoop
 from rtee.messages import network_key
-from rtee.messages.requests import ALIVE, ANSWERS, ASK, CLIENTS, CONTROL, STOP
+from rtee.messages.identity import claim_of
+from rtee.messages.requests import ALIVE, ANSWERS, ASK, CLIENTS, CONTROL, HELLO, STOP, Request
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.command_handlers import CommandHandlers
-from rtee.remote.directory import announced
-from rtee.remote.incoming_request import handle_request, number_and_client, refusal, reply
+from rtee.remote.directory import claimed
+from rtee.remote.identities import Identities
+from rtee.remote.incoming_request import (
+    IncomingRequest,
+    attachment_of,
+    handle_request,
+    last_part,
+    refusal,
+    reply,
+)
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
+from rtee.remote.protection import Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
-from rtee.remote.session import EXPRESS, direct, disable_linger, open_server
+from rtee.remote.session import DELIVER, direct, disable_linger, fits, open_server
 
 
 class RemoteSettings(Protocol):
@@ -38,11 +51,15 @@ class RemoteSettings(Protocol):
 
     @property
     def listen(self) -> Sequence[str]:
-        """Zenoh endpoints to listen on, besides loopback."""
+        """Zenoh endpoints to listen on, besides the socket on this computer."""
 
     @property
     def connect(self) -> Sequence[str]:
         """Zenoh endpoints to connect to."""
+
+    @property
+    def security(self) -> SecuritySettings:
+        """Who may use the hand on a network."""
 
     @property
     def state_rate(self) -> float:
@@ -59,6 +76,7 @@ class Server:
         hand: The hand's name.
         endpoint: Address of the hand on this computer.
         session: The Zenoh session.
+        identities: Knows the clients.
         commands: Handles what moves or stops the hand.
         queries: Handles what asks for information or changes the actions.
 
@@ -74,6 +92,7 @@ class Server:
         hand: str,
         endpoint: str,
         session: zenoh.Session,
+        identities: Identities,
         commands: CommandHandlers,
         queries: QueryHandlers,
     ) -> None:
@@ -82,7 +101,7 @@ class Server:
         self.stops = CallQueue(f"stop {hand}")
         self.questions = CallQueue(f"answer {hand}")
         self._hand, self._session = hand, session
-        self._commands, self._queries = commands, queries
+        self._identities, self._commands, self._queries = identities, commands, queries
 
     @classmethod
     @contextlib.asynccontextmanager
@@ -107,8 +126,15 @@ class Server:
         in_thread = anyio.to_thread.run_sync
         hand = loop.hand
         async with contextlib.AsyncExitStack() as stack:
+            place = stack.enter_context(claimed(hand.name))
+            protection = await in_thread(Protection, hand.name, settings)
+            socket = place.socket
+            if not fits(socket):  # a folder of its own, readable by this user alone
+                folder = await in_thread(partial(TemporaryDirectory, prefix="rtee-"))
+                stack.push_async_callback(in_thread, folder.cleanup)
+                socket = Path(folder.name) / "hand.sock"
             session, endpoint = await in_thread(
-                open_server, list(settings.listen), list(settings.connect)
+                open_server, socket, settings.listen, settings.connect, protection.settings
             )
             stack.push_async_callback(in_thread, session.close)
             streams = Streams(session, hand, loop.settings.rate, settings.state_rate)
@@ -116,7 +142,8 @@ class Server:
             lease, thread = Lease(), LoopThread()
             commands = CommandHandlers(loop, lease, thread)
             queries = QueryHandlers(loop, lease, thread, streams, recording, profile)
-            server = cls(hand.name, endpoint, session, commands, queries)
+            identities = Identities(protection.role_of)
+            server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)
             stack.push_async_callback(thread.close)
             publisher = Publisher(session, hand.name, streams, server.outbox, lease)
@@ -124,7 +151,8 @@ class Server:
             stack.callback(loop.remove_observer, publisher)
             server.declare()
             # Last: waiting clients send requests as soon as the hand is announced.
-            stack.enter_context(announced(hand.name, [endpoint]))
+            place.write([endpoint])
+            stack.callback(place.withdraw)
             yield server
 
     def declare(self) -> None:
@@ -136,6 +164,7 @@ class Server:
         session, liveliness = self._session, self._session.liveliness()
         session.declare_subscriber(key(CONTROL, "*"), direct(self._on_put))
         queries: dict[str, Callable[[zenoh.Query], None]] = {
+            HELLO: self._on_hello,
             STOP: self._on_stop,
             CONTROL: self._on_control,
             ASK: self._on_question,
@@ -151,38 +180,69 @@ class Server:
         for queue in (self.questions, self.stops, self.outbox):
             queue.close()
 
+    def _on_hello(self, query: zenoh.Query) -> None:
+        def handle(request: IncomingRequest) -> None:
+            self._identities.hello(request, last_part(query))
+
+        replier = self._replier(query, self.outbox)
+        handle_request(query, HELLO, self._identities.welcome, handle, replier)
+
     def _on_stop(self, query: zenoh.Query) -> None:
-        handle_request(query, STOP, self._commands.stop, self._replier(query, self.stops))
+        send = self._replier(query, self.stops)
+
+        def handle(request: IncomingRequest) -> None:
+            if not self._identities.answers_stop(request.client):
+                request.send = _unanswered
+            self._commands.stop(request)
+
+        handle_request(query, STOP, self._identities.name, handle, send)
 
     def _on_control(self, query: zenoh.Query) -> None:
-        handle_request(query, CONTROL, self._commands.handle, self._replier(query, self.outbox))
+        replier = self._replier(query, self.outbox)
+        handle_request(query, CONTROL, self._identities.check, self._commands.handle, replier)
 
     def _replier(self, query: zenoh.Query, queue: CallQueue) -> Callable[[bytes, bool], object]:
         """Return a function that has a query answered by a queue."""
         return lambda data, ok: queue.put(partial(reply, self._hand, query, data, ok))
 
     def _on_put(self, sample: zenoh.Sample) -> None:
-        answer = partial(self._answer_put, sample)
-        handle_request(sample, CONTROL, self._commands.handle_put, answer)
+        attachment, name = attachment_of(sample), ""
 
-    def _answer_put(self, sample: zenoh.Sample, data: bytes, ok: bool) -> None:
-        # The attachment is decoded only now, so that it does not delay the request itself.
-        number, client = number_and_client(sample)
-        if self._commands.knows(client):
-            key = network_key(self._hand, f"{ANSWERS}/{client}")
-            attachment = f"{'+' if ok else '-'}{number}"
-            self.outbox.put(partial(self._session.put, key, data, attachment=attachment, **EXPRESS))
+        def check(request: Request, attachment: bytes | None, question: bytes) -> str:
+            nonlocal name
+            name = self._identities.check(request, attachment, question)
+            return name
+
+        def answer(data: bytes, ok: bool) -> None:
+            claim = claim_of(attachment)
+            # Only who has signed it is answered; else others could have it refused.
+            if claim is not None and name:
+                self._answer_put(name, claim.number, data, ok)
+
+        handle_request(sample, CONTROL, check, self._commands.handle_put, answer)
+
+    def _answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
+        key = network_key(self._hand, f"{ANSWERS}/{client}")
+        attachment = f"{'+' if ok else '-'}{number}"
+        self.outbox.put(partial(self._session.put, key, data, attachment=attachment, **DELIVER))
 
     def _on_question(self, query: zenoh.Query) -> None:
         send = partial(reply, self._hand, query)
-        if not self.questions.put(partial(handle_request, query, ASK, self._queries.handle, send)):
+        handle = partial(
+            handle_request, query, ASK, self._identities.check, self._queries.handle, send
+        )
+        if not self.questions.put(handle):
             error = RequestRejected("too many requests are waiting")
             self._replier(query, self.outbox)(refusal(error), False)
 
     def _on_client(self, sample: zenoh.Sample) -> None:
-        client = str(sample.key_expr).rpartition("/")[2]
+        token = str(sample.key_expr).rpartition("/")[2]
         if sample.kind == zenoh.SampleKind.PUT:
             disable_linger()
-            self._commands.client_came(client)
-        else:
+            self._identities.came(token)
+        elif client := self._identities.left(token):
             self._commands.client_left(client)
+
+
+def _unanswered(data: bytes, ok: bool) -> None:
+    """Send no answer."""

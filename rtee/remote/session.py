@@ -1,20 +1,28 @@
-"""Zenoh sessions: loopback only, no scouting, dead peers noticed within a second."""
+"""Zenoh sessions: a Unix socket on this computer, no scouting, dead peers noticed within a second.
+
+File permissions decide who reaches a hand on this computer: its socket is in a folder that only its
+user, or the group of a service, may enter.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import json
 import os
 import re
 import socket
 import struct
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import zenoh
 
 from rtee.errors import ConfigError, NoHand
+from rtee.messages.requests import HERE, PLAIN
+from rtee.remote.credentials import identity
 
 RUNTIME = "(rx:(worker_threads:1),tx:(worker_threads:1)"
 RUNTIME += ",acc:(handover:rx),net:(handover:rx),app:(handover:rx))"
@@ -35,12 +43,34 @@ EXPRESS: dict[str, Any] = {
 """For messages that must arrive, and soon: they wait for slow readers, but not for a batch to
 fill."""
 
+DELIVER = {**EXPRESS, "congestion_control": zenoh.CongestionControl.DROP}
+"""For what the hand sends: a client that reads so slowly that everything between is full misses
+it, instead of holding up all others. A hand keeps a megabyte for each, see `open_server`."""
+
+_CLOSE_AFTER = 50_000
+"""Time for which a hand waits for a client that must read before it can go on [µs]; then the
+connection is closed. It waits only with the answers to queries that ask it to."""
+
 T = TypeVar("T")
 
-LOOPBACK = "127.0.0.1"
+LOCAL = "unixsock-stream"
+"""Zenoh's name of the protocol on this computer."""
 
-_ATTEMPTS = 5
-"""Attempts to listen on a free port; another process rarely takes it in between."""
+TLS = "tls/"
+"""Beginning of the endpoints that admit nobody without a certificate."""
+
+_LONGEST_SOCKET = 107 if sys.platform == "linux" else 103
+"""Longest path of a Unix socket [bytes]; operating systems store it in a field of fixed size."""
+
+_SOCKET_MODE = 0o660
+"""Mode of the socket: its user and group may connect if they may enter its folder, too."""
+
+LARGEST = 1 << 20
+"""Largest message that a hand assembles [bytes]: sixteen times the longest request. Zenoh's own
+limit is 1 GiB, for each client."""
+
+MOST_SESSIONS = 128
+"""Most connections that a hand accepts: far more than a hand has clients, but bounded."""
 
 _CONNECT_WITHIN = 10
 """Time to open a session where somebody listens [s]; over a VPN it takes up to 1 s."""
@@ -60,7 +90,8 @@ _ENDPOINT = re.compile(
     r"((tcp|udp|tls|quic|ws)/(\[[^\]]+\]|[^:/?#]+):[0-9]{1,5}"
     r"|(serial|unixpipe|unixsock-stream|vsock)/[^?#]+)(\?[^#]*)?(#.*)?"
 )
-_TCP = re.compile(r"tcp/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
+_TCP = re.compile(r"(?:tcp|tls)/(\[[^\]]+\]|[^:/]+):([0-9]{1,5})")
+_SOCKET = re.compile(LOCAL + r"/([^?#]+)")
 
 _COMMON: dict[str, Any] = {
     "mode": "peer",
@@ -118,49 +149,87 @@ def disable_linger() -> None:
                 link.setsockopt(*_LINGER, _NO_LINGER)
 
 
-def free_endpoint() -> str:
-    """Return a loopback endpoint with a free port."""
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return f"tcp/{LOOPBACK}:{probe.getsockname()[1]}"
+def fits(path: Path) -> bool:
+    """Return whether the path of a socket is short enough."""
+    return len(os.fsencode(str(path.absolute()))) <= _LONGEST_SOCKET
 
 
-def open_server(listen: Sequence[str], connect: Sequence[str]) -> tuple[zenoh.Session, str]:
-    """Open a session that listens on a free loopback port and on further endpoints.
+def local_endpoint(path: Path) -> str:
+    """Return the endpoint of a Unix socket; raises `ConfigError` if the path cannot be used."""
+    name = str(path.absolute())
+    if not fits(path):
+        raise ConfigError(
+            f"is longer than the {_LONGEST_SOCKET} bytes that the path of a socket may have; set"
+            " RTEE_RUNTIME_DIR to a folder with a shorter one",
+            path=path,
+        )
+    endpoint = f"{LOCAL}/{name}"
+    if _SOCKET.fullmatch(endpoint) is None:
+        raise ConfigError("holds a character that the path of a socket may not: ? or #", path=path)
+    return endpoint
+
+
+def open_server(
+    local: Path,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    further: Mapping[str, Any] | None = None,
+) -> tuple[zenoh.Session, str]:
+    """Open a session that listens on a Unix socket and on further endpoints.
 
     Blocks for some milliseconds.
 
     Args:
+        local: Path of the socket.
         listen: Further endpoints to listen on.
         connect: Endpoints to connect to, such as a Zenoh router; they may become available later.
+        further: Further settings of Zenoh.
 
     Returns:
-        The session and its loopback endpoint.
+        The session and its endpoint on this computer.
 
     Raises:
         ConfigError: if an endpoint cannot be used.
     """
     _check([*listen, *connect])
-    for attempt in range(_ATTEMPTS):
-        local = free_endpoint()
-        settings = {
-            "listen/endpoints": [local, *listen],
-            "listen/exit_on_failure": True,
-            "connect/endpoints": list(connect),
-            "connect/exit_on_failure": False,
-            # A router may come up later: Zenoh keeps trying.
-            "connect/timeout_ms": 0 if not connect else -1,
-        }
-        try:
-            return zenoh.open(_configured(settings)), local
-        except zenoh.ZError as error:
-            # Another process may have taken the free port in between.
-            if listen or connect or attempt == _ATTEMPTS - 1:
-                where = ", ".join([*listen, *connect]) or local
-                raise ConfigError(
-                    f"the network endpoint {where} cannot be used: {_words(error)}"
-                ) from None
-    raise AssertionError
+    endpoint = local_endpoint(local)
+    settings = {
+        "listen/endpoints": [endpoint, *listen],
+        "listen/exit_on_failure": True,
+        "connect/endpoints": list(connect),
+        "connect/exit_on_failure": False,
+        # A router may come up later: Zenoh keeps trying.
+        "connect/timeout_ms": 0 if not connect else -1,
+        "transport/link/rx/max_message_size": LARGEST,
+        "transport/unicast/max_sessions": MOST_SESSIONS,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": _CLOSE_AFTER,
+        # Batches of 64 KiB that may wait for a client, the most that Zenoh allows.
+        "transport/link/tx/queue/size/interactive_high": 16,
+    }
+    try:
+        session = zenoh.open(_configured(settings | dict(further or {})))
+        local.chmod(_SOCKET_MODE)
+        return session, endpoint
+    except (OSError, zenoh.ZError) as error:
+        where = ", ".join([*listen, *connect]) or endpoint
+        raise ConfigError(f"the network endpoint {where} cannot be used: {_words(error)}") from None
+
+
+def way_to(endpoint: str) -> str:
+    """Return how a client comes to a hand through an endpoint; see `HELLO`."""
+    if endpoint.startswith(TLS):
+        return identity().name
+    return HERE if endpoint.startswith(LOCAL) else PLAIN
+
+
+def is_safe(endpoint: str) -> bool:
+    """Return whether nobody can come through an endpoint who is not admitted."""
+    match = _TCP.fullmatch(endpoint)
+    if match is not None and not endpoint.startswith(TLS):
+        with contextlib.suppress(ValueError):
+            return ipaddress.ip_address(match[1].strip("[]")).is_loopback
+        return match[1] == "localhost"
+    return endpoint.startswith((TLS, LOCAL))
 
 
 def open_client(endpoints: Sequence[str]) -> zenoh.Session:
@@ -171,12 +240,14 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         ConfigError: if an endpoint is malformed.
     """
     _check(endpoints)
-    settings = {
+    settings: dict[str, Any] = {
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
         "connect/exit_on_failure": True,
         "connect/timeout_ms": _CONNECT_WITHIN * 1000,
     }
+    if any(endpoint.startswith(TLS) for endpoint in endpoints):
+        settings |= identity().settings()
     try:
         # Zenoh itself would retry for a long time where nobody listens.
         for endpoint in endpoints:
@@ -198,10 +269,13 @@ def _check(endpoints: Sequence[str]) -> None:
 
 
 def _probe(endpoint: str) -> None:
-    """Raise `OSError` if nobody listens on a plain TCP endpoint."""
-    match = _TCP.fullmatch(endpoint)
-    if match is not None:
+    """Raise `OSError` if nobody listens on an endpoint of TCP, TLS or a Unix socket."""
+    if match := _TCP.fullmatch(endpoint):
         socket.create_connection((match[1].strip("[]"), int(match[2])), _PROBE_WITHIN).close()
+    elif match := _SOCKET.fullmatch(endpoint):
+        with socket.socket(socket.AF_UNIX) as probe:
+            probe.settimeout(_PROBE_WITHIN)
+            probe.connect(match[1])
 
 
 def _words(error: Exception) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference, Evidence, Opposition, Primitive, PrimitiveKind
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.hand.config_schema import SecuritySettings
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.log.settings import RecorderStatus
@@ -147,6 +149,7 @@ class Remote:
     listen: list[str] = field(default_factory=list)
     connect: list[str] = field(default_factory=list)
     state_rate: float = 100.0
+    security: SecuritySettings = field(default_factory=SecuritySettings)
 
 
 @dataclass
@@ -169,6 +172,13 @@ class Served:
         """Wait for an event of a kind."""
         await until(lambda: kind in [event.kind for event in self.watcher.events])
         return next(event for event in self.watcher.events if event.kind == kind)
+
+
+def free_endpoint() -> str:
+    """Return a loopback endpoint with a free port."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 async def until(condition: Callable[[], bool]) -> None:

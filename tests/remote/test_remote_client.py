@@ -17,7 +17,17 @@ from rtee.remote.server import Server
 from rtee.remote.session import direct
 from rtee.types import Feedback, Lifecycle
 
-from .serving import RATE, Config, Remote, Told, make_hand, make_library, serving, until
+from .serving import (
+    RATE,
+    Config,
+    Remote,
+    Told,
+    free_endpoint,
+    make_hand,
+    make_library,
+    serving,
+    until,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -376,8 +386,6 @@ async def test_waiting_for_a_hand(hand: Hand, library: ActionLibrary) -> None:
 async def test_a_hand_elsewhere_is_reached_by_its_endpoint(
     hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch, runtime: object
 ) -> None:
-    from rtee.remote.session import free_endpoint
-
     endpoint = free_endpoint()
     config = Config(Remote(listen=[endpoint]))
     async with serving(hand, library, config=config):

@@ -37,20 +37,30 @@ class Rude:
     def __init__(self, endpoint: str) -> None:
         self.session = open_client([endpoint])
 
-    def ask(self, key: str, payload: bytes) -> list[tuple[bool, bytes]]:
-        replies = self.session.get(key, payload=payload, timeout=5.0)
+    def ask(self, key: str, payload: bytes, signed: str | None = None) -> list[tuple[bool, bytes]]:
+        replies = self.session.get(key, payload=payload, timeout=5.0, attachment=signed)
         return [
             (reply.ok is not None, (reply.ok or reply.err).payload.to_bytes()) for reply in replies
         ]
 
-    def refusal(self, key: str, payload: bytes) -> str:
-        ((ok, data),) = self.ask(key, payload)
-        assert not ok
+    def refusal(self, key: str, payload: bytes, signed: str | None = None) -> str:
+        ((ok, data),) = self.ask(key, payload, signed)
+        assert not ok, key
         reply = REPLY.decode(data)
         assert not reply["accepted"]
         assert reply["error"]
         assert "internal" not in reply["reason"]
         return str(reply["reason"])
+
+
+def key_of(request: Request) -> str:
+    return "rtee/small/hello/here" if request.name == "hello" else request.key("small")
+
+
+def signed(remote: RemoteHand, request: str, payload: bytes, number: str = "") -> str:
+    """Return what proves that a request is a client's."""
+    signer = remote._link._signer
+    return signer.attachment(number or signer.number(), request, payload)
 
 
 @pytest.fixture
@@ -99,7 +109,7 @@ async def test_a_megabyte_of_junk_on_every_key_is_refused_with_a_reason(
         for request in REQUESTS.values():
             for junk in (os.urandom(1_000_000), b"\x00\x01\x00\x00" + bytes(LONGEST)):
                 ask = rude[0].refusal
-                reason = await anyio.to_thread.run_sync(ask, request.key("small"), junk)
+                reason = await anyio.to_thread.run_sync(ask, key_of(request), junk)
                 assert "longer than any request" in reason
         await _still_well(remote)
         assert served.watcher.goals[:-1] == []
@@ -112,7 +122,11 @@ async def test_short_junk_is_refused_with_a_reason(
         rude.append(Rude(served.server.endpoint))
         for request in REQUESTS.values():
             for junk in (b"{}", os.urandom(300), b"\x00\x01\x00\x00\xff\xff\xff\xff"):
-                await anyio.to_thread.run_sync(rude[0].refusal, request.key("small"), junk)
+                for proof in (None, signed(remote, request.name, junk)):
+                    ask, key = rude[0].refusal, key_of(request)
+                    reason = await anyio.to_thread.run_sync(ask, key, junk, proof)
+                    unknown = proof is None and request.group not in ("hello", "stop")
+                    assert ("not known here" in reason) == unknown
         await _still_well(remote)
 
 
@@ -125,7 +139,9 @@ async def test_damaged_requests_end_in_an_answer(
             whole = _sensible(request, remote.client)
             for seed in range(8):
                 data = _mutated(whole, seed)
-                answers = await anyio.to_thread.run_sync(rude[0].ask, request.key("small"), data)
+                answers = await anyio.to_thread.run_sync(
+                    rude[0].ask, key_of(request), data, signed(remote, request.name, data)
+                )
                 # A greeting of somebody who never comes has no answer until it times out.
                 assert len(answers) == 1 or request.name == "hello"
                 for ok, answer in answers:
@@ -146,12 +162,15 @@ async def test_junk_that_is_put_is_refused_or_ignored(
             for name in ("do", "dance"):
                 for junk in (b"", b"junk", bytes(LONGEST + 1)):
                     key = f"rtee/small/control/{name}"
-                    for attachment in (None, "", f"7 {'x' * 500}", "7 nobody", "\u00fc 7 **"):
+                    for attachment in (None, "", f"7 {client}", f"7 {client} {'0' * 32}"):
                         put(key, junk, attachment=attachment)
-                    put(key, junk, attachment=f"7 {client}")
-                    sample = await anyio.to_thread.run_sync(answers.recv)
-                    assert sample.attachment.to_string() == "-7"
-                    assert REPLY.decode(sample.payload.to_bytes())["reason"]
+                    for attachment in ("7 " + "x" * 500, "7 nobody 00", "\u00fc 7 **"):
+                        put(key, junk, attachment=attachment)
+            number = remote._link._signer.number("mine")
+            put("rtee/small/control/do", b"junk", attachment=signed(remote, "do", b"junk", number))
+            sample = await anyio.to_thread.run_sync(answers.recv)
+            assert sample.attachment.to_string() == f"-{number}", "who did not sign has no answer"
+            assert REPLY.decode(sample.payload.to_bytes())["reason"]
         await _still_well(remote)
         assert [goal.client for goal in served.watcher.goals] == [client]
 
@@ -176,10 +195,9 @@ async def test_keys_that_are_no_requests(
 ) -> None:
     async with serving(hand, library) as served:
         rude.append(Rude(served.server.endpoint))
-        for key in ("control/dance", "ask/do", "stop/do", "control/stop"):
-            ask = rude[0].refusal
-            reason = await anyio.to_thread.run_sync(ask, f"rtee/small/{key}", b"")
-            assert "there is no request" in reason
+        for key in ("control/dance", "ask/do", "stop/do", "control/stop", "hello/root", "**"):
+            answers = await anyio.to_thread.run_sync(rude[0].ask, f"rtee/small/{key}", b"")
+            assert answers == [], "nothing like that reaches the hand"
 
 
 async def test_junk_from_a_hand_is_ignored(

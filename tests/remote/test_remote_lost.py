@@ -98,7 +98,7 @@ async def test_closing_the_connection_of_a_frozen_client_holds_up_no_other(
     async with serving(hand, library, settings=LoopSettings(rate=1000.0)) as served:
         readers = [await started(READER) for _ in range(4)]
         async with rtee.connect("small") as other:
-            clients = served.server._commands._clients
+            clients = served.server._identities
             await until(lambda: len(clients) == 5)
             for process in readers:
                 os.kill(process.pid, signal.SIGSTOP)

@@ -346,5 +346,5 @@ def test_fields_that_are_no_action_are_refused(
 
 
 def test_requests_are_complete() -> None:
-    assert {request.group for request in REQUESTS.values()} == {"stop", "control", "ask"}
+    assert {request.group for request in REQUESTS.values()} == {"hello", "stop", "control", "ask"}
     assert all(request.text.endswith(".") for request in REQUESTS.values())

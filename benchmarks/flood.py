@@ -1,0 +1,202 @@
+"""Ticks that a hand misses while clients send it requests as fast as they can.
+
+    python benchmarks/flood.py [--hand schunk_svh] [--rate 1000] [--seconds 10] [--rounds 2]
+
+The hand runs in a process of its own with the kinematic driver and the network. Three clients send
+one kind of request, as fast as Zenoh takes them: to the hand, and by turns to another process,
+which answers at once and does nothing else. What the computer's load alone costs is therefore in
+both figures; the difference is rtee's work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import anyio
+import anyio.to_thread
+import zenoh
+from common import Table, command_line
+from witness import child
+
+import rtee
+from rtee.messages.identity import Signer
+from rtee.messages.requests import PUT, REQUESTS
+from rtee.remote.client import RemoteHand
+from rtee.remote.server import Server
+from rtee.remote.session import direct, open_client, open_server
+from rtee.run import RunOptions, run_hands
+
+CLIENTS = 3
+"""Clients that send at a time."""
+
+KINDS = ("stop", "do", "jog", "acquire", "status", "info", "actions", "add", "hello")
+"""Requests that are sent."""
+
+WAITING = 32
+"""Queries of a client that wait for their answers at a time."""
+
+
+def serve(hand: str, rate: float) -> None:
+    """Run the hand until standard input ends."""
+
+    async def main() -> None:
+        until = anyio.Event()
+
+        async def wait() -> None:
+            await anyio.to_thread.run_sync(sys.stdin.read)
+            until.set()
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(wait)
+            options = RunOptions(driver="kinematic", rate=rate, record=False)
+            await run_hands([hand], options, serve=Server.open, until=until, say=lambda _: None)
+
+    anyio.run(main)
+
+
+def answer_at_once() -> None:
+    """Answer every query with nothing until standard input ends."""
+    with tempfile.TemporaryDirectory() as folder:
+        session, endpoint = open_server(Path(folder) / "echo.sock")
+
+        def answer(query: zenoh.Query) -> None:
+            with query:
+                query.reply(query.key_expr, b"", express=True)
+
+        session.declare_queryable("rtee/**", direct(answer))
+        session.declare_subscriber("rtee/**", direct(lambda _: None))
+        print(endpoint, flush=True)
+        sys.stdin.read()
+        session.close()
+
+
+def question_of(kind: str, source: random.Random) -> bytes:
+    """Return a question that differs from the ones before."""
+    fields = {
+        "acquire": {"client": "x", "what": ""},
+        "stop": {"client": "x", "what": ""},
+        "hello": {"client": f"x{source.random()}", "what": f"{source.getrandbits(128):032x}"},
+        "info": {"name": [], "position": [source.random()]},
+        "jog": {
+            "client": "x",
+            "source": "",
+            "name": ["x"],
+            "value": [source.random()],
+            "limit": 1.0,
+        },
+    }
+    if kind in fields:
+        return REQUESTS[kind].question.encode(fields[kind])
+    return source.randbytes(60) if REQUESTS[kind].question.fields else b""
+
+
+async def send(kind: str, hand: str, endpoint: str) -> None:
+    """Send requests of a kind until standard input ends; print how many there were."""
+    if endpoint:
+        session, signer = open_client([endpoint]), Signer("x")
+        count = flood(kind, hand, session, signer)
+    else:
+        async with rtee.connect(hand) as remote:
+            link = remote._link
+            count = flood(kind, hand, link._session, link._signer)
+    print(count, flush=True)
+
+
+def flood(kind: str, hand: str, session: zenoh.Session, signer: Signer) -> int:
+    """Send requests of a kind until standard input ends; return how many there were."""
+    print("there", flush=True)
+    sys.stdin.readline()
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.readline(), ended.set()), daemon=True).start()
+    places, source, count = threading.Semaphore(WAITING), random.Random(1), 0
+    key = f"rtee/{hand}/hello/here" if kind == "hello" else REQUESTS[kind].key(hand)
+    while not ended.is_set():
+        question = question_of(kind, source)
+        proof = signer.attachment(signer.number(), kind, question)
+        if kind in PUT:
+            block = zenoh.CongestionControl.BLOCK
+            session.put(key, question, attachment=proof, congestion_control=block)
+        elif places.acquire(timeout=1.0):
+            done = direct(lambda _: None, places.release)
+            session.get(key, done, payload=question, attachment=proof, timeout=1.0)
+        count += 1
+    return count
+
+
+async def missed(remote: RemoteHand, kind: str, endpoint: str, args: argparse.Namespace) -> float:
+    """Return the share of ticks that the hand misses while clients send [%]."""
+    words = [sys.executable, __file__, "--role", "send", "--kind", kind, "--hand", args.hand]
+    clients = [
+        child([*words, "--endpoint", endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for _ in range(CLIENTS)
+    ]
+    for one in clients:
+        assert one.stdout is not None
+        await anyio.to_thread.run_sync(one.stdout.readline)
+    before = (await remote.status()).statistics
+    for one in clients:
+        assert one.stdin is not None
+        one.stdin.write("\n")
+        one.stdin.flush()
+    await anyio.sleep(args.seconds)
+    for one in clients:  # first, since the hand may be slow to answer
+        assert one.stdin is not None
+        one.stdin.write("\n")
+        one.stdin.flush()
+    after = (await remote.status()).statistics
+    for one in clients:
+        one.kill()  # what it has not sent yet does not matter any more
+        one.communicate()
+    ticks, lost = after.ticks - before.ticks, after.missed - before.missed
+    return 100.0 * lost / (ticks + lost)
+
+
+async def measure(args: argparse.Namespace, endpoint: str) -> None:
+    """Measure all kinds by turns and print."""
+    table = Table("request", "to another process [%]", "to the hand [%]", "more [%]", widths=(9,))
+    async with rtee.connect(args.hand, wait=30.0) as remote:
+        await remote.ready()
+        await anyio.sleep(1.0)
+        for kind in [kind for kind in KINDS if args.only is None or args.only in kind]:
+            found: dict[str, list[float]] = {endpoint: [], "": []}
+            for _ in range(args.rounds):
+                for place, shares in found.items():
+                    shares.append(await missed(remote, kind, place, args))
+            beside, under = (statistics.median(shares) for shares in found.values())
+            table.row(kind, f"{beside:.1f}", f"{under:.1f}", f"{under - beside:+.1f}")
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = command_line(__doc__, hand="schunk_svh", rate=1000.0, seconds=10.0, rounds=2, only=str)
+    parser.add_argument("--role", choices=("measure", "serve", "echo", "send"), default="measure")
+    parser.add_argument("--kind", choices=KINDS, help=argparse.SUPPRESS)
+    parser.add_argument("--endpoint", default="", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.role == "serve":
+        serve(args.hand, args.rate)
+    elif args.role == "echo":
+        answer_at_once()
+    elif args.role == "send":
+        anyio.run(send, args.kind, args.hand, args.endpoint)
+    else:
+        words = [sys.executable, __file__, *sys.argv[1:]]
+        hand, other = (
+            child([*words, "--role", role], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            for role in ("serve", "echo")
+        )
+        assert other.stdout is not None
+        anyio.run(measure, args, other.stdout.readline().strip())
+        for one in (hand, other):
+            one.communicate()
+
+
+if __name__ == "__main__":
+    main()

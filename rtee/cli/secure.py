@@ -1,0 +1,173 @@
+"""`rtee secure`: certificates for a hand on a network, and who may do what with it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._table import Column, Row, Table
+from rtee.errors import ConfigError, needing_extra
+
+if TYPE_CHECKING:
+    from rtee.drivers.diagnosis.checks import Check
+    from rtee.messages.requests import Role
+
+app = typer.Typer(no_args_is_help=True)
+
+_DAY = 86400.0
+"""Seconds in a day."""
+
+_SOON = 30.0
+"""Certificates that hold for less than this are told [days]: time to bring new ones to clients."""
+
+HandArgument = Annotated[str, typer.Argument(metavar="HAND", help="Name of the hand.")]
+PersonArgument = Annotated[
+    str, typer.Argument(metavar="NAME", help="Who it is for: letters, digits, '_' and '-'.")
+]
+DaysOption = Annotated[
+    int, typer.Option("--days", min=1, max=3650, help="How long the certificate holds.")
+]
+
+
+def _authority() -> ModuleType:
+    with needing_extra("'rtee secure'", "secure"):
+        from rtee.remote import authority
+
+        return authority
+
+
+def _folder(hand: str) -> Path:
+    from rtee.remote.credentials import secure_folder
+
+    return secure_folder(hand)
+
+
+@app.command()
+def init(hand: HandArgument, days: DaysOption = 825) -> None:
+    """Make a hand's authority and its certificate."""
+    folder = _folder(hand)
+    _authority().make_authority(folder, hand, days)
+    print(f"made the authority of {hand} and its certificate in {folder}")
+    print("Add to its hand.yaml, with an address of this computer:")
+    print("  remote:\n    listen: [tls/0.0.0.0:7447]")
+    print(f"Then make a certificate for each client: rtee secure add-client {hand} NAME")
+
+
+@app.command()
+def renew(hand: HandArgument, days: DaysOption = 825) -> None:
+    """Make a new certificate of the hand; those of clients stay valid."""
+    folder = _folder(hand)
+    _authority().renew(folder, hand, days)
+    print(f"made a new certificate of {hand}; it is used from its next start on")
+
+
+@app.command(name="add-client")
+def add_client(
+    hand: HandArgument,
+    name: PersonArgument,
+    role: Annotated[
+        str, typer.Option("--role", help="observer, operator or maintainer.")
+    ] = "operator",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Where to write it; NAME@HAND.pem by default."),
+    ] = None,
+    days: DaysOption = 825,
+) -> None:
+    """Make a certificate for a client: watch (observer), move (operator), change (maintainer)."""
+    path = out or Path(f"{name}@{hand}.pem")
+    if path.exists():
+        raise ConfigError("is there already", path=path)
+    authority = _authority()
+    made, text = authority.add_client(_folder(hand), name, _role(role), days)
+    authority.write_private(path, text)
+    print(f"{made.name}: {role}, until {_date(made.until)}, in {path}")
+    print("The file is as good as a key: bring it to the client's computer in a safe way, there as")
+    print("~/.config/rtee/identity.pem or where RTEE_IDENTITY says, and delete it here.")
+    print(f"A hand that runs admits it from its next start on: rtee run {hand}")
+
+
+@app.command()
+def revoke(hand: HandArgument, name: PersonArgument) -> None:
+    """Refuse the certificates of a client from now on; those of others stay valid."""
+    revoked = _authority().revoke(_folder(hand), name)
+    for one in revoked:
+        print(f"{one.name} is refused")
+    if not revoked:
+        print(f"{name} was refused already")
+    print(
+        "A hand that runs takes no more requests of it; at its next start it sees nothing, either."
+    )
+
+
+@app.command(name="list")
+def list_(hand: HandArgument) -> None:
+    """List for whom certificates were made."""
+    from rtee.remote.credentials import Credentials
+
+    known = Credentials(_folder(hand))
+    known.read()
+    rows = [
+        Row((one.name, one.role.name.lower(), _date(one.until), _state(one.until, one.revoked)))
+        for one in known.people
+    ]
+    print(f"{hand}: certificate until {_date(known.until)}, in {known.folder}")
+    columns = (Column("client", whole=True), Column("role"), Column("until"), Column(""))
+    Table(columns, tuple(rows)).show()
+
+
+def checks(name: str) -> list[Check]:
+    """Return what `rtee doctor` says about the certificates of a hand; nothing if it needs none."""
+    from rtee.drivers.diagnosis.checks import ok, warning, wrong
+    from rtee.hand.load import load_configured
+    from rtee.remote.protection import Protection, credentials_of
+
+    hand, config = load_configured(name)
+    try:
+        Protection(hand.name, config.remote)
+        known = credentials_of(hand.name, config.remote)
+        if known is not None:
+            known.read()
+    except ConfigError as error:
+        return [wrong("network", str(error), f"rtee secure init {hand.name}")]
+    if known is None:
+        return []
+    left = (known.until - time.time()) / _DAY
+    renew = f"rtee secure renew {hand.name}"
+    if left <= 0:
+        found = [wrong("certificate", f"expired on {_date(known.until)}", renew)]
+    elif left < _SOON:
+        found = [warning("certificate", f"expires on {_date(known.until)}", renew)]
+    else:
+        found = [ok("certificate", f"until {_date(known.until)}")]
+    for one in known.people:
+        if not one.revoked and one.until - time.time() < _SOON * _DAY:
+            person = one.name.rpartition(".")[0]
+            remedy = f"rtee secure add-client {hand.name} {person} --role {one.role.name.lower()}"
+            found.append(warning(f"client {one.name}", f"until {_date(one.until)}", remedy))
+    return found
+
+
+def _role(word: str) -> Role:
+    from rtee.errors import suggestion
+    from rtee.messages.requests import Role
+
+    names = {role.name.lower(): role for role in Role}
+    if word not in names:
+        raise ConfigError(f"unknown role '{word[:50]}'; {suggestion(word, names)}")
+    return names[word]
+
+
+def _state(until: float, revoked: bool) -> str:
+    if revoked:
+        return "refused"
+    left = (until - time.time()) / _DAY
+    return "expired" if left <= 0 else f"{left:.0f} days left"
+
+
+def _date(when: float) -> str:
+    return time.strftime("%Y-%m-%d", time.localtime(when))

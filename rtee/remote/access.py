@@ -1,0 +1,107 @@
+"""Who may send what to a hand, as Zenoh enforces it before a message is even delivered.
+
+By default nothing may pass. Nobody but the hand can answer questions, publish states, results and
+events, or declare that the hand is alive; nobody sees the requests of others; and each client may
+send what its role allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from rtee.messages import network_key
+from rtee.messages.requests import (
+    ALIVE,
+    ANSWERS,
+    CLIENTS,
+    CONTROL,
+    HELLO,
+    HERE,
+    PLAIN,
+    REQUESTS,
+    STATES,
+    Role,
+)
+from rtee.messages.topics import PUBLISHED
+from rtee.remote.session import LOCAL
+
+_UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
+"""Protocols through which anybody comes who reaches the endpoint."""
+
+
+def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dict[str, Any]:
+    """Return Zenoh's ``access_control`` for a hand.
+
+    Args:
+        hand: The hand's name.
+        people: Role by name in the certificates of those who are admitted.
+        plain: Whether clients without certificates are admitted.
+    """
+    ways = {HERE: Role.MAINTAINER} | ({PLAIN: Role.MAINTAINER} if plain else {}) | dict(people)
+    subjects = [_subject(way) for way in ways]
+    common = [*_announcements(hand), *_watching(hand)]
+    policies = [{"rules": [rule["id"] for rule in common], "subjects": list(ways)}]
+    policies += [{"rules": [_name(role, way)], "subjects": [way]} for way, role in ways.items()]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [*common, *(_requests(hand, role, way) for way, role in ways.items())],
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _subject(way: str) -> dict[str, Any]:
+    if way == HERE:
+        return {"id": way, "link_protocols": [LOCAL]}
+    if way == PLAIN:
+        return {"id": way, "link_protocols": list(_UNPROTECTED)}
+    return {"id": way, "link_protocols": ["tls"], "cert_common_names": [way]}
+
+
+def _rule(
+    name: str, flow: str, messages: Iterable[str], hand: str, keys: Iterable[str]
+) -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": [network_key(hand, key) for key in keys],
+    }
+
+
+def _announcements(hand: str) -> Iterable[dict[str, Any]]:
+    """Return what the hand may send to all who are admitted."""
+    groups = sorted({request.group for request in REQUESTS.values()})
+    topics = [*sorted(PUBLISHED), f"{STATES}/*", f"{ANSWERS}/*"]
+    yield _rule("publish", "egress", ["put"], hand, topics)
+    yield _rule(
+        "answer", "egress", ["reply", "declare_queryable"], hand, [f"{g}/*" for g in groups]
+    )
+    yield _rule("receive", "egress", ["declare_subscriber"], hand, [f"{CONTROL}/*"])
+    yield _rule("alive", "egress", ["liveliness_token"], hand, [ALIVE])
+
+
+def _watching(hand: str) -> Iterable[dict[str, Any]]:
+    """Return what all who are admitted may do."""
+    topics = [*sorted(PUBLISHED), f"{STATES}/*", f"{ANSWERS}/*"]
+    yield _rule("watch", "ingress", ["declare_subscriber"], hand, topics)
+    yield _rule("token", "ingress", ["liveliness_token"], hand, [f"{CLIENTS}/*"])
+    found = _rule(
+        "find", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], hand, [ALIVE]
+    )
+    found["key_exprs"].append(network_key("*", ALIVE))  # who does not know the hand's name
+    yield found
+
+
+def _requests(hand: str, role: Role, way: str) -> dict[str, Any]:
+    """Return which requests those who come in a way may send: what their role allows, and hello."""
+    allowed = [one for one in REQUESTS.values() if one.group != HELLO and one.role <= role]
+    keys = [f"{HELLO}/{way}", *(f"{one.group}/{one.name}" for one in allowed)]
+    return _rule(_name(role, way), "ingress", ["put", "query"], hand, keys)
+
+
+def _name(role: Role, way: str) -> str:
+    return f"{role.name.lower()} {way}"

@@ -1,0 +1,245 @@
+"""A hand's own authority: makes the certificates of the hand and of those who may use it.
+
+All keys are on the curve P-256, in PEM (PKCS #8), readable by their owner alone.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import re
+import secrets
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from rtee.errors import ConfigError
+from rtee.hand.files import write_atomically
+from rtee.messages.requests import Role
+from rtee.remote.credentials import (
+    AUTHORITY,
+    AUTHORITY_KEY,
+    HAND,
+    HAND_KEY,
+    PEOPLE,
+    Credentials,
+    Person,
+    check_private,
+    identity_text,
+    person,
+)
+
+DAYS = 825
+"""How long certificates hold unless told otherwise [days]: two years and a quarter, the longest
+that browsers take."""
+
+_AUTHORITY_DAYS = 3650
+"""How long the authority holds [days]: ten years, as long as a robot is used."""
+
+_EARLIER = datetime.timedelta(hours=1)
+"""Certificates hold from this long ago, since the clocks of computers differ."""
+
+_RANDOM = 4
+"""Random bytes in a name, so that each certificate can be told from others of the same person."""
+
+_PERSON = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_\-]{0,30}\Z")
+
+Key = ec.EllipticCurvePrivateKey
+
+
+def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
+    """Make a hand's authority and its certificate.
+
+    Args:
+        folder: Where to; see `rtee.remote.credentials.secure_folder`.
+        hand: The hand's name.
+        days: How long the hand's certificate holds [days].
+
+    Raises:
+        ConfigError: if there is an authority already.
+    """
+    if (folder / AUTHORITY_KEY).exists():
+        raise ConfigError(
+            "is there already; without it the certificates of all clients are worthless, so remove"
+            " it yourself if you mean to begin again",
+            path=folder / AUTHORITY_KEY,
+        )
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = _name(f"authority of {hand}")
+    made = _builder(subject, subject, key, _AUTHORITY_DAYS)
+    made = made.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+    made = made.add_extension(_usage(signs=True), critical=True)
+    certificate = made.sign(key, hashes.SHA256())
+    write_private(folder / AUTHORITY_KEY, _key_text(key))
+    write_atomically(folder / AUTHORITY, _text(certificate))
+    _write_people(folder, (), 0.0)
+    renew(folder, hand, days)
+
+
+def renew(folder: Path, hand: str, days: int = DAYS) -> None:
+    """Make a new certificate of the hand; errors are those of `add_client`."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = _issued(folder, hand, key, days, ExtendedKeyUsageOID.SERVER_AUTH)
+    write_private(folder / HAND_KEY, _key_text(key))
+    write_atomically(folder / HAND, _text(certificate))
+    _write_people(folder, people(folder), certificate.not_valid_after_utc.timestamp())
+
+
+def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Person, str]:
+    """Make a certificate for a person and admit it.
+
+    Args:
+        folder: The hand's folder of certificates.
+        who: Who it is: letters, digits, ``_`` and ``-``.
+        role: What the person may do.
+        days: How long the certificate holds [days].
+
+    Returns:
+        What is entered in the list, and the text of the person's file.
+
+    Raises:
+        ConfigError: if the name cannot be used, or there is no authority.
+    """
+    if _PERSON.match(who) is None:
+        raise ConfigError(
+            f"{who[:50]!r} is no name of a client; use up to 31 letters, digits, '_' and '-'"
+        )
+    name = f"{who}.{secrets.token_hex(_RANDOM)}"
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = _issued(folder, name, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
+    made = Person(name, role, certificate.not_valid_after_utc.timestamp())
+    _write_people(folder, (*people(folder), made))
+    authority = (folder / AUTHORITY).read_text("ascii")
+    return made, identity_text(name, _key_text(key), _text(certificate), authority)
+
+
+def revoke(folder: Path, name: str) -> list[Person]:
+    """Refuse the certificates of a person from now on; return those that were admitted before.
+
+    Args:
+        folder: The hand's folder of certificates.
+        name: A person's name, for all certificates, or the name in one of them.
+
+    Raises:
+        ConfigError: if there is none of that name.
+    """
+    known = people(folder)
+    meant = [one for one in known if name in (one.name, person(one.name))]
+    if not meant:
+        raise ConfigError(f"there is no client '{name[:50]}'", path=folder / PEOPLE)
+    _write_people(folder, (replace(one, revoked=True) if one in meant else one for one in known))
+    return [one for one in meant if not one.revoked]
+
+
+def people(folder: Path) -> tuple[Person, ...]:
+    """Return those for whom certificates were made; raises `ConfigError` without an authority."""
+    return _known(folder).people
+
+
+def _known(folder: Path) -> Credentials:
+    found = Credentials(folder)
+    found.read()
+    return found
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file that only its owner can read; it is never readable by others meanwhile."""
+    part = path.with_name(f"{path.name}.{os.getpid()}")
+    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    try:
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(text)
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _issued(
+    folder: Path, name: str, key: Key, days: int, purpose: x509.ObjectIdentifier
+) -> x509.Certificate:
+    """Return a certificate that the authority has signed."""
+    path = folder / AUTHORITY_KEY
+    if not path.is_file():
+        raise ConfigError("is missing; 'rtee secure init HAND' makes it", path=path)
+    check_private(path)
+    signer = serialization.load_pem_private_key(path.read_bytes(), None)
+    authority = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
+    if not isinstance(signer, ec.EllipticCurvePrivateKey):
+        raise ConfigError("is no key of 'rtee secure init'", path=path)
+    made = _builder(_name(name), authority.subject, key, days)
+    made = made.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+    made = made.add_extension(_usage(signs=False), critical=True)
+    # A client's certificate cannot pass for the hand's, nor the reverse.
+    made = made.add_extension(x509.ExtendedKeyUsage([purpose]), critical=True)
+    made = made.add_extension(
+        x509.SubjectAlternativeName([x509.DNSName("rtee.invalid")]), critical=False
+    )
+    return made.sign(signer, hashes.SHA256())
+
+
+def _builder(subject: x509.Name, issuer: x509.Name, key: Key, days: int) -> x509.CertificateBuilder:
+    now = datetime.datetime.now(datetime.UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _EARLIER)
+        .not_valid_after(now + datetime.timedelta(days=days))
+    )
+
+
+def _usage(*, signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common[:64])])
+
+
+def _text(certificate: x509.Certificate) -> str:
+    return certificate.public_bytes(serialization.Encoding.PEM).decode("ascii")
+
+
+def _key_text(key: Key) -> str:
+    return key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    ).decode("ascii")
+
+
+def _write_people(folder: Path, found: Iterable[Person], until: float | None = None) -> None:
+    """Write the list of people, and when the hand's certificate expires if that has changed."""
+    if until is None:
+        until = _known(folder).until
+    entries = [
+        {
+            "name": one.name,
+            "role": one.role.name.lower(),
+            "until": one.until,
+            "revoked": one.revoked,
+        }
+        for one in found
+    ]
+    text = json.dumps({"until": until, "people": entries}, indent=2)
+    write_atomically(folder / PEOPLE, text + "\n")

@@ -1,0 +1,245 @@
+"""Certificates on a network, as a hand and its clients use them; `rtee secure` makes them.
+
+A hand has an authority of its own, which has signed the certificates of the hand and of the people
+who may use it. Each certificate's common name is a person's name and a random part, so that one
+that was lost can be refused without new ones for all. The list of who is admitted is kept beside
+the hand's certificate.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rtee.errors import ConfigError
+from rtee.hand.files import reason
+from rtee.hand.names import check_name
+from rtee.messages.requests import Role
+
+FOLDER_VARIABLE = "RTEE_SECURE_DIR"
+"""Environment variable with another folder of hands' certificates."""
+
+IDENTITY_VARIABLE = "RTEE_IDENTITY"
+"""Environment variable with the file of a client's certificate."""
+
+PEOPLE = "people.json"
+"""File with the list of who is admitted."""
+
+AUTHORITY, AUTHORITY_KEY = "authority.crt", "authority.key"
+HAND, HAND_KEY = "hand.crt", "hand.key"
+
+_READ_AGAIN = 1.0
+"""Time after which the list of who is admitted is looked at again [s]: so soon does a revocation
+take effect."""
+
+_LONGEST = 65536
+"""Most that is read of a client's file [bytes]; one has two thousand."""
+
+_BLOCK = re.compile(r"-----BEGIN ([A-Z ]+)-----\n.*?-----END \1-----\n", re.DOTALL)
+_NAME = re.compile(r"^rtee client: ([A-Za-z0-9_\-]+\.[0-9a-f]+)$", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """Somebody for whom a certificate was made.
+
+    Attributes:
+        name: The common name in the certificate: a name, a dot and a random part.
+        role: What the person may do.
+        until: When the certificate expires, since 1970 [s].
+        revoked: Whether it is refused.
+    """
+
+    name: str
+    role: Role
+    until: float
+    revoked: bool = False
+
+
+def person(name: str) -> str:
+    """Return for whom a certificate was made: the name in it without its random part."""
+    return name.rpartition(".")[0]
+
+
+def config_folder() -> Path:
+    """Return the user's folder of rtee's settings."""
+    base = os.environ.get("XDG_CONFIG_HOME")
+    return (Path(base) if base else Path.home() / ".config") / "rtee"
+
+
+def secure_folder(hand: str) -> Path:
+    """Return the folder with a hand's certificates.
+
+    The hand's name in ``RTEE_SECURE_DIR``, else in ``secure`` in the user's folder of settings.
+    """
+    given = os.environ.get(FOLDER_VARIABLE)
+    folder = Path(given) if given else config_folder() / "secure"
+    return folder / check_name(hand, "hand")
+
+
+@dataclass
+class Credentials:
+    """A hand's certificates and who is admitted.
+
+    Attributes:
+        folder: Where they are.
+        people: Those for whom certificates were made.
+        until: When the hand's certificate expires, since 1970 [s].
+    """
+
+    folder: Path
+    people: tuple[Person, ...] = ()
+    until: float = 0.0
+    _stamp: int = field(default=-1, repr=False)
+    _looked: float = field(default=0.0, repr=False)
+
+    def read(self) -> None:
+        """Read the list of who is admitted again if it has changed.
+
+        Raises:
+            ConfigError: if it cannot be read.
+        """
+        path = self.folder / PEOPLE
+        try:
+            stamp = path.stat().st_mtime_ns
+            if stamp == self._stamp:
+                return
+            self.people, self.until = _people(path)
+            self._stamp = stamp
+        except OSError as error:
+            raise ConfigError(
+                f"cannot be read: {reason(error)}; 'rtee secure init HAND' makes it", path=path
+            ) from None
+
+    def role_of(self, name: str) -> Role | None:
+        """Return the role of whom a certificate names; ``None`` if it is not admitted."""
+        now = time.monotonic()
+        if now - self._looked > _READ_AGAIN:
+            self._looked = now
+            try:
+                self.read()
+            except ConfigError:
+                self.people = ()  # who cannot be looked up is not admitted
+        return self.admitted.get(name)
+
+    @property
+    def admitted(self) -> Mapping[str, Role]:
+        """Role by name in the certificate of those who are admitted."""
+        return {one.name: one.role for one in self.people if not one.revoked}
+
+    def settings(self) -> dict[str, Any]:
+        """Return Zenoh's settings to listen with these certificates.
+
+        Raises:
+            ConfigError: if a file is missing, or others can read the key.
+        """
+        self.read()
+        for name in (AUTHORITY, HAND, HAND_KEY):
+            if not (self.folder / name).is_file():
+                raise ConfigError(
+                    "is missing; 'rtee secure init HAND' makes it", path=self.folder / name
+                )
+        check_private(self.folder / HAND_KEY)
+        return {
+            "transport/link/tls/root_ca_certificate": str(self.folder / AUTHORITY),
+            "transport/link/tls/listen_private_key": str(self.folder / HAND_KEY),
+            "transport/link/tls/listen_certificate": str(self.folder / HAND),
+            "transport/link/tls/enable_mtls": True,
+            "transport/link/tls/close_link_on_expiration": True,
+        }
+
+
+def _people(path: Path) -> tuple[tuple[Person, ...], float]:
+    try:
+        document = json.loads(path.read_text("utf-8"))
+        people = tuple(
+            Person(
+                str(entry["name"]),
+                Role[str(entry["role"]).upper()],
+                float(entry["until"]),
+                bool(entry["revoked"]),
+            )
+            for entry in document["people"]
+        )
+        return people, float(document["until"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"is not a list of people: {error!r}", path=path) from None
+
+
+def check_private(path: Path) -> None:
+    """Raise `ConfigError` unless a file with a key is readable by its owner alone."""
+    if path.stat().st_mode & 0o077:
+        raise ConfigError(
+            "holds a key that others can read; type: chmod 600 " + str(path), path=path
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """A client's certificate.
+
+    Attributes:
+        name: The common name in it.
+        blocks: The parts of its file in PEM, by what they are.
+    """
+
+    name: str
+    blocks: Mapping[str, str]
+
+    def settings(self) -> dict[str, Any]:
+        """Return Zenoh's settings to connect with this certificate."""
+        tls = "transport/link/tls/"
+        return {
+            f"{tls}root_ca_certificate_base64": _base64(self.blocks["authority"]),
+            f"{tls}connect_private_key_base64": _base64(self.blocks["key"]),
+            f"{tls}connect_certificate_base64": _base64(self.blocks["certificate"]),
+            f"{tls}enable_mtls": True,
+            # The authority is the hand's own and has made one certificate for servers, whatever
+            # the address at which the hand is reached.
+            f"{tls}verify_name_on_connect": False,
+        }
+
+
+def _base64(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()
+
+
+def identity() -> Identity:
+    """Return this user's certificate: the file in ``RTEE_IDENTITY``, else ``identity.pem``.
+
+    Raises:
+        ConfigError: if there is none, it cannot be used, or others can read it.
+    """
+    given = os.environ.get(IDENTITY_VARIABLE)
+    path = Path(given) if given else config_folder() / "identity.pem"
+    try:
+        with path.open(encoding="ascii") as file:
+            text = file.read(_LONGEST)
+        check_private(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"cannot be read: {reason(error)}; TLS needs the file that 'rtee secure add-client' has"
+            f" made, here or in {IDENTITY_VARIABLE}",
+            path=path,
+        ) from None
+    name = _NAME.search(text)
+    blocks = [match[0] for match in _BLOCK.finditer(text)]
+    if name is None or len(blocks) != len(_PARTS):
+        raise ConfigError("is not a file that 'rtee secure add-client' has made", path=path)
+    return Identity(name[1], dict(zip(_PARTS, blocks, strict=True)))
+
+
+_PARTS = ("key", "certificate", "authority")
+"""What a client's file holds, in this order."""
+
+
+def identity_text(name: str, key: str, certificate: str, authority: str) -> str:
+    """Return the text of a client's file."""
+    return f"rtee client: {name}\n\n{key}{certificate}{authority}"

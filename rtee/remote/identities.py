@@ -1,0 +1,213 @@
+"""The clients of a hand as it knows them: who they are, whether they are there, what they may do.
+
+A client declares a liveliness token with a name that nobody can guess, and says hello with that
+name. It gets a secret in answer, and signs its requests with it (`rtee.messages.identity`). When
+the token vanishes, the client is gone; no other client can declare the same one.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any
+
+from rtee.errors import RequestRejected, TooManyRequests
+from rtee.hand.names import check_name
+from rtee.messages.identity import SECRET, claim_of
+from rtee.messages.requests import HERE, PLAIN, Request, Role
+from rtee.remote.credentials import person
+from rtee.remote.incoming_request import IncomingRequest, accepted
+from rtee.remote.rates import Ignored, Rates
+
+_MOST_CLIENTS = 64
+"""Clients that may come the same way, such as with the same certificate: far more than work."""
+
+_MOST_WAITING = 256
+"""Tokens that may wait for their hello, and the reverse, and clients that may come back: the
+oldest are forgotten. Token and hello are milliseconds apart."""
+
+_TOKEN = re.compile(r"[0-9a-f]{32}\Z")
+
+RoleOf = Callable[[str], Role | None]
+"""Returns the role of a way to the hand (see `HELLO`); ``None`` if it is not admitted."""
+
+
+def local_roles(way: str) -> Role | None:
+    """Return the role of those who come without a certificate."""
+    return Role.MAINTAINER if way in (HERE, PLAIN) else None
+
+
+class Client:
+    """A client that has said hello.
+
+    Attributes:
+        name: Its name, which no other client has.
+        way: How it came to the hand, see `HELLO`.
+        secret: What it signs its requests with.
+        token: Name of its liveliness token.
+        rates: How fast it may send requests.
+    """
+
+    __slots__ = ("_newest", "name", "rates", "secret", "token", "way")
+
+    def __init__(self, name: str, way: str, token: str) -> None:
+        self.name, self.way, self.token = name, way, token
+        self.secret = secrets.token_bytes(SECRET)
+        self.rates = Rates()
+        self._newest: dict[str, int] = {}
+
+    def is_new(self, request: str, count: int) -> bool:
+        """Return whether a request's number is larger than those before it of its kind."""
+        if count <= self._newest.get(request, 0):
+            return False
+        self._newest[request] = count
+        return True
+
+
+class Identities:
+    """The clients of a hand. Any thread may call its methods.
+
+    Args:
+        role_of: Tells what those who come in some way may do.
+    """
+
+    def __init__(self, role_of: RoleOf = local_roles) -> None:
+        self._role_of = role_of
+        self._lock = threading.Lock()
+        self._strangers = Rates()
+        self._there: dict[str, Client] = {}
+        self._by_token: dict[str, Client] = {}
+        self._gone: OrderedDict[str, Client] = OrderedDict()
+        self._tokens: OrderedDict[str, None] = OrderedDict()
+        self._greeting: OrderedDict[str, tuple[Client, IncomingRequest]] = OrderedDict()
+
+    def __contains__(self, name: str) -> bool:
+        """Return whether a client of this name is there."""
+        return name in self._there
+
+    def __len__(self) -> int:
+        """Return the number of clients that are there."""
+        return len(self._there)
+
+    # --- who comes and goes
+
+    def hello(self, request: IncomingRequest, way: str) -> None:
+        """Admit a client, now or as soon as its token is seen, and answer with its secret.
+
+        Raises:
+            RequestRejected: if it is not admitted, with the reason.
+        """
+        name, token = check_name(request.fields["client"], "client"), request.fields["what"]
+        if self._role_of(way) is None:
+            raise RequestRejected(f"the certificate of '{way[:50]}' is not admitted here")
+        if way not in (HERE, PLAIN) and not name.startswith(f"{person(way)}-"):
+            raise RequestRejected(
+                f"the names of clients of this certificate begin '{person(way)}-'"
+            )
+        if _TOKEN.match(token) is None:
+            raise RequestRejected("a token's name has 32 hexadecimal digits, chosen at random")
+        with self._lock:
+            if name in self._there or token in self._by_token:
+                raise RequestRejected(f"there is a client '{name}' already")
+            if sum(one.way == way for one in self._there.values()) >= _MOST_CLIENTS:
+                raise RequestRejected(f"there are {_MOST_CLIENTS} clients of this kind already")
+            client = Client(name, way, token)
+            if token in self._tokens:
+                del self._tokens[token]
+                self._admit(client, request)
+            else:
+                self._greeting[token] = client, request
+                _shorten(self._greeting)
+
+    def _admit(self, client: Client, request: IncomingRequest) -> None:
+        # One that is gone under this name must not come back beside the new one.
+        self._gone = OrderedDict((k, v) for k, v in self._gone.items() if v.name != client.name)
+        self._there[client.name] = self._by_token[client.token] = client
+        request.answer(accepted(client.secret.hex()))
+
+    def came(self, token: str) -> None:
+        """Note that a token was declared."""
+        if _TOKEN.match(token) is None:
+            return
+        with self._lock:
+            client, request = self._greeting.pop(token, (None, None))
+            if client is not None and request is not None:
+                if client.name not in self._there:
+                    self._admit(client, request)
+            elif (back := self._gone.pop(token, None)) is not None:
+                self._there[back.name] = self._by_token[token] = back
+            elif token not in self._by_token:
+                self._tokens[token] = None
+                _shorten(self._tokens)
+
+    def left(self, token: str) -> str:
+        """Note that a token has vanished; return the name of the client that has left, or ""."""
+        with self._lock:
+            self._tokens.pop(token, None)
+            client = self._by_token.pop(token, None)
+            if client is None:
+                return ""
+            del self._there[client.name]
+            # Its connection may only have been interrupted; then the same token comes back.
+            self._gone[token] = client
+            _shorten(self._gone)
+            return client.name
+
+    # --- whose request it is
+
+    def check(self, request: Request, attachment: bytes | None, question: bytes) -> str:
+        """Return the name of the client that has sent a request.
+
+        Raises:
+            RequestRejected: if nobody has signed it, it was sent before, its client may not send
+                it, or sends too many.
+            Ignored: if there are too many even to be refused.
+        """
+        client = self._signer(request.name, attachment, question)
+        if client is None:
+            self._strangers.refuse("this client is not known here; say hello first")
+        rates, role = client.rates, self._role_of(client.way)
+        if role is None:
+            rates.refuse("the certificate of this client was revoked")
+        if role < request.role:
+            rates.refuse(
+                f"'{request.name}' needs the role {request.role.name.lower()}; this client has"
+                f" the role {role.name.lower()}"
+            )
+        if not rates.allow(request.name):
+            rates.refuse(f"too many requests '{request.name}' in a short time", TooManyRequests)
+        return client.name
+
+    def welcome(self, request: Request, attachment: bytes | None, question: bytes) -> str:
+        """Return the empty name of somebody who says hello; raises `Ignored` if too many do."""
+        if not self._strangers.allow(request.name):
+            raise Ignored
+        return ""
+
+    def name(self, request: Request, attachment: bytes | None, question: bytes) -> str:
+        """Return the name of the client that has sent a request; empty if nobody has signed it."""
+        client = self._signer(request.name, attachment, question)
+        return "" if client is None else client.name
+
+    def answers_stop(self, name: str) -> bool:
+        """Return whether one more stop of a client is answered; it takes effect in any case."""
+        client = self._there.get(name)
+        return (self._strangers if client is None else client.rates).allow("stop")
+
+    def _signer(self, request: str, attachment: bytes | None, question: bytes) -> Client | None:
+        claim = claim_of(attachment)
+        client = None if claim is None else self._there.get(claim.client)
+        if claim is None or client is None:
+            return None
+        if not claim.signed_by(client.secret, request, question):
+            return None
+        with self._lock:
+            return client if client.is_new(request, claim.count) else None
+
+
+def _shorten(waiting: OrderedDict[str, Any]) -> None:
+    while len(waiting) > _MOST_WAITING:
+        waiting.popitem(last=False)

@@ -1,0 +1,69 @@
+"""How many requests of a kind a client may send in a second, and how many are refused aloud."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NoReturn
+
+from rtee.errors import RequestRejected
+
+_BURST = 0.5
+"""Requests that may come at once are those of this time [s]."""
+
+REFUSALS = "refusals"
+"""Name under which refusals are counted; further ones are not answered, since an answer costs more
+than to look at a request."""
+
+_USUAL = 100.0
+"""Requests of a kind [1/s]: several times what programs ask for that poll."""
+
+_RATES = {
+    "jog": 200.0,  # a slider that is dragged sends sixty
+    "sample": 4000.0,  # streams limit their own, by their rate
+    "info": 20.0,  # some milliseconds of work for every new posture
+    "openings": 20.0,
+    "grasp_plan": 10.0,
+    "reach": 20.0,
+    "add": 40.0,  # these write files, and an event follows each
+    "store": 40.0,
+    "remove": 40.0,
+    "rename": 40.0,
+    "record": 10.0,
+    REFUSALS: 200.0,
+}
+"""Requests of some kinds [1/s]."""
+
+
+class Ignored(Exception):
+    """A request that is not even answered."""
+
+
+class Rates:
+    """How many requests of each kind one client may still send: a token bucket for each.
+
+    Args:
+        now: The clock [s].
+    """
+
+    __slots__ = ("_left", "_now")
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._left: dict[str, tuple[float, float]] = {}
+
+    def allow(self, name: str) -> bool:
+        """Count a request and return whether it may be handled."""
+        rate, now = _RATES.get(name, _USUAL), self._now()
+        left, then = self._left.get(name, (_BURST * rate, now))
+        left = min(left + (now - then) * rate, _BURST * rate)
+        if left < 1.0:
+            return False
+        self._left[name] = left - 1.0, now
+        return True
+
+    def refuse(self, reason: str, kind: type[RequestRejected] = RequestRejected) -> NoReturn:
+        """Raise an error with a reason, or `Ignored` if too many are refused already."""
+        if self.allow(REFUSALS):
+            raise kind(reason)
+        raise Ignored

@@ -1,0 +1,264 @@
+"""What one client can cost the others: messages, requests, subscribers, stored actions."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+
+import anyio
+import anyio.to_thread
+import pytest
+import zenoh
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.errors import RequestRejected, TooManyRequests
+from rtee.hand.model import Hand
+from rtee.messages.identity import Signer, claim_of
+from rtee.messages.requests import REQUESTS
+from rtee.remote import command_handlers, query_handlers, rates
+from rtee.remote.identities import _MOST_WAITING, Identities
+from rtee.remote.incoming_request import IncomingRequest
+from rtee.remote.publishing import MOST_STREAMS
+from rtee.remote.rates import REFUSALS, Ignored, Rates
+from rtee.remote.session import LARGEST, open_client
+
+from .serving import serving, until
+from .test_remote_lost import READER, started
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def sessions() -> Iterator[list[zenoh.Session]]:
+    made: list[zenoh.Session] = []
+    yield made
+    for one in made:
+        one.close()
+
+
+def _memory() -> int:
+    """Return the memory of this process [bytes]."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+SENDER = """
+import sys
+from rtee.remote.session import open_client
+import zenoh
+session = open_client([sys.argv[1]])
+print("there", flush=True)
+sys.stdin.readline()
+try:
+    for _ in range(3):
+        session.put(
+            "rtee/small/control/do",
+            bytes(100_000_000),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+except zenoh.ZError:
+    pass  # the connection was closed
+print("sent", flush=True)
+sys.stdin.readline()
+"""
+
+
+async def test_large_messages_take_no_memory(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        sender = await started(SENDER, served.server.endpoint)
+        before = _memory()
+        assert sender.stdin is not None
+        assert sender.stdout is not None
+        await sender.stdin.send(b"\n")
+        assert (await sender.stdout.receive()).strip() == b"sent"
+        assert (await remote.do("Trig", "index", intensity=0.1)).reached
+        assert _memory() - before < 20 * LARGEST
+        sender.kill()
+        await sender.aclose()
+
+
+async def test_who_asks_too_often_is_refused_and_others_are_not(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rates, "_BURST", 5e6)
+    monkeypatch.setitem(rates._RATES, "info", 1e-6)
+    async with (
+        serving(hand, library),
+        rtee.connect("small", client="flood") as flood,
+        rtee.connect("small") as other,
+    ):
+        for number in range(5):
+            await flood.info({"near": number / 10})
+        question = REQUESTS["info"].question.encode({"name": ["near"], "position": [0.9]})
+        with pytest.raises(TooManyRequests, match="too many requests 'info'"):
+            await flood._link.send("info", question)
+        await flood.status()  # other kinds are counted for themselves
+        assert (await other.info()).name == "small"
+
+
+async def test_a_script_that_asks_too_often_only_takes_longer(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        for number in range(30):
+            await remote.info({"near": number / 30})
+
+
+def test_rates() -> None:
+    now = 100.0
+    one = Rates(lambda: now)
+    assert sum(one.allow("info") for _ in range(100)) == 10
+    assert one.allow("status"), "kinds are counted for themselves"
+    now += 0.5
+    assert sum(one.allow("info") for _ in range(100)) == 10
+    for _ in range(100):
+        with pytest.raises(RequestRejected, match="why"):
+            one.refuse("why")
+    with pytest.raises(Ignored):
+        one.refuse("why")
+    assert not one.allow(REFUSALS)
+
+
+async def test_stops_are_carried_out_together_and_always_take_effect(
+    hand: Hand,
+    library: ActionLibrary,
+    sessions: list[zenoh.Session],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(command_handlers, "_STOPPED_FOR", 1e9)
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        rude = await anyio.to_thread.run_sync(open_client, [served.server.endpoint])
+        sessions.append(rude)
+        question = REQUESTS["stop"].question.encode({"client": "x", "what": ""})
+
+        def flood() -> None:
+            for _ in range(500):
+                rude.get("rtee/small/stop/stop", payload=question, timeout=0.1)
+
+        def stops() -> int:
+            return sum(event.kind == "stop" for event in served.watcher.events)
+
+        await anyio.to_thread.run_sync(flood)
+        await until(lambda: stops() > 0)
+        assert list(await remote.stop()) == ["sim"]
+        # All that came during the first one were carried out together; unless the computer was too
+        # busy to confirm them, they count for those afterwards.
+        told = [event for event in served.watcher.events if event.kind == "stop"]
+        assert stops() <= 2 or any("not confirmed" in event.text for event in told)
+        # One that comes right after another, but with a goal in between, ends that goal.
+        for _ in range(5):
+            running = await remote.start("fist", speed=0.05)
+            assert list(await remote.stop()) == ["sim"]
+            assert (await running.result()).cancelled
+
+
+async def test_many_rates_of_states_leave_some_for_others(
+    hand: Hand, library: ActionLibrary, sessions: list[zenoh.Session]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as greedy:
+        rude = await anyio.to_thread.run_sync(open_client, [served.server.endpoint])
+        sessions.append(rude)
+        subscribers = []
+        for every in range(1, MOST_STREAMS + 1):
+            key = await greedy._monitoring._stream(200.0 / every)
+            subscribers.append(rude.declare_subscriber(key))
+        streams = served.server._queries._streams
+        await until(lambda: sum(one.wanted for one in streams._asked.values()) == MOST_STREAMS)
+        async with rtee.connect("small") as other:
+            assert await other._monitoring._stream(200.0 / 100) == "rtee/small/states/64"
+            assert (await anext(other.states(200.0 / 64))).names
+        assert len(subscribers) == MOST_STREAMS
+
+
+async def test_stalled_subscribers_hold_up_nobody(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        readers = [await started(READER) for _ in range(4)]
+        async with rtee.connect("small") as other:
+            for process in readers:
+                os.kill(process.pid, signal.SIGSTOP)
+            while len(served.server._identities) > 1:
+                assert (await other.do("Trig", "index", intensity=0.1)).reached
+                assert (await other.do("Trig", "index", intensity=0.2)).reached
+            assert served.server.outbox.dropped == 0
+        for process in readers:
+            process.kill()
+            await process.aclose()
+
+
+async def test_only_so_many_actions_can_be_added(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(query_handlers, "_MOST_ACTIONS", 5)
+    async with serving(hand, library), rtee.connect("small") as remote:
+        await remote.add_generic("a", {"near": 0.5}, store=True)
+        await remote.add_generic("b", {"near": 0.5}, store=True)
+        with pytest.raises(RequestRejected, match="has 5 actions besides the primitives"):
+            await remote.add_generic("c", {"near": 0.5}, store=True)
+        await remote.remove_action("b")
+        await remote.add_generic("c", {"near": 0.5}, store=True)
+
+
+def test_clients_that_vanish_are_forgotten() -> None:
+    identities, answers = Identities(), []
+
+    def hello(name: str, token: str) -> None:
+        request = REQUESTS["hello"]
+        question = request.question.encode({"client": name, "what": token})
+        asked = IncomingRequest(request, question, lambda data, ok: answers.append(ok), "")
+        identities.hello(asked, "here")
+
+    for number in range(5 * _MOST_WAITING):
+        hello(f"ghost-{number}", f"{number:032x}")
+        identities.came(f"{number + 1_000_000:032x}")
+    assert len(identities) == 0
+    assert len(identities._greeting) == len(identities._tokens) == _MOST_WAITING
+    for number in range(5 * _MOST_WAITING):  # those that came and went
+        token = f"{number + 2_000_000:032x}"
+        hello("busy", token)
+        identities.came(token)
+        assert "busy" in identities
+        assert identities.left(token) == "busy"
+        assert "busy" not in identities
+    assert len(identities._gone) <= _MOST_WAITING
+    assert all(answers)
+
+
+def test_who_was_interrupted_comes_back_with_its_token() -> None:
+    identities, answers = Identities(), []
+    request = REQUESTS["hello"]
+    question = request.question.encode({"client": "one", "what": "0" * 32})
+    identities.came("0" * 32)
+    identities.hello(
+        IncomingRequest(request, question, lambda data, _: answers.append(data), ""), "here"
+    )
+    signer = Signer("one")
+    signer.secret = bytes.fromhex(request.answer.decode(answers[0])["text"])
+
+    def ask() -> str:
+        proof = signer.attachment(signer.number(), "status", b"").encode()
+        return identities.check(REQUESTS["status"], proof, b"")
+
+    assert ask() == "one"
+    assert identities.left("0" * 32) == "one"
+    with pytest.raises(RequestRejected, match="not known"):
+        ask()
+    identities.came("1" * 32)
+    with pytest.raises(RequestRejected, match="not known"):
+        ask()
+    identities.came("0" * 32)
+    assert ask() == "one"
+
+
+@pytest.mark.parametrize(
+    "attachment", [None, b"", b"1", b"1 x", b"1 x y z", b"1 x \xff", b"1 x " + b"0" * 300]
+)
+def test_attachments_of_another_form_claim_nothing(attachment: bytes | None) -> None:
+    assert claim_of(attachment) is None
+
+
+@pytest.mark.parametrize("number", ["", "x", "-1", "1e3", "\u0661", ".5"])
+def test_numbers_that_are_none_count_for_nothing(number: str) -> None:
+    claim = claim_of(f"{number} x 00".encode())
+    assert claim is None or claim.count == 0
