@@ -21,7 +21,7 @@ from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.model import Hand
 from rtee.log import read
 from rtee.loop.service import FEEDS, Service
-from rtee.types import ActuatorState
+from rtee.sample import ActuatorState
 
 from .hands import running
 
