@@ -62,7 +62,7 @@ HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Headers of every answer: the page cannot be framed, embedded, stored or made to call elsewhere."""
+"""Headers of every answer: the page is not framed, embedded or stored, and calls nobody else."""
 
 _COOKIE: Final = "rtee_"
 """The port follows, as browsers share cookies among all ports of a host."""
@@ -181,7 +181,8 @@ class Access:
             ConfigError: if the host is none, or would be reached without encryption.
         """
         found = addresses_of(host)
-        local = all(ipaddress.ip_address(each.partition("%")[0]).is_loopback for each in found)
+        numbers = [ipaddress.ip_address(each.partition("%")[0]) for each in found]
+        local = all(number.is_loopback for number in numbers)
         if not local and tls is None and behind is None:
             raise ConfigError(
                 f"--host {host} opens the GUI to a network; encrypt it with --tls-cert and "
@@ -191,8 +192,7 @@ class Access:
         self.tls = tls
         self._host = host
         self._public = None if behind is None else public_origin(behind)
-        self._any = any(ipaddress.ip_address(each.partition("%")[0]).is_unspecified for each in found)
-        self._local = local
+        self._any = any(number.is_unspecified for number in numbers)
         self._tokens = {secrets.token_urlsafe(_TOKEN_BYTES): Role.OPERATOR}
         if observers:
             self._tokens[secrets.token_urlsafe(_TOKEN_BYTES)] = Role.OBSERVER
