@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from rtee.cli._common import check_files
+
 _NICE = 10
 """How far the GUI's priority is below that of an ordinary program, see nice(2)."""
 
@@ -44,20 +46,23 @@ def gui(
 
     from rtee.errors import ConfigError, needing_extra
 
-    _lower_priority()  # before numpy and the network start threads of their own
-    from rtee.remote.find import hands_running
-
+    check_files()
+    # Mistakes first: the page's other libraries take seconds to load.
     with needing_extra("the GUI", "gui"):
         from rtee.gui.access import Access, tls_context
-        from rtee.gui.app import serve
     if (tls_cert is None) != (tls_key is None):
         raise ConfigError("--tls-cert and --tls-key go together")
     tls = None if tls_cert is None or tls_key is None else tls_context(tls_cert, tls_key)
     access = Access(host, tls=tls, behind=behind_proxy, observers=observer)
+    _lower_priority()  # before numpy and the network start threads of their own
+    from rtee.remote.find import hands_running
+
     if hand is not None or endpoint is not None:
         anyio.run(_check_running, hand, endpoint)
     elif not hands_running():
         print("rtee: no hand runs here yet; the page will show the first one that does", flush=True)
+    with needing_extra("the GUI", "gui"):
+        from rtee.gui.app import serve
     anyio.run(lambda: serve(hand, access=access, port=port, endpoint=endpoint))
 
 
