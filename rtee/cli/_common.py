@@ -197,7 +197,7 @@ def check_files() -> None:
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if limit != resource.RLIM_INFINITY and limit < _FILES:
         raise ConfigError(
-            f"only {limit} files may be open at once; raise this shell's limit with 'ulimit -n 1024'"
+            f"only {limit} files may be open at once; raise the limit with 'ulimit -n 1024'"
         )
 
 

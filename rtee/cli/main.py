@@ -142,6 +142,11 @@ def main() -> None:
         sys.exit(error.exit_code)
     except BrokenPipeError:
         _leave_unread(0)
+    except ImportError as error:
+        if "failed to map segment" not in str(error):  # which is how a library finds no memory
+            raise
+        print(f"rtee: {_EXHAUSTED[errno.ENOMEM]}", file=sys.stderr)
+        _leave_unread(2)
     except MemoryError:
         print(f"rtee: {_EXHAUSTED[errno.ENOMEM]}", file=sys.stderr)
         _leave_unread(2)

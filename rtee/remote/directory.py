@@ -48,7 +48,7 @@ _WATCH_PERIOD = 1.0
 """Time between two checks that a hand's file is still there [s]: for so long nobody finds it."""
 
 _ASKING = 64
-"""Processes that may ask who has a name between two of these checks; more than ever start a hand."""
+"""Processes that may ask who has a name between two of these checks: more than start a hand."""
 
 _OPEN = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 """How files are opened: no links are followed, and a named pipe keeps nobody waiting."""

@@ -202,14 +202,16 @@ def test_a_link_elsewhere_opens_it(
 
 
 def test_nobody_makes_a_tunnel(gui: Program, addresses: tuple[str, str]) -> None:
-    with window_of(addresses[0]) as connection:
-        there = {found["props"]["label"]: found for found in controls(connection)}
-        connection.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
-        use(connection, there["Window [s]"], 20)  # what comes after it is done
-        for frame in connection:
-            kinds = {message["type"] for message in messages(frame)}  # type: ignore[arg-type]
-            assert "ShareUrlUpdated" not in kinds
-            if any(m.get("uuid") == there["Window [s]"]["uuid"] for m in messages(frame)):  # type: ignore[arg-type]
+    with window_of(addresses[0]) as asking, window_of(addresses[0]) as watching:
+        there = {found["props"]["label"]: found for found in controls(asking)}
+        controls(watching)
+        asking.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
+        use(asking, there["Window [s]"], 20.0)  # what the other windows hear once that is done
+        for frame in watching:
+            assert isinstance(frame, bytes)
+            told = messages(frame)
+            assert "ShareUrlUpdated" not in {message["type"] for message in told}
+            if there["Window [s]"]["uuid"] in [message.get("uuid") for message in told]:
                 break
     assert gui.process.poll() is None
 
