@@ -53,6 +53,13 @@ Handler = Callable[[ServerConnection], Awaitable[None]]
 Process = Callable[[ServerConnection, Request], Response | None]
 
 
+class _Message(msgspec.Struct):
+    """What tells about a message whether it is passed on; other fields are skipped."""
+
+    type: str
+    uuid: str = ""
+
+
 class Visitors:
     """Those who have the page open, and what they may do.
 
@@ -116,16 +123,14 @@ class Visitors:
     def admits(self, role: Role | None, message: str | bytes) -> bool:
         """Return whether a message of a page is passed on."""
         try:
-            found = msgspec.msgpack.decode(message) if isinstance(message, bytes) else None
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            found = msgspec.msgpack.decode(
+                message if isinstance(message, bytes) else b"", type=_Message
+            )
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError):
             return False
-        kind = found.get("type") if isinstance(found, dict) else None
-        if role is None or kind not in _USED:
+        if role is None or found.type not in _USED:
             return False
-        if role is Role.OPERATOR or kind == _CAMERA:
-            return True
-        used = found.get("uuid")
-        return isinstance(used, str) and used in self._for_everybody
+        return role is Role.OPERATOR or found.type == _CAMERA or found.uuid in self._for_everybody
 
     def _judged(self, process: Process | None) -> Process:
         def judge(connection: ServerConnection, request: Request) -> Response | None:
