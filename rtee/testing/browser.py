@@ -30,7 +30,7 @@ _ARGUMENTS: Final = (
     "--disable-gpu-rasterization",
     "--disable-accelerated-2d-canvas",
 )
-_PATIENCE: Final = 200_000.0
+_PATIENCE: Final = 60_000.0
 """Longest time for one action in the page [ms]; software WebGL is slow on a busy computer."""
 
 
