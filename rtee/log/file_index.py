@@ -131,6 +131,8 @@ def survey(path: Path | str) -> Survey:
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():
+            raise LogError("is no file", path=path)
         return _Surveyor(path).look()
     except OSError as error:
         raise LogError(f"cannot be read: {reason(error)}", path=path) from error

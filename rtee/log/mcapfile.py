@@ -75,7 +75,7 @@ def _sync_folder(folder: Path) -> None:
 def being_written(path: Path) -> bool:
     """Whether a recorder has the file open."""
     try:
-        descriptor = os.open(path, os.O_RDONLY)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError:
         return False
     try:

@@ -14,6 +14,7 @@ import pytest
 from mcap.opcode import Opcode
 
 from rtee.cli import main
+from rtee.errors import LogError
 from rtee.log import read
 from rtee.log.check import check
 from rtee.log.chunks import MESSAGE
@@ -21,8 +22,10 @@ from rtee.log.column_reader import walk
 from rtee.log.export import Format, export
 from rtee.log.file_index import survey
 from rtee.log.info import info
+from rtee.log.mcapfile import being_written
 from rtee.log.record_scanner import Record, messages_of, scan
 from rtee.log.recover import recover
+from rtee.log.rotation import recordings
 
 HEAD = struct.Struct("<BQ")
 LATEST = 2**64 - 1
@@ -136,3 +139,16 @@ def test_a_chunk_that_fails_its_checksum_is_not_the_same(
 def test_recordings_are_not_for_everybody(story: Path) -> None:
     os.umask(umask := os.umask(0o022))
     assert stat.S_IMODE(story.stat().st_mode) == 0o640 & ~umask
+
+
+def test_a_named_pipe_keeps_nobody_waiting(story: Path) -> None:
+    pipe = story.with_name(story.name.replace("claw_2", "claw_3"))
+    os.mkfifo(pipe)
+    try:
+        assert pipe not in [file.path for file in recordings(story.parent)]
+        assert not being_written(pipe)
+        for work in (read, recover):
+            with pytest.raises(LogError, match="is no file"):
+                work(pipe)
+    finally:
+        pipe.unlink()
