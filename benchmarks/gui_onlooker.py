@@ -2,7 +2,7 @@
 
 It represents a browser on another computer, whose drawing costs this one nothing::
 
-    python benchmarks/gui_onlooker.py http://127.0.0.1:8080
+    python benchmarks/gui_onlooker.py "http://127.0.0.1:8080/?token=..."
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import msgspec.msgpack
 import zstandard
 from viser import __version__ as version
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 _LARGEST = 2**26  # bytes of a frame that are accepted; a scene with meshes takes some 10 MB
 _HEADER = 16  # bytes before the packed messages: two lengths of eight bytes
@@ -44,12 +45,15 @@ def window(address: str) -> Iterator[Connection]:
     """Connect as a browser's window does, for as long as the context lasts.
 
     Args:
-        address: Where the GUI is, such as ``http://127.0.0.1:8080``.
+        address: Where the GUI is and its token, as `rtee gui` prints them.
     """
     protocol = Subprotocol(f"viser-v{version}")
-    place = address.replace("http", "ws", 1)
+    found = urlsplit(address)
+    token = parse_qs(found.query).get("token", [""])[0]
     with connect(
-        place,
+        f"ws://{found.netloc}/",
+        origin=Origin(f"http://{found.netloc}"),
+        additional_headers={"Cookie": f"rtee_token={token}"},
         subprotocols=[protocol],
         compression=None,
         max_size=_LARGEST,

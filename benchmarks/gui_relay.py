@@ -40,7 +40,7 @@ class Relay:
         place = urlsplit(address)
         self._target = (str(place.hostname), int(place.port or 80))
         self._server = socket.create_server(("127.0.0.1", 0))
-        self.address = f"http://127.0.0.1:{self._server.getsockname()[1]}"
+        self.address = f"http://127.0.0.1:{self._server.getsockname()[1]}/?{place.query}"
         self._sockets: list[socket.socket] = [self._server]
         self._frames: list[bytes] = []
 

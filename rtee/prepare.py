@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -84,7 +85,7 @@ class PreparedHand:
         pinched = pinch_at_rest(
             self.hand, (action for action in self.library if isinstance(action, Primitive))
         )
-        return [pinched] if pinched else []
+        return [*([pinched] if pinched else []), *open_to_everybody(self.folder)]
 
     def attachments(self) -> dict[str, bytes]:
         """Return the files that belong into a recording, by name."""
@@ -109,6 +110,18 @@ class PreparedHand:
         if options.driver == "replay":  # what is shown again has been recorded
             settings["flight_recorder"] = 0.0
         return RecorderSettings(**settings)
+
+
+def open_to_everybody(folder: Path) -> list[str]:
+    """Return a sentence if other users can change the files of a hand, and so what it does."""
+    for path in (folder, *sorted(folder.rglob("*"))):
+        try:
+            found = path.lstat()
+        except OSError:
+            continue
+        if stat.S_IMODE(found.st_mode) & stat.S_IWOTH and not stat.S_ISLNK(found.st_mode):
+            return [f"{path} can be changed by everybody; 'chmod -R o-w {folder}' prevents it"]
+    return []
 
 
 def prepare(name: str, options: RunOptions) -> PreparedHand:

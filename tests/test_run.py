@@ -309,7 +309,7 @@ def start(folder: Path, *arguments: str, hand: str = "jaw") -> subprocess.Popen[
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
 def test_a_signal_does_what_is_configured_and_closes_the_log(
     folder: Path, calls: Path, number: signal.Signals
 ) -> None:
@@ -326,6 +326,18 @@ def test_a_signal_does_what_is_configured_and_closes_the_log(
     (file,) = (folder / "logs").glob("*_000.mcap")
     events = [entry.value for entry in read(file).events]
     assert any(number.name in event.text and event.kind == "stop" for event in events)
+
+
+def test_a_hand_that_everybody_can_change_is_warned_of(folder: Path) -> None:
+    write_hand(folder, "public", "")
+    home = next(folder.rglob("public"))
+    for path, mode in ((home / "hand.yaml", 0o666), (home, 0o777)):
+        path.chmod(mode)
+        process = start(folder, "--duration", "0.1", hand="public")
+        _, errors = process.communicate(timeout=20)
+        assert process.returncode == 0, errors
+        (line,) = [line for line in errors.splitlines() if "changed by everybody" in line]
+        assert f"{path} can be changed by everybody; 'chmod -R o-w {home}' prevents it" in line
 
 
 def test_a_users_mistake_is_one_sentence_and_status_2(folder: Path) -> None:

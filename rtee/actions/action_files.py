@@ -64,6 +64,7 @@ class ActionFiles:
         self.folder = folder
         self._stored: set[str] = set()  # normalised names of the custom actions in files
         self._seen: dict[Path, int] = {}
+        self._gone = False
 
     def read(self, keep: Sequence[Action] = ()) -> Index:
         """Return the actions in the files.
@@ -87,6 +88,13 @@ class ActionFiles:
             copy = copied_since(self.folder.parent)
             if copy is not None and os.path.isdir(copy / ACTIONS):
                 self.folder = copy / ACTIONS
+        if self._seen and not os.path.isdir(self.folder):
+            # A hand that runs keeps what it can do, whatever becomes of its files.
+            if not self._gone:
+                log.warning("%s is gone; the actions stay as they were read", self.folder)
+            self._gone = True
+            return False
+        self._gone = False
         return stamps(self.folder) != self._seen
 
     def holds(self, name: str) -> bool:

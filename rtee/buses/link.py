@@ -30,6 +30,9 @@ _POLL = 0.05
 """Longest wait of the reading thread before it checks whether it has to end [s]: closing a port
 must not be felt."""
 
+_SCHEMES = ("socket", "tcp", "rfc2217", "loop", "spy", "hwgrep", "alt")
+"""What can stand before ``://``: the first two are opened here, the others by pyserial."""
+
 LinkProtocol = Callable[[], asyncio.Protocol]
 
 
@@ -90,6 +93,12 @@ async def open_link(
     """
     name = name or url
     loop = asyncio.get_running_loop()
+    scheme, colon, _ = url.partition("://")
+    if colon and scheme not in _SCHEMES:
+        raise ConfigError(
+            f"'{url}' is not an address of a line; one is a tty, socket://host:port, "
+            "tcp://host:port or rfc2217://host:port"
+        )
     try:
         if url.startswith(("socket://", "tcp://")):
             host, port = split_address(url, 502 if url.startswith("tcp://") else None)

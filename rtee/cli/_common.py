@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -133,12 +134,22 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 
 
 class _Command(TyperCommand):
-    """A command whose option ``--wait``, if it has one, needs no number of seconds."""
+    """A command whose numbers are finite, and whose option ``--wait`` needs no number."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Insert the number where it is missing."""
+        """Parse the arguments, and refuse what no range of an option refuses: not a number."""
+        rest = super().parse_args(ctx, self._with_wait(args))
+        for option in self.params:
+            value = ctx.params.get(option.name)
+            for each in value if isinstance(value, list | tuple) else (value,):
+                if isinstance(each, float) and not math.isfinite(each):
+                    raise typer.BadParameter("should be a finite number", ctx=ctx, param=option)
+        return rest
+
+    def _with_wait(self, args: list[str]) -> list[str]:
+        """Return the arguments with the number of seconds where it is missing."""
         if "--wait" not in args or all(option.name != "wait" for option in self.params):
-            return super().parse_args(ctx, args)
+            return args
         from rtee.remote.monitoring import READY_WITHIN
 
         end = args.index("--") if "--" in args else len(args)
@@ -146,7 +157,7 @@ class _Command(TyperCommand):
         for number in [i for i, word in enumerate(args[:end]) if word == "--wait"][::-1]:
             if number + 1 >= end or not _is_number(args[number + 1]):
                 args = [*args[: number + 1], f"{READY_WITHIN:g}", *args[number + 1 :]]
-        return super().parse_args(ctx, args)
+        return args
 
 
 def _is_number(word: str) -> bool:
@@ -162,11 +173,32 @@ def app_of(command: Callable[..., None] | typer.Typer) -> typer.Typer:
     app = command
     if not isinstance(app, typer.Typer):
         app = typer.Typer()
-        app.command(cls=_Command)(command)
+        app.command()(command)
+    for made in app.registered_commands:
+        made.cls = _Command
     app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
     # With rich's own markup, units in brackets would be taken for tags and vanish.
     app.rich_markup_mode = "markdown"
     return app
+
+
+_FILES = 64
+"""Files that a program on the network may need at once; a hand has some 25."""
+
+
+def check_files() -> None:
+    """Check that enough files may be open, as the network's library panics where they are not.
+
+    Raises:
+        ConfigError: if the shell's limit is too low.
+    """
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if limit != resource.RLIM_INFINITY and limit < _FILES:
+        raise ConfigError(
+            f"only {limit} files may be open at once; raise the limit with 'ulimit -n 1024'"
+        )
 
 
 def named_values(words: Sequence[str], option: str, what: str) -> dict[str, Any]:

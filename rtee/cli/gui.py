@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from rtee.cli._common import check_files
 
 _NICE = 10
 """How far the GUI's priority is below that of an ordinary program, see nice(2)."""
@@ -17,27 +20,50 @@ def gui(
     hand: Annotated[str | None, typer.Argument(help="The running hand; by default any.")] = None,
     port: Annotated[int, typer.Option(help="Port to listen on.", min=0, max=65535)] = 8080,
     host: Annotated[
-        str, typer.Option(help="Address to listen on; any but loopback opens it to a network.")
+        str,
+        typer.Option(help="Address to listen on; beyond loopback with --tls-cert or a proxy only."),
     ] = "127.0.0.1",
     endpoint: Annotated[
         str | None, typer.Option(help="Where the hand runs, such as tcp/robot:7447.")
     ] = None,
+    observer: Annotated[
+        bool,
+        typer.Option("--observer", help="Print a second address, to watch and stop only."),
+    ] = False,
+    tls_cert: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Certificate (PEM), to serve HTTPS.")
+    ] = None,
+    tls_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Private key of the certificate (PEM).")
+    ] = None,
+    behind_proxy: Annotated[
+        str | None,
+        typer.Option(metavar="ORIGIN", help="A proxy's address, such as https://hand.example.org."),
+    ] = None,
 ) -> None:
-    """Open the hand in the browser; prints the address."""
+    """Open the hand in the browser; prints the address, with the token that opens it."""
     import anyio
 
-    from rtee.errors import needing_extra
+    from rtee.errors import ConfigError, needing_extra
 
+    check_files()
+    # Mistakes first: the page's other libraries take seconds to load.
+    with needing_extra("the GUI", "gui"):
+        from rtee.gui.access import Access, tls_context
+    if (tls_cert is None) != (tls_key is None):
+        raise ConfigError("--tls-cert and --tls-key go together")
+    tls = None if tls_cert is None or tls_key is None else tls_context(tls_cert, tls_key)
+    access = Access(host, tls=tls, behind=behind_proxy, observers=observer)
     _lower_priority()  # before numpy and the network start threads of their own
     from rtee.remote.find import hands_running
 
-    with needing_extra("the GUI", "gui"):
-        from rtee.gui.app import serve
     if hand is not None or endpoint is not None:
         anyio.run(_check_running, hand, endpoint)
     elif not hands_running():
         print("rtee: no hand runs here yet; the page will show the first one that does", flush=True)
-    anyio.run(lambda: serve(hand, host=host, port=port, endpoint=endpoint))
+    with needing_extra("the GUI", "gui"):
+        from rtee.gui.app import serve
+    anyio.run(lambda: serve(hand, access=access, port=port, endpoint=endpoint))
 
 
 def _lower_priority() -> None:

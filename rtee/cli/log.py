@@ -284,6 +284,8 @@ def _show_check(found: Check, as_json: bool) -> None:
             f"{found.values} numbers"
         )
     else:
+        for what in found.damage:
+            print(f"the recording is not as it was written: {what}")
         print(f"{found.different} of {found.values} numbers differ, by at most {found.largest:g}")
         if found.first is not None:
             first = found.first

@@ -117,6 +117,14 @@ _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a full disk."""
 
 
+_EXHAUSTED: Final = {
+    errno.EMFILE: "too many files would be open; raise this shell's limit with 'ulimit -n 1024'",
+    errno.ENFILE: "too many files are open on this computer",
+    errno.ENOMEM: "there is not enough memory; 'ulimit -v' shows this shell's limit",
+}
+"""What is said where the computer, or a limit of the shell, gives no more, by error numbers."""
+
+
 def main() -> None:
     """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
     try:
@@ -136,7 +144,18 @@ def main() -> None:
         sys.exit(error.exit_code)
     except BrokenPipeError:
         _leave_unread(0)
+    except ImportError as error:
+        if "failed to map segment" not in str(error):  # which is how a library finds no memory
+            raise
+        print(f"rtee: {_EXHAUSTED[errno.ENOMEM]}", file=sys.stderr)
+        _leave_unread(2)
+    except MemoryError:
+        print(f"rtee: {_EXHAUSTED[errno.ENOMEM]}", file=sys.stderr)
+        _leave_unread(2)
     except OSError as error:
+        if error.errno in _EXHAUSTED:
+            print(f"rtee: {_EXHAUSTED[error.errno]}", file=sys.stderr)
+            _leave_unread(2)
         # Functions that write files report errors themselves; this one is about the output.
         if error.errno not in _FULL:
             raise

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import complete_hand, named_values
+from rtee.cli._common import check_files, complete_hand, named_values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,8 +120,12 @@ def run(
 
     import anyio
 
+    from rtee.errors import ConfigError
     from rtee.run import RunOptions, run_hands
 
+    check_files()
+    if driver is not None and not driver.strip():
+        raise ConfigError("--driver is empty; give kinematic, devices or a driver's name")
     logging.basicConfig(
         format="%(asctime)s %(levelname)s %(message)s",
         level=logging.INFO if verbose else logging.WARNING,

@@ -12,10 +12,12 @@ import anyio
 import viser
 
 from rtee.errors import NoHand, RteeError
+from rtee.gui.access import Access, Role
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, GOOD, WARN
 from rtee.gui.model import model_of
 from rtee.gui.session import Session
+from rtee.gui.visitors import Visitors
 from rtee.remote.client import connect
 from rtee.remote.find import hands_running
 
@@ -49,13 +51,20 @@ class App:
         said: Text of the banner.
     """
 
-    def __init__(self, server: viser.ViserServer, hand: str | None, endpoint: str | None) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        hand: str | None,
+        endpoint: str | None,
+        visitors: Visitors | None = None,
+    ) -> None:
         """Prepare the page; call it from the event loop.
 
         Args:
             server: The browser's server.
             hand: The hand to show; ``None`` for the one chosen in the page, at first any.
             endpoint: Its address, if it is not on this computer.
+            visitors: Who has the page open, if not only operators.
         """
         self.server = server
         self.session: Session | None = None
@@ -63,7 +72,7 @@ class App:
         self._endpoint = endpoint
         self._wanted = hand
         self._fixed = hand is not None
-        self._bridge = Bridge(server)
+        self._bridge = Bridge(server, visitors)
         server.gui.configure_theme(
             control_width="medium",
             show_logo=False,
@@ -168,7 +177,7 @@ class App:
 async def serve(
     hand: str | None,
     *,
-    host: str = "127.0.0.1",
+    access: Access,
     port: int = 8080,
     endpoint: str | None = None,
 ) -> None:
@@ -176,15 +185,21 @@ async def serve(
 
     Args:
         hand: The hand to show; ``None`` for any that runs.
-        host: Address to listen on.
+        access: Who may open it, and the address to listen on.
         port: Port to listen on; the next free one if it is in use.
         endpoint: Address of the hand, if it is not on this computer.
+
+    Raises:
+        LoopError: if the installed viser cannot be guarded.
     """
-    with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
-        server = viser.ViserServer(host=host, port=port, verbose=False)
-    print(f"rtee: GUI at http://{host}:{server.get_port()}", flush=True)  # noqa: T201
+    visitors = Visitors(access)
+    server = visitors.open_server(port)
+    links = access.links(server.get_port())
+    print(f"rtee: GUI at {links[Role.OPERATOR]}", flush=True)  # noqa: T201
+    if Role.OBSERVER in links:
+        print(f"rtee: to watch and stop only: {links[Role.OBSERVER]}", flush=True)  # noqa: T201
     try:
-        await App(server, hand, endpoint).run()
+        await App(server, hand, endpoint, visitors).run()
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()

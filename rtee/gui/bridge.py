@@ -10,6 +10,7 @@ from typing import Any, Final
 import viser
 
 from rtee.errors import RteeError
+from rtee.gui.visitors import Visitors
 
 log = logging.getLogger(__name__)
 
@@ -26,9 +27,15 @@ class Bridge:
         server: The browser's server.
     """
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        """Use the running event loop; must be called there."""
+    def __init__(self, server: viser.ViserServer, visitors: Visitors | None = None) -> None:
+        """Use the running event loop; must be called there.
+
+        Args:
+            server: The browser's server.
+            visitors: Who has the page open, if observers may.
+        """
         self.server = server
+        self._visitors = visitors
         self._loop = asyncio.get_running_loop()
         self._working: set[asyncio.Task[None]] = set()
 
@@ -63,6 +70,11 @@ class Bridge:
         except Exception as error:
             log.exception("a click failed")
             self.notify("Failed", f"{type(error).__name__}: {error}", "red")
+
+    def leave_to_everybody(self, *controls: object) -> None:
+        """Let observers, too, use these controls, and no others."""
+        if self._visitors is not None:
+            self._visitors.leave_to_everybody(*controls)
 
     @property
     def watched(self) -> bool:

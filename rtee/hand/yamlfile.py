@@ -229,6 +229,16 @@ def _composed(text: str, path: Path, what: str, raised: type[UserError], *, fore
     return node
 
 
+def _small(value: int) -> int:
+    """Return an integer of at most 64 bits; others cannot be printed, or be floats."""
+    if value.bit_length() > _BITS:
+        raise ValueError("too large")
+    return value
+
+
+_BITS: Final = 64
+"""Most bits of an integer: no setting, register or serial number is larger."""
+
 _LINE: Final = re.compile(r'( *)(- )?("(?:[^"\\]|\\.)*"|[^\s:#"\[\]{},][^\s:]*):(?: (\S.*))?')
 _TOKEN: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[A-Za-z][^\[\],\s"]*|[^\[\],\s"]+')
 _WORDS: Final = frozenset({"true", "false", "null"})
@@ -271,7 +281,9 @@ def read_emitted(text: str) -> dict[str, Any] | None:
                 opened[column] = key
                 at.pop(column + 2, None)
             else:
-                at[column][key] = json.loads(_TOKEN.sub(_as_json, value))
+                at[column][key] = json.loads(
+                    _TOKEN.sub(_as_json, value), parse_int=lambda digits: _small(int(digits))
+                )
         # The proof: only a text that `emit` would write counts as read.
         same = root and emit(root) == "\n".join(lines[body:])
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
@@ -359,9 +371,10 @@ class _Reader:
         try:
             digits = text.replace("_", "")
             # Base 0 would refuse leading zeros, which YAML 1.2 allows.
-            return int(digits, 0 if digits.lstrip("+-")[:2].lower() in ("0x", "0o", "0b") else 10)
+            base = 0 if digits.lstrip("+-")[:2].lower() in ("0x", "0o", "0b") else 10
+            return _small(int(digits, base))
         except ValueError:
-            raise self._error(line, f"'{text[:40]}' is not a number") from None
+            raise self._error(line, f"'{text[:40]}' is not a number of at most 64 bits") from None
 
     def _float(self, text: str, line: int) -> float:
         try:

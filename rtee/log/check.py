@@ -61,6 +61,7 @@ class Check:
         first: Where the first difference is.
         results: Whether the goals ended as recorded.
         missing: Ticks missing in the recording.
+        damage: What is not as it was written, such as a part that fails its checksum.
     """
 
     ticks: int
@@ -71,11 +72,12 @@ class Check:
     first: Difference | None
     results: bool
     missing: int
+    damage: tuple[str, ...] = ()
 
     @property
     def same(self) -> bool:
-        """Whether everything is as recorded, bit for bit."""
-        return not self.different and self.results
+        """Whether everything is as recorded, bit for bit, and the recording as it was written."""
+        return not self.different and self.results and not self.damage
 
 
 def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
@@ -260,6 +262,7 @@ def _compared(
         # The end of the loop may have given one more result, after the last recorded tick.
         results=results == recorded[: len(results)] and len(recorded) - len(results) <= 1,
         missing=int(states.tick[-1] - states.tick[0]) + 1 - len(states),
+        damage=recording.damage,
     )
 
 

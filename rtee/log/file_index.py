@@ -29,6 +29,12 @@ _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")
 _CHUNK_TIMES = struct.Struct("<QQ")
 
+_LIBRARY = "rtee"
+"""How the name of what has written a file begins if it was this software."""
+
+_LATEST = 2**63 - 1
+"""Latest log time that is believed [ns since 1970]: in the year 2262, as numpy's."""
+
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
@@ -69,6 +75,7 @@ class Survey:
         chunks: The chunks in order.
         loose: Messages outside chunks: foreign files only.
         notes: What is wrong with it, one sentence each.
+        damage: Those notes that say that it is not as it was written.
     """
 
     path: Path
@@ -83,6 +90,7 @@ class Survey:
     chunks: tuple[ChunkPlace, ...]
     loose: int
     notes: tuple[str, ...]
+    damage: tuple[str, ...] = ()
 
     @property
     def values(self) -> Mapping[str, str]:
@@ -123,6 +131,8 @@ def survey(path: Path | str) -> Survey:
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():
+            raise LogError("is no file", path=path)
         return _Surveyor(path).look()
     except OSError as error:
         raise LogError(f"cannot be read: {reason(error)}", path=path) from error
@@ -139,6 +149,7 @@ class _Surveyor:
         self._chunks: list[ChunkPlace] = []
         self._loose = 0
         self._notes: list[str] = []
+        self._damage: list[str] = []
 
     def look(self) -> Survey:
         with self._path.open("rb") as stream:
@@ -160,7 +171,7 @@ class _Surveyor:
                     try:
                         self._take(record, stream)
                     except DamagedRecordError as error:
-                        self._notes.append(str(error))
+                        self._damage.append(str(error))
                     good = record.end if data else good
             # Other writers put the definitions into the chunks alone.
             if not self._channels:
@@ -185,7 +196,8 @@ class _Surveyor:
             channels=self._channels,
             chunks=tuple(self._chunks),
             loose=self._loose,
-            notes=tuple(self._notes),
+            notes=(*self._damage, *self._notes),
+            damage=tuple(self._damage),
         )
 
     def _define_from_chunks(self, stream: BinaryIO) -> None:
@@ -212,7 +224,10 @@ class _Surveyor:
                 times = record.read(stream, _CHUNK_TIMES.size)
                 if len(times) < _CHUNK_TIMES.size:
                     raise DamagedRecordError("a chunk is shorter than any")
-                self._chunks.append(ChunkPlace(record, *_CHUNK_TIMES.unpack(times)))
+                start, end = _CHUNK_TIMES.unpack(times)
+                if not start <= end <= _LATEST:
+                    raise DamagedRecordError("a chunk says impossible times")
+                self._chunks.append(ChunkPlace(record, start, end))
             case Opcode.MESSAGE_INDEX:
                 head = record.read(stream, _INDEX_HEAD.size)
                 if self._chunks and len(head) == _INDEX_HEAD.size:
@@ -225,7 +240,11 @@ class _Surveyor:
                 metadata = parsed(Metadata, record.read(stream))
                 self._metadata[metadata.name] = metadata.metadata
             case Opcode.ATTACHMENT:
-                attachment = parsed(Attachment, record.read(stream))
+                content = record.read(stream)
+                attachment = parsed(Attachment, content)
+                if self._library.startswith(_LIBRARY) and not any(content[-4:]):
+                    # What is written here always has one.
+                    self._damage.append(f"attachment '{attachment.name}' has lost its checksum")
                 self._attachments[attachment.name] = attachment
             case Opcode.SCHEMA | Opcode.CHANNEL:
                 self._define(record.opcode, record.read(stream))

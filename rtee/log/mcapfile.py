@@ -40,6 +40,9 @@ from rtee.log.chunks import PackedChunk, record_bytes
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "ros2"
 
+_MODE = 0o640
+"""Mode of a recording: what a robot does concerns its user and group, and nobody else."""
+
 
 @dataclass(frozen=True, slots=True)
 class Preamble:
@@ -72,7 +75,7 @@ def _sync_folder(folder: Path) -> None:
 def being_written(path: Path) -> bool:
     """Whether a recorder has the file open."""
     try:
-        descriptor = os.open(path, os.O_RDONLY)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError:
         return False
     try:
@@ -109,7 +112,7 @@ class McapFile:
         self._end = 0
         self._indexes: list[McapRecord] = []
         begin = self._begin()
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _MODE)
         with contextlib.suppress(OSError):  # not every file system has locks
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._size = 0

@@ -114,6 +114,7 @@ class _Collector:
             most = sum(self._count(each, name) for each in surveys) if name in wanted else 0
             self._rows[name] = column_reader.Rows(most)
         self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
+        self._damage = [f"{each.path.name}: {note}" for each in surveys for note in each.damage]
         self._damaged = 0
 
     def _name_of(self, topic: str) -> str | None:
@@ -162,7 +163,7 @@ class _Collector:
         with file.path.open("rb") as stream:
             for place, data in _chunks_ahead(file.path, wanted):
                 if isinstance(data, DamagedRecordError):
-                    self._notes.append(str(data))
+                    self._note_damage(str(data))
                 else:
                     self._chunk(place, data, stream, channels)
 
@@ -177,6 +178,11 @@ class _Collector:
             starts = {k: np.array(v, dtype=np.int64) for k, v in walked.items() if k in channels}
         for number, offsets in starts.items():
             name, kind = channels[number]
+            times = column_reader.log_times(array, offsets)
+            sound = (times >= place.start) & (times <= place.end)
+            if not sound.all():
+                self._damaged += int(len(sound) - sound.sum())
+                offsets = offsets[sound]
             if name in _TABLES:
                 self._rows[name].add(kind, array, offsets)
             else:
@@ -259,12 +265,17 @@ class _Collector:
         )
         skipped = sum(table.skipped for table in self._rows.values())
         if self._damaged:
-            self._notes.append(f"{self._damaged} messages make no sense and are left out")
+            self._note_damage(f"{self._damaged} messages make no sense and are left out")
         if skipped:
             self._notes.append(f"{skipped} messages with other joints are left out")
         # Frozen, but not handed out yet: making the entries above has added notes.
         object.__setattr__(recording, "notes", tuple(self._notes))
+        object.__setattr__(recording, "damage", tuple(self._damage))
         return recording
+
+    def _note_damage(self, text: str) -> None:
+        self._notes.append(text)
+        self._damage.append(text)
 
     def _urdf(self, attachments: Mapping[str, bytes]) -> str:
         """Return the URDF: the one attached, since the published one may have its meshes inside."""

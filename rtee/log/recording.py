@@ -171,6 +171,7 @@ class Recording:
         urdf: The URDF as it was read.
         meshes: Address of a mesh in the URDF to the name of its attachment.
         notes: What is wrong with the files, one sentence each.
+        damage: Those notes that say that something is not as it was written.
     """
 
     paths: tuple[Path, ...]
@@ -197,6 +198,7 @@ class Recording:
     urdf: str = ""
     meshes: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
 
     @property
     def duration(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import stat
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -66,11 +67,13 @@ def parse_name(path: Path) -> RecordingFile | None:
     if found is None:
         return None
     try:
-        size = path.stat().st_size
+        status = path.stat()
     except OSError:
         return None
+    if not stat.S_ISREG(status.st_mode):  # opening a named pipe would wait for ever
+        return None
     part = None if found["part"] == FLIGHT else int(found["part"])
-    return RecordingFile(path, found["hand"], found["session"], part, size)
+    return RecordingFile(path, found["hand"], found["session"], part, status.st_size)
 
 
 def recordings(folder: Path, hand: str | None = None) -> list[RecordingFile]:

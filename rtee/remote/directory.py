@@ -1,17 +1,25 @@
 """Which hands run on this computer: one file per hand in the user's runtime folder.
 
 A server keeps the file of its hand locked for as long as it lives. A file without a lock was left
-behind by a process that was killed.
+behind by a process that was killed. Programs that clean temporary folders may remove a file that
+is in use, so a server keeps a name in the kernel, too, and writes its file again.
+
+Servers and clients use a folder and its files only if nobody else could have made them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import hashlib
 import json
 import os
+import socket
 import stat
+import struct
+import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -35,6 +43,15 @@ _PAUSE = 0.01
 
 _LONGEST = 65536
 """Most that is read of a hand's file [bytes]; a valid one has some hundred."""
+
+_WATCH_PERIOD = 1.0
+"""Time between two checks that a hand's file is still there [s]: for so long nobody finds it."""
+
+_ASKING = 64
+"""Processes that may ask who has a name between two of these checks: more than start a hand."""
+
+_OPEN = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+"""How files are opened: no links are followed, and a named pipe keeps nobody waiting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,19 +82,50 @@ def runtime_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"rtee-{os.getuid()}"
 
 
-def _own_folder() -> Path:
-    """Return the folder, made if necessary; raises `ConfigError` if it is not ours alone."""
+def _is_trusted(found: os.stat_result, owner: int, forbidden: int) -> bool:
+    return found.st_uid == owner and not found.st_mode & forbidden
+
+
+def _own_folder(*, make: bool) -> int | None:
+    """Return a descriptor of this user's folder; ``None`` if there is none and it is not made.
+
+    Raises:
+        ConfigError: if it is not ours alone.
+    """
     folder = runtime_folder()
+    descriptor = None
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = folder.lstat()
+        if make:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
+        if _is_trusted(os.fstat(descriptor), os.getuid(), 0o022):
+            return descriptor
+    except FileNotFoundError:
+        return None
+    except NotADirectoryError:  # a link, too
+        pass
     except OSError as error:
-        raise ConfigError(f"cannot be made: {reason(error)}", path=folder) from None
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
-        raise ConfigError(
-            f"must be a folder that only you can write to; remove it or set {VARIABLE}", path=folder
-        )
-    return folder
+        raise ConfigError(f"cannot be used: {reason(error)}", path=folder) from None
+    if descriptor is not None:
+        os.close(descriptor)
+    raise ConfigError(
+        f"must be a folder that only you can write to; remove it or set {VARIABLE}", path=folder
+    )
+
+
+def _services() -> int | None:
+    """Return a descriptor of the services' folder, if there is one that not everybody can change.
+
+    It is in a folder of root, so its owner is whom root has given it to.
+    """
+    try:
+        descriptor = os.open(SERVICES, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
+    except OSError:
+        return None
+    if os.fstat(descriptor).st_mode & stat.S_IWOTH:
+        os.close(descriptor)
+        return None
+    return descriptor
 
 
 class Place:
@@ -88,19 +136,68 @@ class Place:
         socket: Where the hand's Unix socket belongs.
     """
 
-    def __init__(self, path: Path, descriptor: int) -> None:
+    def __init__(self, path: Path, hand: str, name: socket.socket | None) -> None:
+        """Lock the file.
+
+        Args:
+            path: The hand's file.
+            hand: Its name.
+            name: Listens for those who ask who has the hand's name in the kernel.
+
+        Raises:
+            ConfigError: if another process has it.
+        """
         self.path, self.socket = path, path.with_suffix(".sock")
-        self._descriptor = descriptor
+        self._hand, self._name = hand, name
+        self._entry = b""
+        self._descriptor = _locked(path, hand)
+        self._changing = threading.Lock()
+        self._ended = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, name=f"place {hand}", daemon=True)
+        self._watcher.start()
 
     def write(self, endpoints: Sequence[str]) -> None:
         """Announce the hand with its endpoints on this computer."""
-        entry = json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)})
-        os.ftruncate(self._descriptor, 0)
-        os.pwrite(self._descriptor, entry.encode(), 0)
+        self._put(json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)}).encode())
 
     def withdraw(self) -> None:
         """Announce the hand no longer."""
-        os.ftruncate(self._descriptor, 0)
+        self._put(b"")
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._ended.set()
+        self._watcher.join()
+        if _same_file(self._descriptor, self.path):
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+        os.close(self._descriptor)
+
+    def _put(self, entry: bytes) -> None:
+        with self._changing:
+            self._entry = entry
+            os.ftruncate(self._descriptor, 0)  # a killed server may have left a longer entry
+            os.pwrite(self._descriptor, entry, 0)
+
+    def _watch(self) -> None:
+        while not self._ended.wait(_WATCH_PERIOD):
+            with contextlib.suppress(OSError):
+                while self._name is not None:  # until there is nobody left: it does not block
+                    self._name.accept()[0].close()
+            if not _same_file(self._descriptor, self.path):
+                with contextlib.suppress(ConfigError, OSError):
+                    self._replace()
+
+    def _replace(self) -> None:
+        """Write the file again after somebody has removed it."""
+        if (folder := _own_folder(make=True)) is not None:
+            os.close(folder)
+        descriptor = _locked(self.path, self._hand)
+        with self._changing:
+            self._descriptor, old = descriptor, self._descriptor
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, self._entry, 0)
+        os.close(old)
 
 
 @contextlib.contextmanager
@@ -113,16 +210,19 @@ def claimed(hand: str) -> Iterator[Place]:
     Raises:
         ConfigError: if the hand runs already, or the folder cannot be used.
     """
-    path = _own_folder() / f"{check_name(hand, 'hand')}.json"
-    descriptor = _locked(path, hand)
-    try:
-        place = Place(path, descriptor)
-        place.withdraw()  # what a killed server may have left
+    path = runtime_folder() / f"{check_name(hand, 'hand')}.json"
+    folder = _own_folder(make=True)
+    if folder is None:
+        raise ConfigError("cannot be made", path=path.parent)
+    with contextlib.ExitStack() as stack:
+        stack.callback(os.close, folder)
+        # systemd-tmpfiles leaves alone what is in a folder with a lock.
+        _lock(folder, fcntl.LOCK_SH)
+        name = stack.enter_context(_named(hand, folder, path.parent))
+        place = Place(path, hand, name)
+        stack.callback(place.close)
+        place.withdraw()
         yield place
-    finally:
-        with contextlib.suppress(OSError):
-            path.unlink()
-        os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -138,18 +238,68 @@ def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
         yield place.path
 
 
+@contextlib.contextmanager
+def _named(hand: str, descriptor: int, folder: Path) -> Iterator[socket.socket | None]:
+    """Keep a name in the kernel that no cleaner removes: an abstract Unix socket of Linux.
+
+    Raises:
+        ConfigError: if a process of this user has it, so that the hand runs already.
+    """
+    if not sys.platform.startswith("linux"):
+        yield None
+        return
+    # By path and device: the folder itself may be removed and made again.
+    what = f"{os.fstat(descriptor).st_dev} {folder.resolve()} {hand}"
+    name = f"\0rtee-{os.getuid()}-{hashlib.sha256(what.encode()).hexdigest()[:32]}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as named:
+        named.setblocking(False)
+        for _ in range(_ATTEMPTS):
+            with contextlib.suppress(OSError):
+                named.bind(name)
+                named.listen(_ASKING)
+                break
+            time.sleep(_PAUSE)  # the previous server may just be ending
+        else:
+            owner = _owner(name)
+            # Where another user keeps the name, to be a nuisance, the file alone decides.
+            if owner is not None and owner[1] == os.getuid():
+                raise ConfigError(f"the hand '{hand}' runs already, in process {owner[0]}")
+        yield named
+
+
+def _owner(name: str) -> tuple[int, int] | None:
+    """Return the process and the user that listen on a Unix socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.setblocking(False)
+        try:
+            asking.connect(name)
+        except OSError:
+            return None
+        found = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+        pid, uid, _ = struct.unpack("3i", found)
+        return pid, uid
+
+
 def _locked(path: Path, hand: str) -> int:
     for _ in range(_ATTEMPTS):
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | _OPEN, 0o640)
         except OSError as error:
             raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or not _is_trusted(found, os.getuid(), 0o022):
+            os.close(descriptor)
+            raise ConfigError("must be a file that only you can write to; remove it", path=path)
         # The previous server may have removed the file between opening and locking it.
         if _lock(descriptor, fcntl.LOCK_EX) and _same_file(descriptor, path):
             return descriptor
         os.close(descriptor)
         time.sleep(_PAUSE)  # another process may just be checking whether the hand runs
-    pid = _read(path).get("pid", "unknown")
+    pid = "unknown"
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY | _OPEN)
+        pid = str(_read(descriptor).get("pid", pid))
+        os.close(descriptor)
     raise ConfigError(f"the hand '{hand}' runs already, in process {pid}")
 
 
@@ -163,40 +313,65 @@ def _lock(descriptor: int, kind: int) -> bool:
 
 def _same_file(descriptor: int, path: Path) -> bool:
     try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
     except OSError:
         return False
 
 
-def _read(path: Path) -> dict[str, object]:
+def _read(descriptor: int) -> dict[str, object]:
     try:
-        with path.open("rb") as file:
-            entry = json.loads(file.read(_LONGEST))
-    except (OSError, ValueError):
+        entry = json.loads(os.pread(descriptor, _LONGEST, 0))
+    except (OSError, ValueError, RecursionError):
         return {}
     return entry if isinstance(entry, dict) else {}
 
 
-def _in_use(path: Path) -> bool:
+def _hand_in(folder: int, name: str) -> Running | None:
+    """Return the hand of a file, if its server lives."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(name, os.O_RDONLY | _OPEN, dir_fd=folder)
     except OSError:
-        return False
+        return None
     try:
-        return not _lock(descriptor, fcntl.LOCK_SH)
+        found = os.fstat(descriptor)
+        owner = os.fstat(folder).st_uid
+        if not stat.S_ISREG(found.st_mode) or not _is_trusted(found, owner, 0o022):
+            return None
+        entry = _read(descriptor)
+        pid, endpoints = entry.get("pid"), entry.get("endpoints")
+        if not isinstance(pid, int) or not isinstance(endpoints, list):
+            return None
+        if _lock(descriptor, fcntl.LOCK_SH):
+            return None
+        hand = name.removesuffix(".json")
+        return Running(hand, pid, tuple(map(str, endpoints)))
     finally:
         os.close(descriptor)
 
 
 def running() -> dict[str, Running]:
-    """Return the hands that run on this computer, this user's and services, by name."""
+    """Return the hands that run on this computer, this user's and services, by name.
+
+    Raises:
+        ConfigError: if this user's folder is not theirs alone.
+    """
     found: dict[str, Running] = {}
-    own = sorted(runtime_folder().glob("*.json"))
     # A folder that is named explicitly, as in tests, is the only one.
-    services = [] if os.environ.get(VARIABLE) else sorted(SERVICES.glob("*.json"))
-    for path in (*services, *own):
-        entry = _read(path)
-        pid, endpoints = entry.get("pid"), entry.get("endpoints")
-        if isinstance(pid, int) and isinstance(endpoints, list) and _in_use(path):
-            found[path.stem] = Running(path.stem, pid, tuple(map(str, endpoints)))
+    services = None if os.environ.get(VARIABLE) else _services()
+    try:
+        own = _own_folder(make=False)
+        try:
+            for folder in (services, own):
+                if folder is None:
+                    continue
+                for name in sorted(os.listdir(folder)):
+                    hand = _hand_in(folder, name) if name.endswith(".json") else None
+                    if hand is not None:
+                        found[hand.hand] = hand
+        finally:
+            if own is not None:
+                os.close(own)
+    finally:
+        if services is not None:
+            os.close(services)
     return found

@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 from rtee.errors import ConfigError
@@ -46,13 +46,16 @@ def find_browser() -> str | None:
 
 
 @contextlib.contextmanager
-def browser(width: int = 800, height: int = 600, *, scale: float = 1.0) -> Iterator[BrowserContext]:
+def browser(
+    width: int = 800, height: int = 600, *, scale: float = 1.0, arguments: Sequence[str] = ()
+) -> Iterator[BrowserContext]:
     """Start a headless browser with a fresh profile for as long as the context lasts.
 
     Args:
         width: Of the windows [px].
         height: Of the windows [px].
         scale: Pixels drawn per such pixel; fewer cost a computer without a graphics card less.
+        arguments: Further arguments of the program.
 
     Raises:
         ConfigError: if there is no Chromium, or Playwright is not installed.
@@ -72,7 +75,7 @@ def browser(width: int = 800, height: int = 600, *, scale: float = 1.0) -> Itera
             profile,
             executable_path=program,
             headless=True,
-            args=list(_ARGUMENTS),
+            args=[*_ARGUMENTS, *arguments],
             viewport={"width": width, "height": height},
             device_scale_factor=scale,
         )

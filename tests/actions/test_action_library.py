@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -215,6 +216,21 @@ def test_reload_when_files_changed(library: ActionLibrary, tmp_path: Path) -> No
     assert isinstance(drill, Timed)
     assert drill.steps[2].posture.position["middle_joint"] == 0.25
     assert "volatile" in library.names
+
+
+def test_a_folder_that_is_gone_empties_nothing(
+    library: ActionLibrary, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    library.save(tmp_path / "actions")
+    before = [*library]
+    assert before
+    shutil.rmtree(tmp_path / "actions")
+    assert not library.reload()
+    assert not library.reload()
+    assert [*library] == before
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{tmp_path / 'actions'} is gone; the actions stay as they were read"
+    ]
 
 
 def test_failed_reload_leaves_the_library_as_it_was(library: ActionLibrary, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -14,6 +15,8 @@ import pytest
 from hand.models import GRIPPER, SRDF, YAML, line_of
 
 from rtee.cli.main import main
+
+COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
 
 BOX = '<box size="0.1 0.1 0.02"/>'
 LEFT = '<joint name="left" type="revolute">'
@@ -221,6 +224,59 @@ def test_names_that_would_be_paths(name: str, home: Path, refused: Run) -> None:
 )
 def test_words_of_a_command(command: str, refused: Run) -> None:
     assert "; see 'rtee" in refused(*command.split())
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("run gripper --duration nan", "'--duration': should be a finite number"),
+        ("run gripper --duration inf", "'--duration': should be a finite number"),
+        ("run gripper --rate nan", "'--rate': should be a finite number"),
+        ("try gripper Trig --object sphere:0.03 --mass nan", "'--mass': should be a finite"),
+        ("log replay none --speed nan", "'--speed': should be a finite number"),
+        ("run gripper --driver=", "--driver is empty"),
+        ("gui --host 999.999.999.999", "--host 999.999.999.999 is not an IP address"),
+        ("gui --host=", "--host is empty"),
+        ("gui --host nowhere.invalid", "there is no address of this name"),
+        ("gui --host 192.0.2.1 --behind-proxy https://hand", "cannot listen there"),
+        ("gui --host 0.0.0.0", "encrypt it with --tls-cert and --tls-key"),
+        ("gui --behind-proxy http://hand", "is not an origin"),
+        ("gui --behind-proxy https://hand/page", "is not an origin"),
+        ("gui --tls-cert none.pem", "--tls-cert and --tls-key go together"),
+        ("gui --tls-cert none.pem --tls-key none.pem", "none.pem: cannot be read"),
+        ("gui --tls-cert {urdf} --tls-key {urdf}", "both must be PEM files"),
+        ("gui --endpoint foo", "'foo' is not an endpoint"),
+    ],
+)
+def test_options_that_cannot_be(command: str, message: str, home: Path, refused: Run) -> None:
+    words = command.format(urdf=home / "gripper.urdf").split()
+    assert message in refused(*words)
+
+
+def test_a_line_that_is_no_line(home: Path, repository: Path) -> None:
+    hand = str(repository / "config" / "robotiq_2f_85")
+    command = ("run", hand, "--no-log", "--driver", "devices", "--option", "port=http://x")
+    done = subprocess.run([*COMMAND, *command], capture_output=True, text=True, timeout=50)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.splitlines()[-1].startswith("rtee: 'http://x' is not an address of a line")
+
+
+def test_too_few_files(home: Path) -> None:
+    command = shlex.join((*COMMAND, "run", "gripper", "--no-log", "--duration", "1"))
+    shell = ("/bin/bash", "-c", f"ulimit -n 12 && {command}")
+    done = subprocess.run(shell, capture_output=True, text=True, timeout=50)
+    assert done.returncode == 2
+    assert done.stderr.startswith("rtee: only 12 files may be open at once")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_number_that_never_ends(home: Path, refused: Run) -> None:
+    file = home / "hand.yaml"
+    for digits in ("0x" + "f" * 5000, "9" * 4000, "9" * 5000):
+        file.write_text(f"{YAML}rate: {digits}\n")
+        said = refused("actions", "gripper")
+        assert "is not a number of at most 64 bits" in said
+        assert len(said) < 300
 
 
 @pytest.mark.parametrize(

@@ -113,6 +113,23 @@ async def test_actions_made_elsewhere_come_and_go(
         group.cancel_scope.cancel()
 
 
+async def test_names_of_files_are_text(server: viser.ViserServer, tmp_path: Path) -> None:
+    hand = make_hand(tmp_path)
+    async with serving(hand, make_library(hand)), anyio.create_task_group() as group:
+        app = App(server, "small", None)
+        group.start_soon(app.run)
+        await shows(app, "small: connected")
+        async with rtee.connect("small") as remote:
+            status = await remote.status()
+        name = '<img src=x onerror="window.owned=1">.mcap'
+        assert app.session is not None
+        panel = app.session._recordings
+        panel.show_status(dataclasses.replace(status, recording=f"/nowhere/{name}"))
+        assert "<img" not in panel._status.content
+        assert "&lt;img src=x" in panel._status.content
+        group.cancel_scope.cancel()
+
+
 async def test_every_control_says_what_it_is_for(server: viser.ViserServer, tmp_path: Path) -> None:
     hand = make_hand(tmp_path)
     async with serving(hand, make_library(hand)), anyio.create_task_group() as group:

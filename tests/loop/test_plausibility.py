@@ -66,6 +66,18 @@ async def test_a_device_that_answers_anything_reaches_nothing(hand: Hand, rate: 
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize("seed", range(1, 6))
+async def test_no_answer_by_chance_counts_as_reached(hand: Hand, seed: int) -> None:
+    one = device(hand)
+    driver = Liar(one.spec, BusPool())
+    async with running(hand, None, [(one, driver)]) as rig:
+        driver.lies = seed * 10**6
+        for action in (("Trig", "index"), ("open",), ("Trig", "index")):
+            result = await rig.do(*action)
+            assert (result.reached, result.aborted) == (False, True)
+
+
+@pytest.mark.anyio
 async def test_a_glitch_is_told_and_ends_nothing(hand: Hand) -> None:
     one = device(hand)
     driver = Liar(one.spec, BusPool())

@@ -73,6 +73,7 @@ class Header:
             gui.add_command("Open the hand", description="Go to the rest posture", hotkey="O"),
             gui.add_command("Cancel", description="Cancel what runs; hold as it is", hotkey="C"),
         ]
+        bridge.leave_to_everybody(self._stop, self._commands[0])
         self._commands[0].on_trigger(bridge.clicked(self._do_stop))
         self._commands[1].on_trigger(bridge.clicked(hand.open))
         self._commands[2].on_trigger(bridge.clicked(hand.cancel))

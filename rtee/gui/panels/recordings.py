@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from html import escape
 from pathlib import Path
 
 import anyio.to_thread
@@ -112,9 +113,8 @@ class RecordingsPanel:
 
     def show_status(self, status: HandStatus) -> None:
         """Show which file is being written."""
-        text = (
-            f"● recording to <b>{Path(status.recording).name}</b>" if status.recording else "○ off"
-        )
+        name = escape(Path(status.recording).name)
+        text = f"● recording to <b>{name}</b>" if status.recording else "○ off"
         html = f'<div style="font-size:0.85em;padding:0.25em 0.75em">{text}</div>'
         if self._status.content == html:
             return

@@ -21,6 +21,9 @@ from .window import Window
 if TYPE_CHECKING:
     from playwright.sync_api import BrowserContext
 
+REBOUND = "rebound.test"
+"""A foreign name that the browser takes for this computer."""
+
 DRIVERS = {
     GRIPPER: ("--driver", "kinematic", "--rate", "200"),
     SQUEEZER: ("--driver", "mujoco", "--object", "sphere:0.03", "--rate", "100", "--no-log"),
@@ -77,7 +80,7 @@ def hands(place: Path) -> Iterator[Hands]:
 @pytest.fixture(scope="package")
 def gui(place: Path, hands: Hands) -> Iterator[Program]:
     assert hands[GRIPPER].process.poll() is None
-    program = Program(place, "gui", GRIPPER, "--port", "0")
+    program = Program(place, "gui", GRIPPER, "--port", "0", "--observer")
     yield program
     program.end()
     said = program.rest()
@@ -87,13 +90,23 @@ def gui(place: Path, hands: Hands) -> Iterator[Program]:
 
 @pytest.fixture(scope="package")
 def context() -> Iterator[BrowserContext]:
-    with browser(900, 700, scale=0.5) as opened:
+    rebound = f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"
+    # Newer browsers have a check of their own, which older ones and others lack.
+    unchecked = "--disable-features=LocalNetworkAccessChecks"
+    with browser(900, 700, scale=0.5, arguments=(rebound, unchecked)) as opened:
         yield opened
 
 
 @pytest.fixture(scope="package")
-def only_window(context: BrowserContext, gui: Program) -> Window:
-    window = Window(context.pages[0], gui.line(r"rtee: GUI at (http://\S+)")[1])
+def addresses(gui: Program) -> tuple[str, str]:
+    """What operators and observers open, with their tokens."""
+    operator = gui.line(r"rtee: GUI at (http://\S+)")[1]
+    return operator, gui.line(r"rtee: to watch and stop only: (http://\S+)")[1]
+
+
+@pytest.fixture(scope="package")
+def only_window(context: BrowserContext, addresses: tuple[str, str]) -> Window:
+    window = Window(context.pages[0], addresses[0])
     window.open(GRIPPER)
     return window
 

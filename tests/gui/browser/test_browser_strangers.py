@@ -1,0 +1,276 @@
+"""Strangers at the GUI: pages of other origins, rebound names, frames, observers, HTML in names."""
+
+from __future__ import annotations
+
+import http.server
+import threading
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+import msgspec.msgpack
+import pytest
+import viser
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
+
+from benchmarks.gui_onlooker import _CAMERA, controls, messages, use
+from benchmarks.gui_onlooker import window as window_of
+from rtee.remote.blocking import BlockingHand
+
+from .conftest import REBOUND
+from .marks import in_a_browser
+from .running import GRIPPER, Program
+from .window import Window
+
+if TYPE_CHECKING:
+    from playwright.sync_api import BrowserContext, Page
+
+pytestmark = in_a_browser
+
+PAGE = """<!doctype html><title>waiting</title><iframe src="{frame}"></iframe><script>
+fetch("/camera").then((answer) => answer.arrayBuffer()).then((camera) => {{
+  const socket = new WebSocket("{target}", ["viser-v{version}"]);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => {{ document.title = "connected"; socket.send(camera); }};
+  socket.onmessage = async (event) => {{
+    const answer = await fetch("/frame", {{method: "POST", body: event.data}});
+    const order = await answer.arrayBuffer();
+    if (order.byteLength) {{ socket.send(order); document.title = "pressed"; }}
+  }};
+  socket.onclose = () => {{ if (document.title === "waiting") document.title = "refused"; }};
+}});
+</script>"""
+
+
+class Stranger:
+    """A foreign website; its page presses a button of the GUI as soon as it sees one."""
+
+    def __init__(self, button: str) -> None:
+        self.target = self.frame = ""
+        stranger = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                if self.path == "/camera":
+                    self.answer(msgspec.msgpack.encode(_CAMERA))
+                else:
+                    self.answer(stranger.page().encode(), "text/html")
+
+            def do_POST(self) -> None:
+                frame = self.rfile.read(int(self.headers["Content-Length"]))
+                order = b""
+                for message in messages(frame):
+                    if message.get("props", {}).get("label") == button:
+                        update = {"uuid": message["uuid"], "updates": {"value": True}}
+                        order = msgspec.msgpack.encode({"type": "GuiUpdateMessage", **update})
+                self.answer(order)
+
+            def answer(self, body: bytes, kind: str = "application/octet-stream") -> None:
+                self.send_response(200)
+                self.send_header("Content-Type", kind)
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.port = self._server.server_address[1]
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    def page(self) -> str:
+        return PAGE.format(target=self.target, frame=self.frame, version=viser.__version__)
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+@pytest.fixture
+def stranger(addresses: tuple[str, str]) -> Iterator[Stranger]:
+    found = Stranger("Open")
+    gui = urlsplit(addresses[0]).netloc
+    found.target, found.frame = f"ws://{gui}", f"http://{gui}/"
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def page(only_window: Window, context: BrowserContext) -> Iterator[Page]:
+    """Another tab of a browser that may use the GUI."""
+    found = context.new_page()
+    yield found
+    found.close()
+    only_window.page.bring_to_front()
+
+
+def test_the_stranger_presses_open_where_nobody_asks(page: Page, stranger: Stranger) -> None:
+    """The attack works against viser's own server: the tests below would notice if it did."""
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    pressed = threading.Event()
+    try:
+        server.gui.add_button("Open").on_click(lambda _: pressed.set())
+        stranger.target = f"ws://127.0.0.1:{server.get_port()}"
+        page.goto(f"http://localhost:{stranger.port}/")
+        page.wait_for_function("document.title === 'pressed'")
+        assert pressed.wait(30)
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
+def test_a_page_of_another_origin_cannot_connect(
+    host: str, page: Page, stranger: Stranger, other: BlockingHand
+) -> None:
+    # From 127.0.0.1 at another port the browser even sends the cookie.
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    assert other.do("PinchTight", intensity=0.5).reached
+    before = other.state().position
+    page.goto(f"http://{host}:{stranger.port}/")
+    page.wait_for_function("document.title === 'refused'")
+    page.wait_for_timeout(100)  # the console's line is told after the event
+    assert any("403" in text for text in said if "WebSocket" in text), said
+    assert other.state().position == pytest.approx(before, abs=0.05)
+
+
+def test_a_page_of_a_rebound_name_cannot_connect(
+    page: Page, stranger: Stranger, addresses: tuple[str, str]
+) -> None:
+    port = urlsplit(addresses[0]).port
+    answer = page.goto(f"http://{REBOUND}:{port}/")
+    assert answer is not None
+    assert answer.status == 421
+    # The page that came from the stranger's server before the name pointed here.
+    stranger.target = f"ws://{REBOUND}:{port}"
+    page.route(f"http://{REBOUND}:{port}/", lambda route: route.fulfill(body=stranger.page()))
+    page.route(f"http://{REBOUND}:{port}/camera", lambda route: route.fulfill(body=b""))
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.goto(f"http://{REBOUND}:{port}/")
+    page.wait_for_function("document.title === 'refused'")
+    page.wait_for_timeout(100)
+    assert any("421" in text for text in said if "WebSocket" in text), said
+
+
+def test_the_page_cannot_be_framed(page: Page, stranger: Stranger) -> None:
+    page.goto(f"http://127.0.0.1:{stranger.port}/")
+    page.wait_for_function("document.title === 'refused'")
+    assert page.frames[1].url.startswith("chrome-error:")
+
+
+def test_another_server_cannot_be_shown_in_its_place(
+    page: Page, addresses: tuple[str, str]
+) -> None:
+    place = addresses[0].split("?")[0]
+    page.goto(f"{place}?websocket=ws://{REBOUND}:1&playbackPath=x&darkMode")
+    assert page.url == f"{place}?darkMode="
+
+
+def test_nobody_opens_it_without_the_token(addresses: tuple[str, str]) -> None:
+    found = urlsplit(addresses[0])
+    own = {"origin": Origin(f"http://{found.netloc}"), "proxy": None}
+    protocol = [Subprotocol(f"viser-v{viser.__version__}")]
+    for cookies in ({}, {"Cookie": "rtee_1=wrong"}, {"Cookie": "other=1; rtee_1="}):
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(  # type: ignore[call-overload]
+                f"ws://{found.netloc}/", additional_headers=cookies, subprotocols=protocol, **own
+            )
+
+
+def test_it_opens_again_in_another_tab_and_after_a_reload(
+    page: Page, addresses: tuple[str, str]
+) -> None:
+    page.goto(addresses[0].split("?")[0])
+    page.get_by_text(f"{GRIPPER}: connected").wait_for()
+    page.reload()
+    page.get_by_text(f"{GRIPPER}: connected").wait_for()
+    assert "token" not in page.url
+    kept = [each for each in page.context.cookies() if each.get("name", "").startswith("rtee_")]
+    assert [(each.get("httpOnly"), each.get("sameSite")) for each in kept] == [(True, "Strict")]
+
+
+def test_a_link_elsewhere_opens_it(
+    page: Page, stranger: Stranger, addresses: tuple[str, str]
+) -> None:
+    page.goto(f"http://localhost:{stranger.port}/")
+    page.evaluate("link => { window.location.href = link }", addresses[0])
+    page.get_by_text(f"{GRIPPER}: connected").wait_for()
+
+
+def test_nobody_makes_a_tunnel(gui: Program, addresses: tuple[str, str]) -> None:
+    with window_of(addresses[0]) as asking, window_of(addresses[0]) as watching:
+        there = {found["props"]["label"]: found for found in controls(asking)}
+        controls(watching)
+        asking.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
+        use(asking, there["Window [s]"], 20.0)  # what the other windows hear once that is done
+        for frame in watching:
+            assert isinstance(frame, bytes)
+            told = messages(frame)
+            assert "ShareUrlUpdated" not in {message["type"] for message in told}
+            if there["Window [s]"]["uuid"] in [message.get("uuid") for message in told]:
+                break
+    assert gui.process.poll() is None
+
+
+def test_html_in_a_panel_runs_nothing(page: Page) -> None:
+    """Names are escaped; and if one were not, the page's policy would stop its script."""
+    from rtee.gui.access import Access, Role
+    from rtee.gui.visitors import Visitors
+
+    access = Access()
+    server = Visitors(access).open_server(0)
+    try:
+        server.gui.add_html('<p>seen</p><img src="x" onerror="window.owned = true">')
+        said: list[str] = []
+        page.on("console", lambda message: said.append(message.text))
+        page.goto(access.links(server.get_port())[Role.OPERATOR])
+        page.get_by_text("seen").wait_for()
+        page.wait_for_function("document.images.length && document.images[0].complete")
+        assert page.evaluate("window.owned") is None
+    finally:
+        server.stop()
+
+
+# --- observers
+
+
+def test_an_observer_sees_and_stops_only(
+    page: Page, addresses: tuple[str, str], other: BlockingHand
+) -> None:
+    operator, observer = addresses
+    page.goto(observer)
+    page.get_by_text(f"{GRIPPER}: connected").wait_for()
+    page.get_by_text("You watch: only STOP works here.").wait_for()
+    of = "each => getComputedStyle(each).pointerEvents"
+    for name in ("Open", "Do", "Preview"):
+        button = page.get_by_role("button", name=name, exact=True).first
+        button.wait_for()
+        assert button.evaluate(of) == "none"
+    # A script of their own reaches the server, which takes only the stop.
+    assert other.do("PinchTight", intensity=0.5).reached
+    before = other.state().position
+    confirmed = page.get_by_text("confirmed by")
+    with window_of(observer) as connection:
+        there = {found["props"]["label"]: found for found in controls(connection)}
+        use(connection, there["Open"])
+        use(connection, there["Jog (holds the hand)"])
+        use(connection, there["STOP"])
+        confirmed.first.wait_for()
+    confirmed.first.wait_for(state="hidden")
+    stop = page.get_by_role("button", name="STOP")
+    assert stop.evaluate(of) == "auto"
+    stop.click()
+    confirmed.first.wait_for()
+    assert other.status().holder == ""
+    assert other.state().position == pytest.approx(before, abs=0.05)
+    page.goto(operator)  # the browser keeps one token
+    page.get_by_text(f"{GRIPPER}: connected").wait_for()
+    with window_of(operator) as connection:
+        there = {found["props"]["label"]: found for found in controls(connection)}
+        use(connection, there["Open"])
+        while abs(other.state().position - before).max() < 1e-2:
+            page.wait_for_timeout(50)

@@ -1,0 +1,236 @@
+"""Who may open the GUI: names, origins, tokens, roles and messages, without a browser."""
+
+from __future__ import annotations
+
+import shutil
+import ssl
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import msgspec.msgpack
+import pytest
+import viser
+import websockets.asyncio.server
+from websockets.datastructures import Headers
+from websockets.exceptions import InvalidStatus
+from websockets.http11 import Request, Response
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+from rtee.errors import ConfigError, LoopError
+from rtee.gui.access import Access, Role, tls_context
+from rtee.gui.visitors import Visitors
+
+PORT = 8080
+
+
+def asked(access: Access, host: str, path: str = "/", **headers: str) -> Role | int:
+    """Return the role that a request has, or the status of the answer."""
+    fields = Headers({"Host": host, **{k.replace("_", "-"): v for k, v in headers.items()}})
+    found = access.judge(Request(path, fields), PORT)
+    if isinstance(found, Response):
+        assert found.headers["X-Frame-Options"] == "DENY"
+        assert "frame-ancestors 'none'" in found.headers["Content-Security-Policy"]
+        return found.status_code
+    return found
+
+
+def token(access: Access, role: Role = Role.OPERATOR) -> str:
+    return access.links(PORT)[role].partition("token=")[2]
+
+
+def socket(access: Access, host: str, origin: str, role: Role = Role.OPERATOR) -> Role | int:
+    cookie = f"other=1; rtee_{PORT}={token(access, role)}"
+    return asked(access, host, Upgrade="websocket", Origin=origin, Cookie=cookie)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "LOCALHOST:9"])
+def test_loopback_has_these_names(host: str) -> None:
+    access = Access()
+    assert socket(access, host, f"http://{host.lower()}") is Role.OPERATOR
+    assert socket(access, host, f"https://{host.lower()}") == 403
+    assert socket(access, host, "http://localhost:1") == 403
+    assert socket(access, host, "null") == 403
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.test:8080", "127.0.0.1.evil.test", "evil.test@127.0.0.1", "", "[::1", "10.0.0.1"]
+)
+def test_it_has_no_other_names(host: str) -> None:
+    access = Access()
+    assert socket(access, host, f"http://{host}") == 421
+    assert asked(access, host, f"/?token={token(access)}") == 421
+
+
+def test_a_socket_needs_an_origin_and_one_host() -> None:
+    access = Access()
+    cookie = f"rtee_1={token(access)}"
+    assert asked(access, "localhost:8080", Upgrade="websocket", Cookie=cookie) == 403
+    fields = Headers({"Cookie": cookie})
+    for host in ("localhost:8080", "localhost:8080"):
+        fields["Host"] = host
+    twice = access.judge(Request("/", fields), PORT)
+    assert isinstance(twice, Response)
+    assert twice.status_code == 421
+
+
+def test_the_token_becomes_a_cookie() -> None:
+    access = Access(observers=True)
+    assert asked(access, "localhost:8080") == 403
+    assert asked(access, "localhost:8080", "/?token=wrong") == 403
+    for role in Role:
+        headers = Headers({"Host": "localhost:8080"})
+        found = access.judge(Request(f"/?token={token(access, role)}&darkMode=1", headers), PORT)
+        assert isinstance(found, Response)
+        assert (found.status_code, found.headers["Location"]) == (303, "/?darkMode=1")
+        cookie, *attributes = found.headers["Set-Cookie"].split("; ")
+        assert attributes == ["Path=/", "HttpOnly", "SameSite=Strict"]
+        assert asked(access, "localhost:8080", Cookie=cookie) is role
+    assert token(access) != token(Access()), "tokens are made at each start"
+
+
+def test_without_observers_there_is_no_token_for_them() -> None:
+    assert list(Access().links(PORT)) == [Role.OPERATOR]
+
+
+def test_behind_a_proxy_pages_come_from_there() -> None:
+    access = Access(behind="https://Hand.example.org/")
+    assert access.links(PORT)[Role.OPERATOR].startswith("https://hand.example.org/?token=")
+    own = "https://hand.example.org"
+    for host in ("hand.example.org", "127.0.0.1:8080"):  # as Caddy and as nginx pass it on
+        assert socket(access, host, own) is Role.OPERATOR
+        assert socket(access, host, f"http://{host}") == 403
+    assert socket(access, "evil.test", own) == 421
+    headers = Headers({"Host": "hand.example.org"})
+    found = access.judge(Request(f"/?token={token(access)}", headers), PORT)
+    assert isinstance(found, Response)
+    assert found.headers["Set-Cookie"].endswith("; Secure")
+
+
+@pytest.mark.parametrize("message", [b"", b"\xff", b"\x81\xa4type", b"\x01", "text", b"\x90"])
+def test_junk_is_dropped(message: str | bytes) -> None:
+    assert not Visitors(Access()).admits(Role.OPERATOR, message)
+
+
+@pytest.mark.parametrize(
+    ("message", "operator", "observer"),
+    [
+        ({"type": "ViewerCameraMessage"}, True, True),
+        ({"type": "GuiUpdateMessage", "uuid": "stop", "updates": {}}, True, True),
+        ({"type": "CommandTriggerMessage", "uuid": "stop"}, True, True),
+        ({"type": "GuiUpdateMessage", "uuid": "open", "updates": {}}, True, False),
+        ({"type": "GuiUpdateMessage", "uuid": ["stop"], "updates": {}}, False, False),
+        ({"type": "CommandTriggerMessage", "uuid": "open"}, True, False),
+        ({"type": "ShareUrlRequest"}, False, False),
+        ({"type": "ShareUrlDisconnect"}, False, False),
+        ({"type": "FileTransferStartUpload"}, False, False),
+        ({"type": ["GuiUpdateMessage"]}, False, False),
+    ],
+)
+def test_what_a_page_may_send(message: object, operator: bool, observer: bool) -> None:
+    class Control:
+        class _impl:  # noqa: N801 - as viser calls it
+            uuid = "stop"
+
+    visitors = Visitors(Access())
+    visitors.leave_to_everybody(Control())
+    data = msgspec.msgpack.encode(message)
+    assert visitors.admits(Role.OPERATOR, data) is operator
+    assert visitors.admits(Role.OBSERVER, data) is observer
+    assert not visitors.admits(None, data)
+
+
+# --- the server
+
+
+def test_viser_opens_its_server_by_way_of_us() -> None:
+    visitors = Visitors(Access())
+    serve = websockets.asyncio.server.serve
+    visitors.open_server(0).stop()
+    assert visitors.met
+    assert websockets.asyncio.server.serve is serve
+
+
+def test_a_viser_that_opens_it_otherwise_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Other(viser.ViserServer):
+        def __init__(self, **_: object) -> None:
+            super().__init__(host="127.0.0.1", port=0, verbose=False)
+
+    serve = websockets.asyncio.server.serve
+    import viser.infra._infra as infra
+
+    class Bound:
+        """The library's names as they were when viser was imported."""
+
+        class asyncio:  # noqa: N801
+            class server:  # noqa: N801
+                ServerConnection = websockets.asyncio.server.ServerConnection
+
+        Headers = websockets.Headers
+        datastructures = websockets.datastructures
+        exceptions = websockets.exceptions
+
+    Bound.asyncio.server.serve = serve  # type: ignore[attr-defined]
+    monkeypatch.setattr(infra, "websockets", Bound)
+    monkeypatch.setattr(viser, "ViserServer", Other)
+    with pytest.raises(LoopError, match="cannot be guarded"):
+        Visitors(Access()).open_server(0)
+
+
+@pytest.fixture(scope="module")
+def pem(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A certificate for localhost, and its key."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    folder = tmp_path_factory.mktemp("pem")
+    certificate, key = folder / "hand.pem", folder / "hand.key"
+    made = ("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
+    about = ("-days", "2", "-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost")
+    command = ["openssl", *made, *about, "-keyout", str(key), "-out", str(certificate)]
+    subprocess.run(command, check=True, capture_output=True)
+    return certificate, key
+
+
+@pytest.fixture
+def encrypted(pem: tuple[Path, Path]) -> Iterator[tuple[Access, int]]:
+    access = Access("0.0.0.0", tls=tls_context(*pem), observers=True)
+    server = Visitors(access).open_server(0)
+    yield access, server.get_port()
+    server.stop()
+
+
+def test_with_a_certificate_it_may_be_on_a_network(
+    encrypted: tuple[Access, int], pem: tuple[Path, Path]
+) -> None:
+    access, port = encrypted
+    link = urlsplit(access.links(port)[Role.OPERATOR])
+    assert link.scheme == "https"
+    trusting = ssl.create_default_context(cafile=str(pem[0]))
+    place = f"localhost:{port}"
+
+    def opened(origin: str) -> ClientConnection:
+        return connect(
+            f"wss://{place}/",
+            ssl=trusting,
+            origin=Origin(origin),
+            additional_headers={"Cookie": f"rtee_{port}={token(access)}"},
+            subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+            proxy=None,
+            max_size=None,
+        )
+
+    with opened(f"https://{place}") as connection:
+        assert connection.recv()
+    for origin in (f"http://{place}", "https://evil.test"):
+        with pytest.raises(InvalidStatus, match="403"):
+            opened(origin)
+
+
+def test_a_key_of_another_certificate_is_refused(pem: tuple[Path, Path], tmp_path: Path) -> None:
+    other = tmp_path / "other.key"
+    command = ("openssl", "genpkey", "-algorithm", "ED25519", "-out", str(other))
+    subprocess.run(command, check=True, capture_output=True)
+    with pytest.raises(ConfigError, match="is not the certificate of"):
+        tls_context(pem[0], other)

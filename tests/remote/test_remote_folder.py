@@ -1,0 +1,245 @@
+"""The runtime folder under attack: other users, named pipes, links, and cleaners of files."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import shutil
+import socket
+import stat
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rtee.errors import ConfigError
+from rtee.remote import directory
+from rtee.remote.directory import announced, claimed, running
+
+NOBODY = 65534
+"""The user that owns nothing."""
+
+ENTRY = json.dumps({"pid": 1, "endpoints": ["tcp/127.0.0.1:1"]})
+
+root_only = pytest.mark.skipif(os.getuid() != 0, reason="only root can act as another user")
+
+
+@pytest.fixture
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setenv(directory.VARIABLE, str(tmp_path / "run"))
+    return tmp_path / "run"
+
+
+def as_nobody(work: Callable[[], None]) -> None:
+    """Do something as another user, in a process of its own."""
+
+    def act() -> None:
+        os.setgid(NOBODY)
+        os.setuid(NOBODY)
+        work()
+
+    process = multiprocessing.get_context("fork").Process(target=act)
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+
+
+def keep_locked(path: Path) -> threading.Event:
+    """Lock a file, as the server of a living hand does, until the event is set."""
+    import fcntl
+
+    ready, end = threading.Event(), threading.Event()
+
+    def keep() -> None:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        ready.set()
+        end.wait()
+        os.close(descriptor)
+
+    threading.Thread(target=keep, daemon=True).start()
+    assert ready.wait(20)
+    return end
+
+
+@pytest.fixture
+def everybodys(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A temporary folder of everybody, as /tmp is."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        folder = Path(name)
+        folder.chmod(0o1777)
+        monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+        monkeypatch.delenv(directory.VARIABLE, raising=False)
+        monkeypatch.setattr(tempfile, "tempdir", str(folder))
+        yield folder
+
+
+@root_only
+def test_clients_use_no_folder_that_another_user_has_made(everybodys: Path) -> None:
+    trap = everybodys / f"rtee-{os.getuid()}"
+
+    def make() -> None:
+        trap.mkdir(mode=0o755)
+        (trap / "svh.json").write_text(ENTRY)
+
+    as_nobody(make)
+    end = keep_locked(trap / "svh.json")
+    try:
+        with pytest.raises(ConfigError, match="only you can write to"):
+            running()
+    finally:
+        end.set()
+
+
+@root_only
+def test_clients_use_no_file_that_another_user_has_made(runtime: Path) -> None:
+    with announced("gripper", ["a"]):
+        path = runtime / "svh.json"
+        path.write_text(ENTRY)
+        end = keep_locked(path)
+        try:
+            assert set(running()) == {"gripper", "svh"}
+            os.chown(path, NOBODY, NOBODY)
+            assert set(running()) == {"gripper"}
+            with pytest.raises(ConfigError, match="only you can write to"), announced("svh", []):
+                pass
+        finally:
+            end.set()
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o1777])
+def test_clients_use_no_folder_that_others_may_write_to(runtime: Path, mode: int) -> None:
+    runtime.mkdir()
+    runtime.chmod(mode)
+    with pytest.raises(ConfigError, match="only you can write to"):
+        running()
+
+
+def test_clients_use_no_file_that_others_may_write_to(runtime: Path) -> None:
+    with announced("svh", ["a"]) as path:
+        path.chmod(0o666)
+        assert running() == {}
+
+
+def test_clients_follow_no_links(runtime: Path, tmp_path: Path) -> None:
+    with announced("svh", ["a"]):
+        runtime.rename(tmp_path / "moved")
+        runtime.symlink_to(tmp_path / "moved")
+        with pytest.raises(ConfigError, match="only you can write to"):
+            running()
+
+
+def test_a_named_pipe_keeps_nobody_waiting(runtime: Path) -> None:
+    runtime.mkdir(mode=0o700)
+    os.mkfifo(runtime / "svh.json", 0o600)
+    assert running() == {}
+    with pytest.raises(ConfigError, match="must be a file"), announced("svh", []):
+        pass
+
+
+def test_services_in_a_folder_of_everybody_do_not_count(
+    runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    services = tmp_path / "services"
+    monkeypatch.setenv(directory.VARIABLE, str(services))
+    monkeypatch.setattr(directory, "SERVICES", services)
+    with announced("svh", ["a"]):
+        monkeypatch.delenv(directory.VARIABLE)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
+        assert set(running()) == {"svh"}
+        services.chmod(0o777)
+        assert running() == {}
+
+
+# --- cleaners of temporary files
+
+
+def _remove_file(path: Path) -> None:
+    path.unlink()
+
+
+def _remove_folder(path: Path) -> None:
+    shutil.rmtree(path.parent)
+
+
+@pytest.mark.parametrize("remove", [_remove_file, _remove_folder])
+def test_a_hand_runs_once_though_its_file_was_removed(
+    runtime: Path, remove: Callable[[Path], None]
+) -> None:
+    with claimed("svh") as place:
+        place.write(["tcp/127.0.0.1:1"])
+        for _ in range(2):  # the second time its file is one that was written again
+            remove(place.path)
+            refused = pytest.raises(ConfigError, match=f"runs already, in process {os.getpid()}")
+            with refused, claimed("svh"):
+                pass
+            while "svh" not in running():
+                time.sleep(0.05)
+            assert running()["svh"].endpoints == ("tcp/127.0.0.1:1",)
+        assert stat.S_IMODE(place.path.stat().st_mode) == 0o640
+    assert running() == {}
+    with claimed("svh"):
+        pass
+
+
+def test_who_is_asked_often_still_says_who_it_is(runtime: Path) -> None:
+    with claimed("svh") as place:
+        place.path.unlink()
+        for _ in range(5):
+            refused = pytest.raises(ConfigError, match=f"runs already, in process {os.getpid()}")
+            with refused, claimed("svh"):
+                pass
+
+
+def test_the_same_hand_may_run_in_another_folder(
+    runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with claimed("svh"):
+        monkeypatch.setenv(directory.VARIABLE, str(tmp_path / "other"))
+        with claimed("svh"):
+            assert directory.runtime_folder() == tmp_path / "other"
+
+
+@root_only
+@pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="Linux only")
+def test_a_name_that_another_user_keeps_prevents_nothing(
+    runtime: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept: list[str] = []
+    bind = socket.socket.bind
+
+    with claimed("svh"):  # to learn the name that it has in the kernel
+        names = Path("/proc/net/unix").read_text().split()
+        kept = [name for name in names if name.startswith(f"@rtee-{os.getuid()}-")]
+    assert kept
+    ready, end = multiprocessing.Event(), multiprocessing.Event()
+
+    def squat() -> None:
+        os.setuid(NOBODY)
+        held = []
+        for name in kept:
+            one = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            try:
+                bind(one, "\0" + name[1:])
+            except OSError:
+                continue
+            one.listen(1)
+            held.append(one)
+        ready.set()
+        end.wait()
+
+    process = multiprocessing.get_context("fork").Process(target=squat)
+    process.start()
+    try:
+        assert ready.wait(20)
+        with announced("svh", ["a"]):
+            assert set(running()) == {"svh"}
+    finally:
+        end.set()
+        process.join()
