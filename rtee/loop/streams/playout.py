@@ -28,6 +28,10 @@ _SETTLE = 0.3
 _FASTEST = 0.1
 """Meanwhile the stream is played faster or slower by this share at most."""
 
+_EASE = 0.05
+"""Time in which that share follows [s]: it changes with every sample, and the way's velocity with
+it. A sixth of `_SETTLE`, so that the lag comes to its value without swinging."""
+
 _JUMP = 0.25
 """With a larger error than this [s] the clocks have jumped: the stream goes on from there."""
 
@@ -59,6 +63,7 @@ class Playout:
         self.jitter = 0.0
         self.time = -math.inf
         self._tick = tick
+        self._faster = 0.0
         self._max_lag = max_lag
         self._delay = 0.0
         self._offset = math.inf
@@ -109,6 +114,7 @@ class Playout:
         """Begin to play, or go on after a pause, at a time [s]."""
         self.now = now
         self.time = now - self._offset - self.wanted_lag
+        self._faster = 0.0
 
     def advance(self, now: float) -> bool:
         """Go on to a tick.
@@ -125,5 +131,7 @@ class Playout:
         if abs(error) > _JUMP:
             self.time = aim
             return True
-        self.time += passed * (1.0 + min(max(error / _SETTLE, -_FASTEST), _FASTEST))
+        wanted = min(max(error / _SETTLE, -_FASTEST), _FASTEST)
+        self._faster += (wanted - self._faster) * min(passed / _EASE, 1.0)
+        self.time += passed * (1.0 + self._faster)
         return False
