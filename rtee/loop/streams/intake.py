@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rtee.commands import BeginStream, Command, EndStream, StreamSample, StreamStatus, StreamTargets
 from rtee.errors import GoalRejected
+from rtee.loop.plan import effort_limits
 from rtee.loop.streams.targets import Targets
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.loop.controller import Controller
+    from rtee.loop.devices import Devices
 
 MAX_RATE = 500.0
 """Most samples per second [Hz]: faster than gloves and planners are, and what a hand's computer
@@ -56,7 +58,7 @@ class StreamIntake:
         controller: The controller of the hand, which plays the stream.
         library: The hand's actions.
         append: Appends a command to what the next tick does.
-        check_movable: Raises `GoalRejected` if an actuator's device is not active.
+        devices: The hand's devices: whether they may be moved, and take effort limits.
         now: The loop's clock [s].
     """
 
@@ -65,12 +67,12 @@ class StreamIntake:
         controller: Controller,
         library: ActionLibrary,
         append: Callable[[Command], None],
-        check_movable: Callable[[Collection[int]], None],
+        devices: Devices,
         now: Callable[[], float],
     ) -> None:
         self._controller, self._library = controller, library
         self._hand, self._settings = controller.hand, controller.settings
-        self._append, self._check_movable, self._now = append, check_movable, now
+        self._append, self._devices, self._now = append, devices, now
         self._open = ""
         self._rate = 0.0
         self._known: dict[tuple[str, ...], Targets] = {}
@@ -85,7 +87,13 @@ class StreamIntake:
         """The open stream, or an empty string."""
         return "" if self._open == self._controller.ended_stream else self._open
 
-    def begin(self, stream: str, rate: float, deadline: float | None = None) -> None:
+    def begin(
+        self,
+        stream: str,
+        rate: float,
+        deadline: float | None = None,
+        effort: Mapping[str, float] | None = None,
+    ) -> None:
         """Open a stream; one that is open ends. Nothing moves before its first sample.
 
         Args:
@@ -93,6 +101,7 @@ class StreamIntake:
             rate: Samples per second that are meant to come [Hz].
             deadline: Without a sample for this long the hand brakes and holds [s]; ``None``: as
                 configured.
+            effort: Effort limits by actuator [N·m | N]; the others have the hand's own.
 
         Raises:
             GoalRejected: if a number cannot be used.
@@ -114,6 +123,8 @@ class StreamIntake:
                 f"a stream at {rate:g} Hz would pause after every sample with the deadline "
                 f"{within:g} s; give one of at least {_LEAST_PERIODS / rate:.3g} s"
             )
+        wanted = dict(effort or {})
+        effort_limits(wanted, self._hand, self._devices.refuse_effort())
         now = self._now()
         self._rate, self._tokens, self._filled = rate, _BURST, now
         self._newest, self._offset, self._offset_at = -math.inf, math.inf, now
@@ -122,7 +133,8 @@ class StreamIntake:
         self._known.clear()  # the actions may be others by now
         longest = settings.stream.max_lag
         self._open = stream
-        self._append(BeginStream(stream, rate, within, math.inf if longest is None else longest))
+        lag = math.inf if longest is None else longest
+        self._append(BeginStream(stream, rate, within, lag, wanted))
 
     def admit(self) -> bool:
         """Return whether one more sample may be read now; cheap, so that a flood costs little.
@@ -203,7 +215,7 @@ class StreamIntake:
         targets = self._known.get(names)
         if targets is None:
             targets = Targets(names, self._hand, self._library)
-            self._check_movable(targets.indices)
+            self._devices.check_movable(targets.indices)
             if len(self._known) >= _MOST_KEPT:
                 self._known.clear()
             self._known[names] = targets

@@ -38,9 +38,9 @@ _JUMP = 0.25
 LAG_PERIODS = 1.2
 """The default for the longest lag: so many periods …"""
 
-LAG_MARGIN = 4e-3
-"""… and this [s], a millisecond less than what is promised, for the tick and the way to the hand.
-What comes later than that is covered by extrapolation."""
+LAG_MARGIN = 3e-3
+"""… and this [s], two milliseconds less than what is promised, for the tick and the way to the
+hand. What comes later than that is covered by extrapolation."""
 
 
 class Playout:
