@@ -28,7 +28,7 @@ def gui(
 
     from rtee.errors import needing_extra
 
-    _lower_priority()  # before numpy and the network start threads of their own
+    _lower_priority()  # before numpy and the network start threads, which inherit it
     from rtee.remote.find import hands_running
 
     with needing_extra("the GUI", "gui"):

@@ -77,7 +77,7 @@ def from_graspnet(array: ArrayLike) -> list[GripperPose]:
             row, translation [m], and the object's number.
 
     Raises:
-        ConfigError: if it is no such array.
+        ConfigError: if the array has another shape, or numbers that are not finite.
     """
     found = _numbers(array, "a GraspNet array")
     found = found[None] if found.ndim == 1 else found

@@ -236,7 +236,7 @@ class _Search:
         """Return the best posture found, and which finger touches where.
 
         Of postures that are within a millimetre and a few degrees of all contacts, the first
-        without collisions is the best; with collisions, they count only if there is no such.
+        without collisions is the best. One with collisions is taken only where none is without.
         """
         good = _GOOD * len(wanted)
         colliding: list[tuple[float, FloatArray, tuple[str, ...]]] = []

@@ -55,7 +55,7 @@ class ReachClient:
     ) -> ReachedGrasp:
         """Return how the hand takes a grasp that a planner gave; nothing moves.
 
-        The hand works it out in a process of its own beside the loop. It needs the extra
+        The hand works it out in a separate process beside the loop. It needs the extra
         ``extract`` where it runs.
 
         Args:

@@ -48,7 +48,7 @@ class StreamHold:
         for i in targets:
             actuator = self._hand.actuators[i]
             span = actuator.upper - actuator.lower
-            # A joint without limits has no range: a radian stands for it.
+            # A joint without limits has no range; 1 rad is taken instead, a typical one.
             tolerance[i] = _TOLERANCE * (span if math.isfinite(span) else 1.0)
         self._contact.begin(targets, tolerance, stamp)
 

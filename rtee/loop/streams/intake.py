@@ -37,7 +37,8 @@ _AHEAD = 0.5
 """A stamp may lead the hand's clock by this more than those before [s]."""
 
 _BEHIND = 1.0
-"""A stamp this much older than the one before is no sample out of order but a mistake [s]."""
+"""A stamp this much older than the one before is a mistake, and not a sample out of order [s]:
+networks reorder within milliseconds."""
 
 _LEAK = 1e-3
 """The least offset of the clocks is let go by this much per second: far more than clocks drift."""
