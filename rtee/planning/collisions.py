@@ -13,7 +13,7 @@ from rtee.hand.model import Hand
 from rtee.planning.objects import GraspObject
 from rtee.planning.reached import Collision
 from rtee.planning.scene import GraspScene
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 OBJECT: Final = "object"
 """What a collision with the object names instead of a link."""

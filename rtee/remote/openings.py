@@ -17,7 +17,7 @@ from rtee.loop.devices import device_forces
 from rtee.loop.grip import Grip
 from rtee.loop.opening_plan import DeviceForces, force_refused
 from rtee.loop.supervisor import Supervisor
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _NO_FORCE = 1e-3
 """A force of this size counts as none [N]: no device limits its effort so finely."""

@@ -1,6 +1,6 @@
-"""Between the samples of a stream: a smooth way, however late or irregular they come.
+"""Interpolate smoothly between the samples of a stream, however late or irregular they are.
 
-The way between two samples is a cubic Hermite polynomial. Where velocities are not given, they are
+The path between two samples is a cubic Hermite polynomial. Where velocities are not given, they are
 those of the parabola through the last three samples, limited so that nothing swings beyond the
 samples: the shape-preserving end condition of PCHIP (Moler, "Numerical Computing with MATLAB",
 section 3.6; Fritsch and Carlson 1980).
@@ -24,28 +24,31 @@ from rtee.loop.motion import Limits, approach, bounded
 from rtee.loop.profiles.phases import cube_root
 
 _MOST = 64
-"""Samples kept ahead of their turn; further ones push out the oldest."""
+"""Samples kept ahead of time; further ones push out the oldest: an eighth of a second at 500 Hz,
+more than a usual lag holds."""
 
 _LONGEST = 0.25
-"""An error falls to nothing within this time [s] at most; limits may make it take longer."""
+"""An error falls to zero within this time [s] at most: longer would feel like a lag. Limits may
+still make it take longer."""
 
 _COAST = 2.0
 """After the newest sample its velocity goes on for so many periods: one sample may be lost, and the
 next one come as late as the lag allows …"""
 
 _BRAKED = 5.0
-"""… and is nothing after so many at most."""
+"""… and is zero after this many at most: a stream that falls silent must not carry the hand
+away."""
 
 _BLEND = 3.0
 """An error takes at least so many periods to fall to nothing: with jitter of 20 ms at 50 Hz, the
 jerk is half of that with one period, and the way is off by 0.08 % instead of 0.07 %."""
 
 _SHARE = 0.5
-"""Share of the acceleration limit with which an actuator makes up for what it lags behind; the rest
-is left for what the stream itself asks."""
+"""Share of the acceleration limit with which an actuator catches up with what it lags behind; the
+rest is left for what the stream itself asks for."""
 
 _SPIKE = 10.0
-"""A sample is an outlier if it asks for so many times the velocity limit, and beyond that …"""
+"""A sample is an outlier if it asks for this many times the velocity limit, and beyond that …"""
 
 _SPIKE_RANGE = 0.05
 """… for more than this share of the range: faster than any hand moves on purpose."""
@@ -68,7 +71,7 @@ class _Knot:
 
 
 class Interpolator:
-    """The way of some actuators between the samples of a stream; pure.
+    """The path of some actuators between the samples of a stream; pure.
 
     Args:
         limits: Limits of all actuators of the hand.
@@ -113,11 +116,12 @@ class Interpolator:
         self._wanted.append(position)
         self._error.append((_STILL, 0.0, 0.0))
         for knot in self._knots:
+            # As if it had been at its reference all the time.
             knot.position.append(position)
             knot.velocity.append(0.0)
 
     def outlying(self, positions: Mapping[int, float], time: float) -> bool:
-        """Return whether a sample is too far from the newest one to be meant."""
+        """Return whether a sample is too far from the newest one to be intended."""
         if not self._knots:
             return False
         last, limits = self._knots[-1], self._limits
@@ -152,6 +156,7 @@ class Interpolator:
             now: The time [s, the hand's].
             period: Time between samples [s].
         """
+        # A new sample changes the path even at the present, since its velocity changes the tangent.
         before = self._motions(play, period) if self._knots else [_STILL] * len(self.indices)
         for place, speed in self._fresh.items():
             before[place] = (self._wanted[place], speed, 0.0)
@@ -163,7 +168,7 @@ class Interpolator:
         self._coasts = play >= time
 
     def jumped(self, play: float, to: float, now: float, period: float) -> None:
-        """Keep what is wanted where it is although the stream's time jumps from one to another."""
+        """Keep the wanted position unchanged although the stream's time jumps."""
         if not self._knots:
             return
         self._jump(self._motions(play, period), self._motions(to, period), now, period)
@@ -200,6 +205,7 @@ class Interpolator:
         before = last.time - other.time
         earlier = (last.position[place] - other.position[place]) / before
         velocity = slope + (slope - earlier) * step / (step + before)
+        # The conditions of PCHIP at an end: no overshoot beyond the samples.
         if velocity * slope <= 0.0:
             return 0.0
         if slope * earlier < 0.0 and abs(velocity) > 3.0 * abs(slope):
@@ -207,7 +213,7 @@ class Interpolator:
         return velocity
 
     def _forget(self, play: float) -> None:
-        """Forget the samples that have had their turn; two before it tell the velocity."""
+        """Forget the samples that have been played; the two before now give the velocity."""
         while len(self._knots) > 3 and self._knots[2].time <= play:
             self._knots.popleft()
 
@@ -222,6 +228,7 @@ class Interpolator:
         if play <= first.time:
             ahead = (1.0, 0.0, play - first.time, 0.0)
             return first, first, (ahead, (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+        # From the newest: the lag is a period or two.
         right = len(knots) - 1
         while knots[right - 1].time > play:
             right -= 1
@@ -329,7 +336,7 @@ class Interpolator:
             into: Takes the positions to be sent, of those that move [rad | m].
         """
         limits, dt, wanted = self._limits, self._tick, self._wanted
-        # After missed ticks what is wanted is further away, but not faster.
+        # After missed ticks the wanted position is further away, but not faster.
         passed, self._now = max(now - self._now, dt), now
         if play >= self.newest and not self._coasts:
             self._coast(now, period)
