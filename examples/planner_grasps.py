@@ -23,6 +23,7 @@ from rtee.planning.gripper_poses import (
     with_openings,
 )
 from rtee.planning.joint_vectors import fit_joints
+from rtee.planning.objects import read_object
 from rtee.planning.reach import reach_contacts
 from rtee.planning.reached import ReachedGrasp, WantedContact
 from rtee.planning.tips import Fingertips
@@ -30,6 +31,15 @@ from rtee.planning.tips import Fingertips
 PLANNERS = Path(__file__).parent / "planners"
 FRANKA = 0.1034
 """From the base of the Franka hand, whose pose Contact-GraspNet gives, to its fingertips [m]."""
+
+
+CAN = 0.04
+"""Diameter of the can [m], which GraspGen does not give."""
+OURS = {
+    "index_proximal": "left_hand_Index_Finger_Proximal",
+    "index_distal": "left_hand_Index_Finger_Distal",
+}
+"""The joints of the SVH by their names in the model of `joints.npz`."""
 
 
 def show(what: str, reached: ReachedGrasp) -> None:
@@ -41,6 +51,8 @@ def show(what: str, reached: ReachedGrasp) -> None:
         print(
             f"  {left.finger}: {1e3 * left.distance:+.1f} mm, {np.degrees(left.angle):.0f} degrees"
         )
+    for met in reached.collisions:
+        print(f"  {met.words}")
 
 
 def main(name: str = "schunk_svh") -> None:
@@ -59,16 +71,29 @@ def main(name: str = "schunk_svh") -> None:
         )
     show("Contact-GraspNet", reach_gripper_pose(hand, actions, grasps[0], tips=tips))
 
+    with np.load(PLANNERS / "graspgen.npz", allow_pickle=False) as found:
+        grasps = from_base_poses(
+            found["grasps"], CAN, depth=FRANKA, closing="x", scores=found["confidences"]
+        )
+    show("GraspGen", reach_gripper_pose(hand, actions, grasps[0], tips=tips))
+
     with np.load(PLANNERS / "contacts.npz", allow_pickle=False) as found:
         pairs = zip(found["points"].tolist(), found["normals"].tolist(), strict=True)
         contacts = [WantedContact(tuple(point), tuple(normal)) for point, normal in pairs]
+        middle = found["points"].mean(axis=0)
     try:
-        show("Contact points", reach_contacts(hand, library, contacts, tips=tips))
+        ball, pose = read_object("sphere:0.015"), np.eye(4)
+        pose[:3, 3] = middle
+        reached = reach_contacts(hand, library, contacts, tips=tips, thing=ball, object_pose=pose)
+        show("Contact points", reached)
     except ConfigError as error:  # they are the SVH's; another hand may not reach them
         print(f"Contact points: {error}")
 
-    theirs = {f"their_{joint}": 0.1 for joint in hand.joint_names}
-    fitted = fit_joints(hand, theirs, {f"their_{joint}": joint for joint in hand.joint_names})
+    with np.load(PLANNERS / "joints.npz", allow_pickle=False) as found:
+        theirs = dict(zip(found["names"].tolist(), found["values"].tolist(), strict=True))
+    if not set(OURS.values()) <= set(hand.joint_names):
+        theirs = dict.fromkeys(hand.joint_names, 0.1)  # another hand than the SVH
+    fitted = fit_joints(hand, theirs, {name: OURS.get(name, name) for name in theirs})
     worst = max(map(abs, fitted.residuals.values()))
     print(f"Joint vector: {len(fitted.posture)} actuators, residuals up to {worst:.3f} rad | m")
 

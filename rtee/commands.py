@@ -118,12 +118,14 @@ class BeginStream:
         rate: Samples per second that its client means to send [Hz].
         deadline: Without a sample for this long it brakes and holds [s].
         max_lag: Longest lag [s]; ``inf``: the default, 1.2 periods and 5 ms.
+        effort: Effort limits by actuator [N·m | N]; the others have the hand's own.
     """
 
     stream: str
     rate: float
     deadline: float
     max_lag: float = math.inf
+    effort: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,14 @@ def main() -> None:
         openings=np.array([0.04], dtype=np.float32),
         scores=np.array([0.9], dtype=np.float32),
     )
+    # GraspGen gives no widths.
+    np.savez(
+        HERE / "graspgen.npz",
+        grasps=np.array([base], dtype=np.float32),
+        confidences=np.array([0.8], dtype=np.float32),
+    )
+    # A flexed index finger, by the joint names of another model of the SVH.
+    np.savez(HERE / "joints.npz", names=np.array(list(JOINTS)), values=np.array([0.3, 0.4]))
     # Index finger and thumb of the SVH on a ball of 30 mm, in the palm's frame.
     np.savez(
         HERE / "contacts.npz",
@@ -38,6 +46,9 @@ def main() -> None:
 
 CONTACTS = ((0.0323, 0.0470, 0.1558), (0.0496, 0.0521, 0.1318))
 """Points of the contacts [m]."""
+
+JOINTS = ("index_proximal", "index_distal")
+"""Names of two joints in another model of the SVH; `planner_grasps.py` has ours."""
 
 NORMALS = ((0.577, 0.169, -0.799), (-0.577, -0.169, 0.799))
 """Their normals into the ball."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rtee.units import grip_words
 
 if TYPE_CHECKING:
+    from rtee.actions.cli_syntax import Efforts
     from rtee.remote.client import RemoteHand
     from rtee.types import Result
 
@@ -104,3 +105,13 @@ def sentence(result: Result, elements: Sequence[str] = ()) -> str:
 
 def _by(fingers: tuple[str, ...]) -> str:
     return f" by {', '.join(fingers)}" if fingers else ""
+
+
+async def effort_limits(remote: RemoteHand, efforts: Efforts) -> dict[str, float]:
+    """Return the effort limits that a command line asks for, by actuator [N·m | N]."""
+    limits = dict(efforts.limits)
+    for name, share in efforts.shares.items():
+        limits |= await remote.effort_limits(share, only=[name])
+    if efforts.share is not None:
+        limits = await remote.effort_limits(efforts.share, besides=list(limits)) | limits
+    return limits

@@ -22,7 +22,7 @@ from rtee.cli._common import (
     complete_action,
     complete_element,
 )
-from rtee.cli._online import result_json, sentence, with_hand
+from rtee.cli._online import effort_limits, result_json, sentence, with_hand
 from rtee.errors import RteeError
 from rtee.types import Stage
 
@@ -113,12 +113,7 @@ def do(
         options["force"] = quantity(force, FORCE, "force")
 
     async def execute(remote: RemoteHand) -> Result:
-        limits = dict(efforts.limits)
-        for name, share in efforts.shares.items():
-            limits |= await remote.effort_limits(share, only=[name])
-        if efforts.share is not None:
-            limits = await remote.effort_limits(efforts.share, besides=list(limits)) | limits
-        options["effort"] = limits
+        options["effort"] = await effort_limits(remote, efforts)
         running = await remote.start(action, *chosen, **options)
         return await follow(running, label(action, chosen))
 

@@ -54,7 +54,7 @@ def gui(
         raise ConfigError("--tls-cert and --tls-key go together")
     tls = None if tls_cert is None or tls_key is None else tls_context(tls_cert, tls_key)
     access = Access(host, tls=tls, behind=behind_proxy, observers=observer)
-    _lower_priority()  # before numpy and the network start threads of their own
+    _lower_priority()  # before numpy and the network start threads, which inherit it
     from rtee.remote.find import hands_running
 
     if hand is not None or endpoint is not None:

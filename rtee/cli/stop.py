@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def stop(
     hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
 ) -> None:
-    """Stop a hand now, whoever holds its lease; without --hand all that run on this computer."""
+    """Stop a hand now, whichever client holds its lease; without --hand all on this computer."""
     import anyio
 
     from rtee.remote.client import connect as connected

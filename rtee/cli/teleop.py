@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import ConnectOption, RunningOption, WaitOption
-from rtee.cli._online import with_hand
+from rtee.cli._online import effort_limits, with_hand
 from rtee.errors import ConfigError
 
 if TYPE_CHECKING:
+    from rtee.actions.cli_syntax import Efforts
     from rtee.remote.client import RemoteHand
     from rtee.teleop.inputs import Input
 
@@ -40,6 +41,14 @@ def teleop(
         str | None, typer.Option(metavar="PATH", help="The gamepad, such as /dev/input/event5.")
     ] = None,
     rate: Annotated[float, typer.Option(help="Samples per second.")] = 50.0,
+    effort: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PERCENT%|ACTUATOR=VALUE",
+            help="Effort limit: 40% of the limits of all actuators, or of one by name, or a value "
+            "[N·m | N]; may be repeated.",
+        ),
+    ] = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,
@@ -50,9 +59,11 @@ def teleop(
     """
     if gamepad == keyboard:
         raise ConfigError("give either --gamepad or --keyboard")
+    from rtee.actions.cli_syntax import read_efforts
     from rtee.teleop.drive import assigned
     from rtee.teleop.inputs import Keyboard, open_gamepad
 
+    efforts = read_efforts(effort or [])
     with contextlib.ExitStack() as stack:
         source: Input = (
             open_gamepad(device) if gamepad else stack.enter_context(Keyboard(len(actions)))
@@ -65,15 +76,17 @@ def teleop(
                 hand,
                 connect,
                 "teleop",
-                lambda remote: _drive(remote, source, by_axis, rate),
+                lambda remote: _drive(remote, source, by_axis, rate, efforts),
                 wait=wait,
             )
 
 
-async def _drive(remote: RemoteHand, source: Input, by_axis: dict[str, str], rate: float) -> None:
+async def _drive(
+    remote: RemoteHand, source: Input, by_axis: dict[str, str], rate: float, efforts: Efforts
+) -> None:
     from rtee.teleop.drive import samples_of
 
-    async with remote.stream(rate=rate) as stream:
+    async with remote.stream(rate=rate, effort=await effort_limits(remote, efforts)) as stream:
         try:
             async for targets in samples_of(source, by_axis, rate):
                 await stream.send(targets)
@@ -87,6 +100,14 @@ def play(
         Path, typer.Argument(metavar="FILE", help="A recording (.mcap, or its folder), or a .csv.")
     ],
     speed: Annotated[float, typer.Option(help="Scale of time: 2 is twice as fast.")] = 1.0,
+    effort: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PERCENT%|ACTUATOR=VALUE",
+            help="Effort limit: 40% of the limits of all actuators, or of one by name, or a value "
+            "[N·m | N]; may be repeated.",
+        ),
+    ] = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,
@@ -97,14 +118,16 @@ def play(
     """
     import anyio
 
+    from rtee.actions.cli_syntax import read_efforts
     from rtee.teleop.drive import play as play_samples
     from rtee.teleop.drive import rate_of, recorded
 
-    samples = recorded(file)
+    samples, efforts = recorded(file), read_efforts(effort or [])
 
     async def run(remote: RemoteHand) -> None:
         rate = rate_of(samples) * speed
-        async with remote.stream(rate=rate, deadline=max(0.1, 3.0 / rate)) as stream:
+        limits = await effort_limits(remote, efforts)
+        async with remote.stream(rate, deadline=max(0.1, 3.0 / rate), effort=limits) as stream:
             await play_samples(samples, stream, speed)
             await anyio.sleep(_PASS)
             found = await stream.status()

@@ -23,6 +23,8 @@ def said(result: Result) -> tuple[str, str]:
     at = "" if result.opening is None else f" at {grip_words(result)}"
     if result.grasped:
         return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}{at}", GOOD
+    if result.touched and not (result.preempted or result.cancelled or result.aborted):
+        return f"touched with {', '.join(result.touched)}{at}", GOOD
     if result.reached:
         return f"reached{at}", GOOD
     for ended, words in (

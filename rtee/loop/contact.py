@@ -124,7 +124,7 @@ class _Watched:
 
 
 class ContactWatch:
-    """Watches the actuators of the last goal.
+    """Watches the actuators of the last goal or stream.
 
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
     or its device reports that it holds something. Time in which its device is silent does not count
@@ -177,6 +177,12 @@ class ContactWatch:
         for i, target in targets.items():
             self._watched[i] = _Watched(tolerance[i], target, math.nan, stamp, stamp)
 
+    def aim(self, i: int, target: float) -> None:
+        """Note that a watched actuator now goes to another target [rad | m]."""
+        watched = self._watched.get(i)
+        if watched is not None:
+            watched.target = target
+
     def forget(self, indices: Iterable[int]) -> None:
         """Stop watching some actuators."""
         for i in indices:
@@ -226,6 +232,13 @@ class ContactWatch:
             return False
         watched = self._watched[i]
         return watched.grasping or abs(reference - position) > watched.tolerance
+
+    def clasped(self, i: int, reference: float) -> bool:
+        """Return whether an actuator holds something, and its reference still leads into that."""
+        grip = self._grips[i]
+        if grip is None or not self.grasping(i):
+            return False
+        return (reference - grip.position) * grip.direction > self._watched[i].tolerance
 
     @property
     def fingers(self) -> tuple[str, ...]:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import assert_never
 
 from rtee.commands import (
-    STREAM_ENDED,
     Abort,
     BeginStream,
     Cancel,
@@ -36,6 +36,7 @@ from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import make_profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
+from rtee.loop.streams.hold import StreamHold
 from rtee.loop.streams.player import StreamPlayer
 from rtee.loop.thermal import Level, Thermal
 from rtee.loop.thermal_model import CurrentHeat
@@ -130,6 +131,9 @@ class Controller:
         self.reference_velocity = self._limiter.velocity
         self.reference_effort = [0.0] * n
         self._set_efforts()
+        self._stream_hold = StreamHold(
+            hand, self._contact, self._limiter.position, self.reference_effort, self._holding
+        )
 
     # --- what steers it ----------------------------------------------------------------------
 
@@ -160,12 +164,7 @@ class Controller:
 
     def heat(self, indices: Iterable[int]) -> str:
         """Return in words which of some actuators are warm, or whose temperature is not valid."""
-        thermal = self._thermal
-        return "; ".join(
-            thermal.level[i].words(self.hand.actuators[i].name, thermal.factor[i])
-            for i in indices
-            if thermal.level[i] is not Level.OK
-        )
+        return self._thermal.words({i: self.hand.actuators[i].name for i in indices})
 
     def doubts(self, indices: Iterable[int]) -> str:
         """Return in words which of some actuators have a measured position that is not believed."""
@@ -183,15 +182,13 @@ class Controller:
         self._kept -= plan.involved
         if plan.goal.force is not None:
             self._kept |= plan.involved
-        for i, actuator in enumerate(self.hand.actuators):
-            self.max_velocity[i] = plan.goal.speed * actuator.velocity
+        self.max_velocity[:] = [plan.goal.speed * a.velocity for a in self.hand.actuators]
         self._executor.start(plan, stamp, self._measured)
         self._set_efforts()
         lost = [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]
         if lost:
-            self._fail(
-                list(plan.involved), stamp, f"the device of {lost[0]} is not active any more"
-            )
+            why = f"the device of {lost[0]} is not active any more"
+            self._fail(list(plan.involved), stamp, why)
 
     def _let_go(self, indices: Iterable[int]) -> None:
         """Restart references that press with a force from where the actuators are.
@@ -322,18 +319,28 @@ class Controller:
             self._profile.go({}, brake=set(range(self._profile.size)).difference(positions))
         new = [i for i in positions if i not in stream.indices]
         if new:
-            self._leave_hold(new)
-            for i in new:
-                self.max_velocity[i] = self.hand.actuators[i].velocity
+            self._begin_streaming(stream, {i: positions[i] for i in new}, stamp)
+        self._stream_hold.aim(positions)
         limiter = self._limiter
         stream.take(sample, positions, velocities, stamp, limiter.position, limiter.velocity)
 
+    def _begin_streaming(
+        self, stream: StreamPlayer, targets: Mapping[int, float], stamp: float
+    ) -> None:
+        """Have actuators follow a stream: with its efforts, and watched for what they hold."""
+        self._let_go(targets)
+        self._kept -= targets.keys()
+        for i in targets:
+            self.max_velocity[i] = self.hand.actuators[i].velocity
+            self._goal_effort.pop(i, None)
+        self._goal_effort |= self._stream_hold.limits(stream, targets.keys())
+        self._leave_hold(targets)
+        self._stream_hold.begin(targets, stamp)
+
     def _hand_back(self, stream: StreamPlayer) -> None:
         """Brake the actuators of a stream, and keep the reference at which they stop."""
-        limiter = self._limiter
-        self._profile.resume(
-            {i: (limiter.position[i], limiter.velocity[i]) for i in stream.indices}
-        )
+        position, velocity = self._limiter.position, self._limiter.velocity
+        self._profile.resume({i: (position[i], velocity[i]) for i in stream.indices})
 
     def _end_stream(self, stamp: float, why: str) -> None:
         stream, self.stream = self.stream, None
@@ -342,24 +349,17 @@ class Controller:
         if stream.playing:
             self._hand_back(stream)
         self.ended_stream = stream.name
-        found = stream.status()
-        dropped = found.duplicates + found.out_of_order + found.outliers
-        text = f"the stream ended: {why}; {found.samples} samples taken, {dropped} dropped"
-        self.outbox.items.append(Event(STREAM_ENDED, stream.name, text, stamp))
+        self.outbox.items.append(stream.ended(why, stamp))
 
     def _streamed(self, stream: StreamPlayer, stamp: float) -> list[float]:
         """Return where all actuators should be, those of a stream where the stream wants them."""
         if stream.overdue(stamp):
             self._hand_back(stream)
-            stream.pause()
-            text = f"no sample for {stream.deadline * 1e3:.0f} ms: braked, and holding"
-            event = Event("stream_paused", stream.name, text, stamp, "warning")
-            self.outbox.items.append(event)
+            self.outbox.items.append(stream.pause(stamp))
         self._profile.advance()
         wanted = list(self._profile.position)
         if stream.playing:
-            limiter = self._limiter
-            stream.step(stamp, limiter.position, limiter.velocity, wanted)
+            stream.step(stamp, self._limiter.position, self._limiter.velocity, wanted)
         return wanted
 
     def _fail(self, indices: list[int], stamp: float, reason: str) -> None:
@@ -393,10 +393,12 @@ class Controller:
             if self._reflexes.changed:
                 self._reflexes.changed = False
                 self._set_efforts()
+        stream = self.stream
+        if stream is not None and self._stream_hold.look(stream, stamp, measured):
+            self._set_efforts()
         self._ease_off(stamp, measured)
         if self._settling:
             self._settle(stamp, measured)
-        stream = self.stream
         if stream is None:
             self._profile.advance()
             wanted = self._profile.position
@@ -439,11 +441,15 @@ class Controller:
     def _ease_off(self, stamp: float, measured: Measured) -> None:
         """Reduce the effort of blocked actuators after a time; report when a grasp is lost."""
         grasp = self._grasp
+        streamed = () if self.stream is None else self.stream.indices
         for i in self._contact.blocked_longer_than(grasp.grip_after, stamp):
             if i in self._holding or i in self._kept or i in self._reflexes.effort:
                 continue
             self._holding.add(i)
-            if not (self._accepts[i] and math.isfinite(self._effort_limit(i))):
+            # A stream says itself where its actuators go: only their effort can be lowered.
+            if i not in streamed and not (
+                self._accepts[i] and math.isfinite(self._effort_limit(i))
+            ):
                 here = measured.position[i]
                 push = self._profile.target[i] - here
                 self._profile.go({i: here + grasp.grip_effort * push})
@@ -477,7 +483,7 @@ class Controller:
         derating = any(factor != 1.0 for factor in self._thermal.factor)
         found = self._heat.step(stamp, measured.temperature, measured.current)
         for change in self._thermal.step(stamp, found):
-            name = self.hand.actuators[change.index].name
+            name = self.hand.actuator_names[change.index]
             estimated = math.isnan(measured.temperature[change.index])
             self.outbox.items.append(change.event(name, stamp, estimated=estimated))
             if change.level is Level.DISABLE:
@@ -489,10 +495,6 @@ class Controller:
         if stamp - self._limited_reported < 1.0:
             return
         self._limited_reported = stamp
-        names = ", ".join(
-            a.name
-            for a, limited in zip(self.hand.actuators, self._limiter.limited, strict=True)
-            if limited
-        )
+        names = ", ".join(compress(self.hand.actuator_names, self._limiter.limited))
         text = f"the reference of {names} was limited"
         self.outbox.items.append(Event("limited", names, text, stamp, "warning"))

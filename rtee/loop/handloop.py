@@ -100,7 +100,7 @@ class HandLoop:
         self._devices = Devices(hand, devices, self._observers.event, now)
         self.devices = self._devices.by_name
         self.streams = StreamIntake(
-            self.controller, library, self._pending.append, self._devices.check_movable, now
+            self.controller, library, self._pending.append, self._devices, now
         )
         self._begun: list[tuple[Plan | CommandRecord, float]] = []
         self._record: TickRecord | None = None

@@ -26,9 +26,6 @@ _ROUNDING: Final = 5e-5
 """An opening outside of the table by less than this is the one at its end [m]: what people read is
 rounded to 0.1 mm."""
 
-_SAMPLES: Final = 8
-"""Openings at which the range of the force is sampled, besides the first: it varies smoothly."""
-
 _SQUARE: Final = 0.1
 """Actions whose tips meet the object at angles that differ by less than this rank equal [rad]: 6°
 hold no worse by friction."""
@@ -192,31 +189,24 @@ def _check_devices(
         )
 
 
-def force_range(
-    hand: Hand, opening: Opening, grip: Grip, devices: DeviceForces
-) -> tuple[float, float, str]:
-    """Return the weakest and the strongest force that some opening of an action allows [N].
+def force_refused(hand: Hand, opening: Opening, grip: Grip, devices: DeviceForces) -> str:
+    """Return why no force can be asked for with an action, in words; empty if one can.
 
     Args:
         hand: The hand.
         opening: The action's opening.
         grip: Its grip.
         devices: What the hand's devices do about forces.
-
-    Returns:
-        The two forces, and why none can be asked for, in words, if so; then they are 0.
     """
-    grid = opening.intensity
-    some = [float(at) for at in grid[:: max(1, len(grid) // _SAMPLES)]]
-    ranges = [grip.forces(hand, at) for at in some]
-    # Infinite limits and devices without limits refuse any force: one that is in range shows which.
-    high = ranges[0][1]
+    # Infinite limits and devices without limits refuse any force: one in range shows which.
+    at = grip.intensity[0]
+    high = grip.forces(hand, at)[1]
     try:
-        check_force(grip, hand, opening.label, high, some[0])
-        _check_devices(hand, opening, grip.efforts(high, some[0]), devices)
+        check_force(grip, hand, opening.label, high, at)
+        _check_devices(hand, opening, grip.efforts(high, at), devices)
     except GoalRejected as error:
-        return 0.0, 0.0, str(error)
-    return min(low for low, _ in ranges), max(high for _, high in ranges), ""
+        return str(error)
+    return ""
 
 
 def _can(hand: Hand, opening: Opening, effort: Mapping[int, float], devices: DeviceForces) -> bool:

@@ -112,7 +112,7 @@ def make_plan(
     """
     _check_numbers(goal)
     check_reflexes(goal, hand)
-    effort = _effort(goal, hand, devices.refused)
+    effort = effort_limits(goal.effort, hand, devices.refused)
     if wants_opening(goal):
         return _opening_plan(goal, hand, library, settings, devices, effort)
     if goal.touch and not goal.action:
@@ -195,9 +195,21 @@ def _check_numbers(goal: Goal) -> None:
         raise GoalRejected(f"the timeout must be above 0 s, not {goal.timeout:g}")
 
 
-def _effort(goal: Goal, hand: Hand, refused: Mapping[int, str]) -> dict[int, float]:
+def effort_limits(
+    efforts: Mapping[str, float], hand: Hand, refused: Mapping[int, str]
+) -> dict[int, float]:
+    """Return the effort limits that a goal or a stream asks for, by actuator index [N·m | N].
+
+    Args:
+        efforts: The limits by name [N·m | N].
+        hand: The hand.
+        refused: Actuators whose device takes no effort limit, with its reason in words, or nothing.
+
+    Raises:
+        GoalRejected: if one cannot be used.
+    """
     limits: dict[int, float] = {}
-    for name, value in goal.effort.items():
+    for name, value in efforts.items():
         if name not in hand.actuator_names:
             raise GoalRejected(
                 f"effort for an unknown actuator '{name}'; {suggestion(name, hand.actuator_names)}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -106,6 +106,14 @@ class Thermal:
         self.factor = [1.0] * size
         self._pending = [Level.OK] * size
         self._since = [math.nan] * size
+
+    def words(self, names: Mapping[int, str]) -> str:
+        """Return in words which of some actuators, named by index, are not cool."""
+        return "; ".join(
+            self.level[i].words(name, self.factor[i])
+            for i, name in names.items()
+            if self.level[i] is not Level.OK
+        )
 
     def step(self, stamp: float, temperature: Sequence[float]) -> list[ThermalChange]:
         """Evaluate what was measured; return the actuators whose level changed.

@@ -143,6 +143,10 @@ Plain = tuple[str, str, Mapping[str, float]]
 """Kind of a command, text and numbers by name."""
 
 
+_EFFORT = "effort "
+"""Before the names of the actuators with an effort limit, among the numbers of a stream."""
+
+
 def plain(command: Command) -> Plain:
     """Return a command as its message holds it.
 
@@ -168,8 +172,9 @@ def plain(command: Command) -> Plain:
             return "accepts", "", {name: float(flag) for name, flag in accepts.items()}
         case Abort(reason, actuators):
             return "fail", reason, dict.fromkeys(actuators, 1.0)
-        case BeginStream(stream, rate, deadline, max_lag):
-            return "stream", stream, {"rate": rate, "deadline": deadline, "max_lag": max_lag}
+        case BeginStream(stream, rate, deadline, max_lag, effort):
+            times = {"rate": rate, "deadline": deadline, "max_lag": max_lag}
+            return "stream", stream, times | {f"{_EFFORT}{name}": e for name, e in effort.items()}
         case EndStream(stream, reason):
             return "end", f"{stream} {reason}", {}
         case StreamSample():
@@ -197,7 +202,13 @@ def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:
             case "fail":
                 return Abort(text, tuple(numbers))
             case "stream":
-                return BeginStream(text, *(numbers[k] for k in ("rate", "deadline", "max_lag")))
+                rate, deadline, lag = (numbers[k] for k in ("rate", "deadline", "max_lag"))
+                effort = {
+                    name.removeprefix(_EFFORT): value
+                    for name, value in numbers.items()
+                    if name.startswith(_EFFORT)
+                }
+                return BeginStream(text, rate, deadline, lag, effort)
             case "end":
                 stream, _, reason = text.partition(" ")
                 return EndStream(stream, reason)

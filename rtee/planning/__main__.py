@@ -55,6 +55,7 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
     """Return how the hand reaches a planner's grasp, as plain data; see `answer`."""
     with needing_extra("reaching a grasp", "extract"):
         from rtee.planning.gripper_poses import GripperPose, reach_gripper_pose, with_openings
+        from rtee.planning.objects import FORMS, is_shape, read_object
         from rtee.planning.reach import reach_contacts
     import numpy as np
 
@@ -65,14 +66,27 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
     folder, asked = Path(question["hand"]), question["reach"]
     hand = load_hand(folder)
     library = ActionLibrary.load(hand, folder / "actions")
-    pose = np.reshape(asked["pose"], (4, 4)) if asked["pose"] else None
+    pose, where = (
+        np.reshape(asked[name], (4, 4)) if asked[name] else None for name in ("pose", "object_pose")
+    )
+    text = asked["object"]
+    if text and not is_shape(text):
+        raise ConfigError(f"'{text[:200]}' is no object; write {FORMS.rpartition(', or')[0]}")
+    thing = read_object(text) if text else None
     approach, retreat = asked["approach"] or None, asked["retreat"]
     if not asked["points"]:
         assert pose is not None  # noqa: S101 - `ReachQuestion.check` has seen to that
         actions = with_openings(library, library.openings)
         grasp = GripperPose(pose, asked["width"])
         found = reach_gripper_pose(
-            hand, actions, grasp, fingers=asked["fingers"], approach=approach, retreat=retreat
+            hand,
+            actions,
+            grasp,
+            fingers=asked["fingers"],
+            approach=approach,
+            retreat=retreat,
+            thing=thing,
+            object_pose=where,
         )
         return to_document(found)
     points = np.reshape(asked["points"], (-1, 3)).tolist()
@@ -89,6 +103,8 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
             approach=approach,
             retreat=retreat,
             tolerance=tolerance,
+            thing=thing,
+            object_pose=where,
         )
     )
 

@@ -29,6 +29,9 @@ _NICE: Final = 10
 _MOST_CONTACTS: Final = 10
 """Most contacts of a grasp: hands have five fingers."""
 
+_LONGEST_SHAPE: Final = 500
+"""Longest text that may name a shape [characters]: the longest is some forty."""
+
 _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 
 
@@ -72,7 +75,7 @@ class Question:
                 f"the mesh has {len(self.mesh) / 1e3:.0f} kB; at most {LONGEST / 1e3:.0f} kB can "
                 "be sent to a hand; simplify it, or plan with its files by rtee grasp-plan"
             )
-        if not 0 < len(self.object) <= 500:
+        if not 0 < len(self.object) <= _LONGEST_SHAPE:
             raise ConfigError("which object? write its shape, such as sphere:0.03")
 
     def words(self) -> dict[str, Any]:
@@ -93,6 +96,8 @@ class ReachQuestion:
         approach: Direction in which the palm comes; or none.
         retreat: How far back along it the palm is before [m].
         tolerance: Farthest that a fingertip may be from its contact [m].
+        object: Shape of the object, to look for collisions with it; or empty.
+        object_pose: 16 numbers, row by row: its pose; or none.
     """
 
     points: tuple[float, ...] = ()
@@ -103,10 +108,12 @@ class ReachQuestion:
     approach: tuple[float, ...] = ()
     retreat: float = 0.1
     tolerance: float = 0.003
+    object: str = ""
+    object_pose: tuple[float, ...] = ()
 
     def check(self) -> None:
         """Raise `ConfigError` unless it can be asked; what only the hand tells is left out."""
-        numbers = (*self.points, *self.normals, *self.pose, *self.approach)
+        numbers = (*self.points, *self.normals, *self.pose, *self.approach, *self.object_pose)
         if not all(map(math.isfinite, (*numbers, self.width, self.retreat, self.tolerance))):
             raise ConfigError("a grasp to reach consists of finite numbers")
         if len(self.points) % 3 or len(self.points) > 3 * _MOST_CONTACTS:
@@ -117,10 +124,13 @@ class ReachQuestion:
             self.points and self.fingers and 3 * len(self.fingers) != len(self.points)
         ):
             raise ConfigError("each contact has a finger, or none has one")
-        if len(self.pose) not in (0, 16) or len(self.approach) not in (0, 3):
+        poses = (self.pose, self.object_pose)
+        if any(len(each) not in (0, 16) for each in poses) or len(self.approach) not in (0, 3):
             raise ConfigError("a pose is 4 by 4 numbers, an approach three")
         if not self.points and not self.pose:
             raise ConfigError("give contacts, or a gripper's pose and a width")
+        if len(self.object) > _LONGEST_SHAPE:
+            raise ConfigError("the object is a shape, such as box:0.04x0.04x0.1")
 
     def words(self) -> dict[str, Any]:
         """Return it as plain data, ready for JSON."""

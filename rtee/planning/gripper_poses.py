@@ -25,7 +25,9 @@ from rtee.actions.openings import Opening
 from rtee.actions.types import Action
 from rtee.errors import ActionError, ConfigError, suggestion
 from rtee.hand.model import Hand
+from rtee.planning.collisions import Collisions
 from rtee.planning.frames import checked_direction, checked_pose, retreated, rows
+from rtee.planning.objects import GraspObject
 from rtee.planning.reached import ReachedGrasp
 from rtee.planning.tips import Fingertips
 from rtee.sample import FloatArray
@@ -76,7 +78,7 @@ def from_graspnet(array: ArrayLike) -> list[GripperPose]:
             row, translation [m], and the object's number.
 
     Raises:
-        ConfigError: if it is no such array.
+        ConfigError: if the array has another shape, or numbers that are not finite.
     """
     found = _numbers(array, "a GraspNet array")
     found = found[None] if found.ndim == 1 else found
@@ -179,6 +181,8 @@ def reach_gripper_pose(
     retreat: float = 0.1,
     margin: float = MARGIN,
     tips: Fingertips | None = None,
+    thing: GraspObject | None = None,
+    object_pose: FloatArray | None = None,
 ) -> ReachedGrasp:
     """Return the action, the posture and the palm's pose by which a hand takes a gripper's grasp.
 
@@ -196,6 +200,9 @@ def reach_gripper_pose(
         retreat: How far back along it the palm is before [m].
         margin: How much wider the hand opens before it closes [m].
         tips: The fingertips, where their geometry was read already.
+        thing: The object, or what else must not be met, to look for collisions with it; without
+            one, the hand's own collisions are looked for.
+        object_pose: Its pose ``(4, 4)`` in the planner's frame; that frame's unless given.
 
     Raises:
         ConfigError: if a value makes no sense, or no action has this opening; with the nearest.
@@ -213,6 +220,11 @@ def reach_gripper_pose(
     there = grasp_frame(tips, action, opening, at)
     palm = checked_pose(grasp.pose, "the gripper's pose") @ np.linalg.inv(there)
     way = grasp.pose[:3, 0] if approach is None else checked_direction(approach)
+    object_in_palm = np.linalg.inv(palm) @ checked_pose(object_pose, "the object's pose")
+    collisions = Collisions(hand, tips.geometry, thing, object_in_palm)
+    goal, rest = _goal(hand, action), np.array(hand.rest)
+    touching = collisions.at(from_rest(rest, goal, at), opening.fingers)
+    early = collisions.at(from_rest(rest, goal, before), (), "pre_grasp")
     return ReachedGrasp(
         hand=hand.name,
         fingers=opening.fingers,
@@ -225,6 +237,7 @@ def reach_gripper_pose(
         intensity=at,
         pre_intensity=before,
         width=grasp.width,
+        collisions=touching + early,
     )
 
 

@@ -19,7 +19,9 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.model import Hand
+from rtee.planning.collisions import Collisions
 from rtee.planning.frames import checked_direction, checked_pose, retreated, rows
+from rtee.planning.objects import GraspObject
 from rtee.planning.reached import ReachedGrasp, Residual, WantedContact
 from rtee.planning.result import Point
 from rtee.planning.tips import Fingertips
@@ -71,6 +73,9 @@ _DIFFERENCE: Final = 1e-4
 _DAMPING: Final = (1e-3, 1e-9, 1e6)
 """First, least and largest damping, relative to the squares of the derivative's columns."""
 
+_GOOD: Final = 0.5
+"""Sum of squares of a contact that is within a millimetre and a few degrees."""
+
 _SAME: Final = 5e-3
 """Contacts nearer to each other than this cannot be for two fingertips [m]."""
 
@@ -95,6 +100,8 @@ def reach_contacts(
     retreat: float = 0.1,
     tolerance: float = TOLERANCE,
     tips: Fingertips | None = None,
+    thing: GraspObject | None = None,
+    object_pose: FloatArray | None = None,
 ) -> ReachedGrasp:
     """Return the posture in which fingertips touch where a planner wants it.
 
@@ -109,6 +116,9 @@ def reach_contacts(
         retreat: How far back along it the palm is before [m].
         tolerance: Farthest that a fingertip may be from its contact [m].
         tips: The fingertips, where their geometry was read already.
+        thing: The object, or what else must not be met, to look for collisions with it; without
+            one, the hand's own collisions are looked for.
+        object_pose: Its pose ``(4, 4)`` in the frame of the contacts; that frame's unless given.
 
     Raises:
         ConfigError: if a value makes no sense, or no posture reaches the contacts; with the reason.
@@ -122,7 +132,9 @@ def reach_contacts(
     given = None if approach is None else checked_direction(approach)
     if not (math.isfinite(retreat) and retreat >= 0.0):
         raise ConfigError(f"a retreat is 0 m or more, not {retreat:g}")
-    search = _Search(hand, tips, _starts(hand, actions))
+    there = np.linalg.inv(base) @ checked_pose(object_pose, "the object's pose")
+    collisions = Collisions(hand, tips.geometry, thing, there)
+    search = _Search(hand, tips, _starts(hand, actions), collisions)
     u, fingers = search.best(wanted)
     residuals = [search.residual(u, c, f) for c, f in zip(wanted, fingers, strict=True)]
     _refuse(residuals, wanted, tolerance)
@@ -141,6 +153,7 @@ def reach_contacts(
             Residual(r.finger, _point(base[:3, :3] @ r.point + base[:3, 3]), r.distance, r.angle)
             for r in residuals
         ),
+        collisions=collisions.at(u, fingers) + collisions.at(before, (), "pre_grasp"),
     )
 
 
@@ -201,8 +214,15 @@ def _starts(hand: Hand, actions: Iterable[Action]) -> list[FloatArray]:
 class _Search:
     """Looks for postures of one hand."""
 
-    def __init__(self, hand: Hand, tips: Fingertips, starts: Sequence[FloatArray]) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        tips: Fingertips,
+        starts: Sequence[FloatArray],
+        collisions: Collisions,
+    ) -> None:
         self._hand, self._tips, self._starts = hand, tips, starts
+        self._collisions = collisions
         lower, upper = np.array(hand.lower), np.array(hand.upper)
         self._lower = np.where(np.isfinite(lower), lower, -np.pi)
         self._upper = np.where(np.isfinite(upper), upper, np.pi)
@@ -214,7 +234,13 @@ class _Search:
         return [i for i, name in enumerate(self._hand.actuator_names) if name in names]
 
     def best(self, wanted: Sequence[_Contact]) -> tuple[FloatArray, tuple[str, ...]]:
-        """Return the best posture found, and which finger touches where."""
+        """Return the best posture found, and which finger touches where.
+
+        Of postures that are within a millimetre and a few degrees of all contacts, the first
+        without collisions is the best. One with collisions is taken only where none is without.
+        """
+        good = _GOOD * len(wanted)
+        colliding: list[tuple[float, FloatArray, tuple[str, ...]]] = []
         costs = self._costs(wanted)
         ranked = sorted(
             self._choices(wanted), key=lambda choice: float(self._cost(costs, choice).min())
@@ -224,10 +250,12 @@ class _Search:
             order = np.argsort(self._cost(costs, choice), kind="stable")
             for k in order[:_STARTS].tolist():
                 cost, u = self._descend(self._starts[k], wanted, choice)
-                found.append((cost, u, choice))
-            if min(found, key=lambda each: each[0])[0] < 0.5 * len(wanted):
-                break  # all within a millimetre and a few degrees
-        _, u, choice = min(found, key=lambda each: each[0])
+                clear = cost >= good or not self._collisions.at(u, choice)
+                (found if clear else colliding).append((cost, u, choice))
+            if found and min(found, key=lambda each: each[0])[0] < good:
+                break
+        least = min((each[0] for each in found), default=math.inf)
+        _, u, choice = min(found if least < good else found + colliding, key=lambda each: each[0])
         return u, choice
 
     def _choices(self, wanted: Sequence[_Contact]) -> list[tuple[str, ...]]:

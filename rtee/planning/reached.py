@@ -43,6 +43,28 @@ class Residual:
 
 
 @dataclass(frozen=True, slots=True)
+class Collision:
+    """Two things that overlap in a posture.
+
+    Attributes:
+        links: Two links of the hand; or one, and ``object``.
+        depth: How deep their convex parts overlap [m].
+        posture: Which posture: ``posture`` or ``pre_grasp``.
+    """
+
+    links: tuple[str, str]
+    depth: float
+    posture: str
+
+    @property
+    def words(self) -> str:
+        """It in words."""
+        first, second = self.links
+        where = "before the grasp" if self.posture == "pre_grasp" else "in the grasp"
+        return f"{first} is {1e3 * self.depth:.1f} mm inside of {second} {where}"
+
+
+@dataclass(frozen=True, slots=True)
 class ReachedGrasp:
     """How a hand takes what a planner found; lengths in metres.
 
@@ -60,6 +82,8 @@ class ReachedGrasp:
         intensity: Its intensity at the width.
         pre_intensity: Its intensity before, with the margin.
         width: The width that was wanted [m]; 0 for contacts.
+        collisions: Where links of the hand meet each other, or the object where one was given, in
+            the posture and before it, the deepest first. The way in between is not looked at.
     """
 
     hand: str
@@ -74,6 +98,7 @@ class ReachedGrasp:
     intensity: float = 0.0
     pre_intensity: float = 0.0
     width: float = 0.0
+    collisions: tuple[Collision, ...] = ()
 
 
 def to_document(reached: ReachedGrasp) -> dict[str, Any]:
@@ -92,6 +117,10 @@ def from_document(document: Mapping[str, Any]) -> ReachedGrasp:
         Residual(str(r["finger"]), _point(r["point"]), float(r["distance"]), float(r["angle"]))
         for r in plain.pop("residuals")
     )
+    collisions = tuple(
+        Collision((str(c["links"][0]), str(c["links"][1])), float(c["depth"]), str(c["posture"]))
+        for c in plain.pop("collisions", ())
+    )
     return ReachedGrasp(
         hand=str(plain.pop("hand")),
         fingers=tuple(map(str, plain.pop("fingers"))),
@@ -100,6 +129,7 @@ def from_document(document: Mapping[str, Any]) -> ReachedGrasp:
         palm_pose=_matrix(plain.pop("palm_pose")),
         pre_palm_pose=_matrix(plain.pop("pre_palm_pose")),
         residuals=residuals,
+        collisions=collisions,
         action=str(plain.pop("action")),
         elements=tuple(map(str, plain.pop("elements"))),
         **{name: float(value) for name, value in plain.items()},

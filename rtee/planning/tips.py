@@ -15,7 +15,7 @@ from rtee.hand.model import Hand
 from rtee.sample import FloatArray
 
 _POINT: Final = 1e-6
-"""Radius of the sphere that stands for a point [m]: far below what matters."""
+"""Radius of the sphere that replaces a point for Coal [m]: a thousandth of a millimetre."""
 
 
 class Fingertips:

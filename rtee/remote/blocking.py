@@ -182,9 +182,14 @@ class BlockingHand:
         return self.do("open", on_feedback=on_feedback)
 
     @contextlib.contextmanager
-    def stream(self, rate: float = 50.0, deadline: float | None = None) -> Iterator[BlockingStream]:
+    def stream(
+        self,
+        rate: float = 50.0,
+        deadline: float | None = None,
+        effort: Mapping[str, float] | float | None = None,
+    ) -> Iterator[BlockingStream]:
         """Stream set-points for as long as the context lasts; see `RemoteHand.stream`."""
-        opened = self._hand.stream(rate, deadline)
+        opened = self._hand.stream(rate, deadline, effort)
         with self._portal.wrap_async_context_manager(opened) as stream:
             yield BlockingStream(self._portal, stream)
 

@@ -121,7 +121,7 @@ class RemoteHand:
         self._actions = ActionClient(link)
         self._goals = GoalClient(link, self._monitoring.info)
         self._lease = LeaseClient(link)
-        self._streams = StreamClient(link, self._monitoring)
+        self._streams = StreamClient(link, self._monitoring, self._goals)
         self._reaching = ReachClient(link, self._actions, self._goals)
 
     start = _part("_goals", GoalClient.start)

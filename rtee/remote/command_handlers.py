@@ -18,6 +18,7 @@ from rtee.errors import GoalRejected, RequestRejected
 from rtee.hand.names import check_name
 from rtee.loop.handloop import HandLoop
 from rtee.messages import decode_goal
+from rtee.messages.codec import paired
 from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.incoming_request import REPLY, IncomingRequest, accepted
 from rtee.remote.lease import Lease
@@ -199,7 +200,8 @@ class CommandHandlers:
         self._lease.started(request.client, stream)
         try:
             within = None if math.isnan(deadline) else deadline  # NaN: as configured
-            self._loop.streams.begin(stream, fields["rate"], within)
+            efforts = paired("effort", fields["effort_name"], fields["effort"].tolist())
+            self._loop.streams.begin(stream, fields["rate"], within, efforts)
         except Exception:
             self._lease.ended(stream)
             raise

@@ -90,8 +90,9 @@ def _question(fields: Mapping[str, Any]) -> Question:
 
 
 def _reach_question(fields: Mapping[str, Any]) -> ReachQuestion:
-    points, normals, pose, approach = (
-        tuple(map(float, fields[name])) for name in ("points", "normals", "pose", "approach")
+    points, normals, pose, approach, object_pose = (
+        tuple(map(float, fields[name]))
+        for name in ("points", "normals", "pose", "approach", "object_pose")
     )
     return ReachQuestion(
         points=points,
@@ -102,4 +103,6 @@ def _reach_question(fields: Mapping[str, Any]) -> ReachQuestion:
         approach=approach,
         retreat=float(fields["retreat"]),
         tolerance=float(fields["tolerance"]),
+        object=str(fields["object"]),
+        object_pose=object_pose,
     )

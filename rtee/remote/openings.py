@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,9 +15,12 @@ from rtee.actions.types import Action
 from rtee.errors import ActionError
 from rtee.loop.devices import device_forces
 from rtee.loop.grip import Grip
-from rtee.loop.opening_plan import DeviceForces, force_range
+from rtee.loop.opening_plan import DeviceForces, force_refused
 from rtee.loop.supervisor import Supervisor
 from rtee.sample import FloatArray
+
+_NO_FORCE = 1e-3
+"""A force of this size counts as none [N]: no device limits its effort so finely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +35,9 @@ class OpeningRange:
         least_force: Weakest force that can be asked for at some opening [N].
         most_force: Strongest force that can be asked for at some opening [N].
         unlimited: Why no force can be asked for, in words; empty if one can.
+        least_forces: Weakest force at each of the openings ``(k,)`` [N].
+        most_forces: Strongest force at each of the openings ``(k,)`` [N]; ``inf`` where no effort
+            limits it, so that none can be asked for.
     """
 
     action: str
@@ -40,6 +47,8 @@ class OpeningRange:
     least_force: float
     most_force: float
     unlimited: str
+    least_forces: FloatArray
+    most_forces: FloatArray
 
     @property
     def widest(self) -> float:
@@ -58,6 +67,24 @@ class OpeningRange:
     def intensity_at(self, opening: float) -> float:
         """Return the intensity of an opening [m]; beyond the table, that at its end."""
         return float(np.interp(-opening, -self.opening, self.intensity))
+
+    def forces_at(self, opening: float) -> tuple[float, float]:
+        """Return the weakest and the strongest force that can be asked for at an opening [N].
+
+        Between two openings of the table, the strongest is at most what the hand gives there. It is
+        0 where no force can be asked for.
+
+        Args:
+            opening: The opening [m]; beyond the table, its nearest end counts.
+        """
+        widths = -self.opening
+        low = float(np.interp(-opening, widths, self.least_forces))
+        # A force is an effort divided by a lever, and levers are interpolated linearly: so is the
+        # reciprocal of a force.
+        most = np.where(np.isfinite(self.most_forces), self.most_forces, 0.0)
+        weakness = 1.0 / np.maximum(most, _NO_FORCE)
+        high = 1.0 / float(np.interp(-opening, widths, weakness))
+        return (low, high) if high > max(low, 2.0 * _NO_FORCE) else (0.0, 0.0)
 
 
 def opening_fields(library: ActionLibrary, devices: Iterable[Supervisor]) -> dict[str, Any]:
@@ -86,15 +113,19 @@ def _fields(
     hand, last = library.hand, action.waypoints[-1]
     targets = {hand.actuator_index(name): last.position[name] for name in last.involved}
     grip = Grip.of(hand, opening, targets, forces.grips)
-    least, most, unlimited = force_range(hand, opening, grip, forces)
+    unlimited = force_refused(hand, opening, grip, forces)
+    ranges = [(0.0, 0.0) if unlimited else grip.forces(hand, at) for at in grip.intensity]
+    low, high = zip(*ranges, strict=True)
     return {
         "action": action.name,
         "elements": action.elements,
         "intensity": opening.intensity,
         "opening": opening.width,
-        "least_force": least,
-        "most_force": most,
+        "least_force": min(low),
+        "most_force": max((force for force in high if force < math.inf), default=0.0),
         "unlimited": unlimited,
+        "least_forces": low,
+        "most_forces": high,
     }
 
 

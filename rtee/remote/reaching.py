@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -21,6 +22,10 @@ from rtee.types import Result, Stage
 
 _REACHED_WITHIN: Final = 90.0
 """Time to wait for an answer [s]; others may wait before it."""
+
+
+_TOLD: Final = 3
+"""Collisions that a refusal names, the deepest: what matters fits into a sentence."""
 
 
 class ReachClient:
@@ -45,10 +50,12 @@ class ReachClient:
         approach: Sequence[float] | None = None,
         retreat: float = 0.1,
         tolerance: float = 0.003,
+        thing: str = "",
+        object_pose: ArrayLike | None = None,
     ) -> ReachedGrasp:
         """Return how the hand takes a grasp that a planner gave; nothing moves.
 
-        The hand works it out in a process of its own beside the loop. It needs the extra
+        The hand works it out in a separate process beside the loop. It needs the extra
         ``extract`` where it runs.
 
         Args:
@@ -61,12 +68,20 @@ class ReachClient:
             approach: Direction in which the palm comes.
             retreat: How far back along it the palm is before [m].
             tolerance: Farthest that a fingertip may be from its contact [m].
+            thing: Shape of the object, such as ``box:0.04x0.04x0.1`` [m]: where links of the hand
+                are inside of it is then among the result's ``collisions``, besides where they
+                meet each other.
+            object_pose: Its pose ``(4, 4)`` in the planner's frame; that frame's unless given.
 
         Raises:
             ConfigError: if a value makes no sense.
             RequestRejected: if the grasp cannot be reached, with the reason.
         """
         question = _question(contacts, width, pose, fingers, approach, retreat, tolerance)
+        if object_pose is not None:
+            numbers = _numbers(object_pose, (4, 4), "the object's pose is 4 by 4 numbers")
+            question = replace(question, object_pose=tuple(numbers))
+        question = replace(question, object=thing)
         question.check()
         reply = await self._link.ask("reach", question.words()["reach"], within=_REACHED_WITHIN)
         return from_document(json.loads(reply["data"]))
@@ -81,6 +96,7 @@ class ReachClient:
         approach: Sequence[float] | None = None,
         force: float | str | None = None,
         stage: Stage | str = Stage.BOTH,
+        despite_collisions: bool = False,
     ) -> Result:
         """Do a grasp that a planner gave, and wait for the result.
 
@@ -96,9 +112,11 @@ class ReachClient:
             approach: As for `reach`.
             force: Force between the fingertips, for a width [N].
             stage: ``pre_grasp``: only open for it; ``grasp``: only close; by default both.
+            despite_collisions: Do it even where links of the hand meet each other, or the object
+                where `reach` was given one; otherwise that is refused.
 
         Raises:
-            ConfigError: if a value makes no sense.
+            ConfigError: if a value makes no sense, or the grasp has collisions.
             RequestRejected: if the grasp cannot be reached or done, with the reason.
             LeaseHeld: if another client holds the lease.
         """
@@ -109,6 +127,9 @@ class ReachClient:
             )
         elif reached.hand != self._link.hand:
             raise ConfigError(f"the grasp was reached for '{reached.hand}'")
+        if reached.collisions and not despite_collisions:
+            met = "; ".join(collision.words for collision in reached.collisions[:_TOLD])
+            raise ConfigError(f"the grasp has collisions: {met}")
         if reached.action:
             return await self._by_action(reached, force, part)
         if force is not None:

@@ -22,6 +22,7 @@ from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.link import Link
 
 if TYPE_CHECKING:
+    from rtee.remote.goal import GoalClient
     from rtee.remote.monitoring import Monitoring
 
 _NOTHING: Mapping[str, float] = {}
@@ -105,10 +106,11 @@ class StreamClient:
     Args:
         link: The connection to the hand.
         monitoring: Tells the hand's status.
+        goals: Tells the effort limits of its actuators.
     """
 
-    def __init__(self, link: Link, monitoring: Monitoring) -> None:
-        self._link, self._monitoring = link, monitoring
+    def __init__(self, link: Link, monitoring: Monitoring, goals: GoalClient) -> None:
+        self._link, self._monitoring, self._goals = link, monitoring, goals
         self._numbers = itertools.count(1)
         self._open: dict[str, Stream] = {}
         self._subscribed = False
@@ -121,7 +123,10 @@ class StreamClient:
 
     @contextlib.asynccontextmanager
     async def stream(
-        self, rate: float = 50.0, deadline: float | None = None
+        self,
+        rate: float = 50.0,
+        deadline: float | None = None,
+        effort: Mapping[str, float] | float | None = None,
     ) -> AsyncIterator[Stream]:
         """Stream set-points for as long as the context lasts; this client holds the lease.
 
@@ -131,13 +136,19 @@ class StreamClient:
         Args:
             rate: Samples per second that are going to be sent [Hz].
             deadline: Longest time without a sample [s]; as configured unless given.
+            effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1: that share
+                of the limit of every actuator. By default the hand's own limits.
 
         Raises:
+            GoalRejected: if the share of the effort limits is out of range.
             RequestRejected: if the hand refuses the stream, with its reason.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
         link = self._link
+        if isinstance(effort, float | int):
+            effort = await self._goals.effort_limits(effort)
+        limits = dict(effort or {})
         if not self._subscribed:
             self._subscribed = True
             link.subscribe(topics.EVENTS, self._on_event)
@@ -149,6 +160,8 @@ class StreamClient:
             "stream": name,
             "rate": float(rate),
             "deadline": math.nan if deadline is None else float(deadline),
+            "effort_name": tuple(limits),
+            "effort": [float(limit) for limit in limits.values()],
         }
         await link.ask("begin_stream", fields)
         stream = self._open[name] = Stream(link, self._monitoring, name, f"s{number}")

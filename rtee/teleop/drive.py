@@ -156,6 +156,9 @@ def _of_table(path: Path) -> list[Played]:
             if len(row) != len(rows[0]):
                 raise ValueError(f"{len(row)} cells for {len(rows[0])} names")
             when, *values = (float(cell) if cell.strip() else math.nan for cell in row)
+            for cell, value in zip(row, (when, *values), strict=True):
+                if cell.strip() and not math.isfinite(value):
+                    raise ValueError(f"'{cell.strip()}' is no finite number")
             if not math.isfinite(when) or (found and when <= found[-1].time):
                 raise ValueError("the times must rise")
         except ValueError as error:

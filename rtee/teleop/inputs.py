@@ -165,7 +165,7 @@ class Keyboard:
         axes: Number of axes, up to six.
 
     Raises:
-        ConfigError: if there are more, or the input is no terminal.
+        ConfigError: if there are more, or the input is not a terminal.
     """
 
     def __init__(self, axes: int) -> None:

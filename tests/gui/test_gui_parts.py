@@ -122,6 +122,8 @@ def test_a_use_is_described_as_people_write_it() -> None:
             Result("1", "a", stalled=True, grasped=True, grasped_fingers=("index",)),
             "grasped with index",
         ),
+        (Result("1", "a", reached=True, touched=("thumb", "index")), "touched with thumb, index"),
+        (Result("1", "a", cancelled=True, touched=("thumb",)), "cancelled"),
         (Result("1", "a", cancelled=True), "cancelled"),
         (Result("1", "a", preempted=True), "replaced by another goal"),
         (Result("1", "a", timed_out=True), "timed out"),

@@ -117,13 +117,13 @@ async def test_references_come_out_again(
 
 @pytest.mark.parametrize("profile", list(ProfileKind))
 async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: ProfileKind) -> None:
-    """With jitter, loss, spikes, velocities, a pause, goals before and after, and two streams."""
+    """With jitter, loss, duplicates, spikes, velocities, efforts, a pause, goals, two streams."""
     if profile is ProfileKind.JERK_LIMITED:
         pytest.importorskip("ruckig")
     chosen = LoopSettings(profile=ProfileSettings(profile))
     random = np.random.default_rng(4)
     async with recording(small, tmp_path, chosen) as rig:
-        streams = rig.loop.streams
+        streams, most = rig.loop.streams, small.actuator("thumb_slide").effort
         rig.loop.submit(Goal("fist", speed=0.5))
         await rig.run(0.2)
         sent = 0
@@ -131,7 +131,7 @@ async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: Prof
             (({"Trig index": 1.0, "thumb_slide": 0.03}, 50.0), ({"fist": 1.0}, 120.0))
         ):
             name = f"s{number}"
-            streams.begin(name, rate)
+            streams.begin(name, rate, effort={"thumb_slide": 0.5 * most} if number else None)
             for k in range(60):
                 if k == 30:
                     await rig.run(0.15)
@@ -140,8 +140,10 @@ async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: Prof
                 velocity = {"Trig index": 0.5} if k % 3 == 0 and number == 0 else {}
                 if random.random() > 0.05:
                     stamp = 70.0 - k // 25 * 1e-4 + k / rate
-                    streams.sample(StreamTargets(name, stamp, values, velocity, "someone"))
-                    sent += 1
+                    one = StreamTargets(name, stamp, values, velocity, "someone")
+                    for _ in range(2 if k % 10 == 7 else 1):
+                        streams.sample(one)
+                        sent += 1
                 await rig.run(max(0.0, 1.0 / rate + random.normal(0.0, 0.004)))
         rig.watcher.results.clear()
         await rig.do("Trig", "thumb")
@@ -157,6 +159,8 @@ async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: Prof
     assert math.isnan(first.velocities["thumb_slide"])
     kinds = [type(entry.value.command) for entry in found.commands]
     assert kinds.count(BeginStream) == 2
+    begun = [c for e in found.commands if isinstance(c := e.value.command, BeginStream)]
+    assert [dict(each.effort) for each in begun] == [{}, {"thumb_slide": 0.5 * most}]
     report = check(found)
     assert report.first is None
     assert report.same

@@ -63,21 +63,28 @@ class Bench:
         self.events: list[Event] = []
         self.results: list[Result] = []
         self.limited = 0
+        self.objects: dict[int, float] = {}
         self.apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.run(0.01)
 
     def apply(self, command: Command) -> None:
         self.controller.apply(command, self.now)
 
-    def begin(self, rate: float = 50.0, deadline: float = 0.1) -> None:
-        self.apply(BeginStream("s", rate, deadline))
+    def begin(
+        self, rate: float = 50.0, deadline: float = 0.1, effort: dict[str, float] | None = None
+    ) -> None:
+        self.apply(BeginStream("s", rate, deadline, effort=effort or {}))
 
     def step(self) -> None:
         controller = self.controller
         here = list(controller.reference_position)
+        effort = [0.0] * len(here)
+        for i, most in self.objects.items():
+            if here[i] > most:  # pressed with all that is allowed
+                here[i], effort[i] = most, controller.reference_effort[i]
         nothing = [math.nan] * len(here)
         fresh, grasped = [True] * len(here), [-1] * len(here)
-        controller.step(self.now, Measured(here, nothing, nothing, fresh, grasped))
+        controller.step(self.now, Measured(here, effort, nothing, fresh, grasped))
         self.positions.append(list(controller.reference_position))
         self.velocities.append(list(controller.reference_velocity))
         for item in controller.outbox.items:
@@ -379,6 +386,55 @@ def test_what_ends_a_stream(hand: Hand, command: Command) -> None:
     bench.apply(sample(1.0, bench.now, index_base=0.0))
     bench.run(0.5)
     assert bench.velocities[-1][0] == 0.0
+
+
+def test_a_stream_presses_with_its_effort_and_then_with_that_of_holding(hand: Hand) -> None:
+    bench = Bench(hand)
+    own, grip = hand.actuators[0].effort, bench.controller.grip_effort
+    limits = bench.controller.reference_effort
+    bench.objects[0] = 0.5
+    bench.begin(effort={"index_base": 0.9 * own})
+
+    def closed(seconds: float, to: float) -> None:
+        times = bench.now + np.arange(round(seconds * 50.0)) / 50.0
+        bench.run(seconds, [sample(t, t, index_base=to) for t in times.tolist()])
+
+    closed(1.0, 1.0)
+    assert limits == pytest.approx([0.9 * own, *(a.effort for a in hand.actuators[1:])])
+    closed(2.5, 1.0)  # blocked for longer than `grip_after`
+    assert limits[0] == pytest.approx(grip * own)
+    closed(1.0, 1.1)  # still inside of it
+    assert limits[0] == pytest.approx(grip * own)
+    closed(1.0, 0.2)
+    assert limits[0] == pytest.approx(0.9 * own)
+    bench.begin()  # the next stream has limits of its own: none
+    closed(0.1, 0.3)
+    assert limits[0] == pytest.approx(own)
+
+
+def test_what_a_stream_holds_and_loses_is_told(hand: Hand) -> None:
+    bench = Bench(hand)
+    bench.objects[0] = 0.5
+    bench.begin()
+    times = bench.now + np.arange(100) / 50.0
+    bench.run(2.0, [sample(t, t, index_base=1.0) for t in times.tolist()])
+    assert not bench.controller.idle
+    del bench.objects[0]
+    times = bench.now + np.arange(50) / 50.0
+    bench.run(1.0, [sample(t, t, index_base=1.0) for t in times.tolist()])
+    assert bench.kinds() == ["grasp_lost"]
+    assert "index" in bench.events[0].text
+
+
+def test_a_hold_leaves_what_a_stream_grips_its_grip(hand: Hand) -> None:
+    bench = Bench(hand)
+    bench.objects[0] = 0.5
+    bench.begin()
+    times = bench.now + np.arange(100) / 50.0
+    bench.run(2.0, [sample(t, t, index_base=0.8) for t in times.tolist()])
+    bench.apply(Hold())
+    bench.rest()
+    assert bench.positions[-1][0] == pytest.approx(0.8, abs=1e-6)
 
 
 def test_cancelling_a_goal_leaves_a_stream_alone(hand: Hand) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from hypothesis import strategies as st
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
+from rtee.planning.collisions import Collisions
 from rtee.planning.gripper_poses import (
     GripperPose,
     from_base_poses,
@@ -22,8 +25,9 @@ from rtee.planning.gripper_poses import (
     with_openings,
 )
 from rtee.planning.joint_vectors import fit_joints
+from rtee.planning.objects import read_object
 from rtee.planning.reach import MARGIN, TOLERANCE, reach_contacts
-from rtee.planning.reached import WantedContact
+from rtee.planning.reached import Collision, WantedContact, from_document, to_document
 from rtee.planning.tips import Fingertips
 from rtee.types import from_rest
 
@@ -300,11 +304,64 @@ def test_joint_vectors_that_make_no_sense_are_refused(joints: dict[str, float], 
         fit_joints(hand, given_)
 
 
+def test_links_that_meet_the_object_are_named(gripper: Made) -> None:
+    actions = with_openings(gripper.library, gripper.library.openings)
+    grasp = GripperPose(POSE, 0.04)
+
+    def met(thing: str, pose: np.ndarray) -> list[tuple[str, str, str]]:
+        found = reach_gripper_pose(
+            gripper.hand,
+            actions,
+            grasp,
+            tips=gripper.tips,
+            thing=read_object(thing),
+            object_pose=pose,
+        )
+        return [(*each.links, each.posture) for each in found.collisions]
+
+    assert met("box:0.03x0.04x0.08", POSE) == []
+    # As long as this it reaches into the palm, as high into both fingers before they close.
+    deep = met("box:0.4x0.02x0.02", POSE)
+    assert {each[1] for each in deep} == {"object"}
+    assert {each[2] for each in deep} == {"posture", "pre_grasp"}
+    assert gripper.hand.base in {each[0] for each in deep}
+    wide = met("box:0.02x0.1x0.02", POSE)
+    assert len({each[0] for each in wide}) >= 2
+
+
+def test_a_hand_that_meets_itself_is_told() -> None:
+    made = Made("schunk_svh")
+    collisions = Collisions(made.hand, made.tips.geometry)
+    assert collisions.at(np.array(made.hand.rest)) == ()
+    # All fingers as far as they go, with the thumb across: the model's links are in each other.
+    found = collisions.at(np.array(made.hand.upper), posture="pre_grasp")
+    assert found
+    assert all(c.depth >= 1e-3 and "before the grasp" in c.words for c in found)
+    assert list(found) == sorted(found, key=lambda c: -c.depth)
+    links = {link for c in found for link in c.links}
+    assert links <= set(made.hand.urdf.links)
+
+
+def test_a_reached_grasp_is_read_as_it_was_written(svh: Made) -> None:
+    wanted, _ = svh.contacts(1)
+    found = reach_contacts(svh.hand, svh.library, wanted, tips=svh.tips)
+    both = replace(found, collisions=(Collision(("a", "object"), 0.002, "posture"),))
+    assert from_document(json.loads(json.dumps(to_document(both)))) == both
+    older = {k: v for k, v in to_document(found).items() if k != "collisions"}
+    assert from_document(older).collisions == ()
+
+
 def test_the_example_reads_every_kind_of_array(capsys: pytest.CaptureFixture[str]) -> None:
     import runpy
 
     example = runpy.run_path(str(ROOT / "examples/planner_grasps.py"))
     example["main"]("schunk_svh")
     said = capsys.readouterr().out
-    for words in ("GraspNet, AnyGrasp: ", "Contact-GraspNet: ", "index: ", "Joint vector: 9"):
+    for words in (
+        "GraspNet, AnyGrasp: ",
+        "Contact-GraspNet: ",
+        "GraspGen: ",
+        "index: ",
+        "Joint vector: 2",
+    ):
         assert words in said

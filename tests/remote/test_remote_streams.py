@@ -89,6 +89,28 @@ async def test_actuators_joints_and_blends(hand: Hand, library: ActionLibrary) -
         assert (await remote.status()).holder == ""
 
 
+async def test_a_stream_keeps_to_its_effort_limits(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        limits, near = served.loop.controller.reference_effort, hand.actuator_index("near")
+        async with remote.stream(rate=50, effort={"near": 0.5}) as stream:
+            await sent(stream, 10, near=0.3, push=0.02)
+            assert limits[near] == 0.5
+            assert limits[hand.actuator_index("push")] == 40.0
+        async with remote.stream(rate=50, effort=0.25) as stream:
+            await sent(stream, 10, near=0.5)
+            assert limits[near] == 0.5
+            assert limits[hand.actuator_index("push")] == 40.0  # this stream does not move it
+        for effort, said in (
+            ({"near": 5.0}, "must be above 0 and at most 2, not 5"),
+            ({"near": math.nan}, "must be above 0 and at most 2, not nan"),
+            ({"nera": 1.0}, "did you mean 'near'"),
+            (-0.5, "above 0 and at most 1"),
+        ):
+            with pytest.raises((RequestRejected, GoalRejected), match=said):
+                async with remote.stream(rate=50, effort=effort):
+                    pytest.fail("it was begun")
+
+
 async def test_bad_samples_are_refused_in_one_sentence(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library) as served, rtee.connect("small") as remote:
         now = time.monotonic()

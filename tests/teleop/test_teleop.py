@@ -209,6 +209,7 @@ def test_a_table_of_samples(tmp_path: Path) -> None:
         ("t,near\n0,0.1\n0,0.2\n", "wave.csv:3: makes no sense: the times must rise"),
         ("t,near\n0,0.1,5\n", "3 cells for 2 names"),
         ("t,near\n0,much\n", "makes no sense"),
+        ("t,near\n0,nan\n", "'nan' is no finite number"),
     ],
 )
 def test_tables_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None:

@@ -54,6 +54,7 @@ class ActionsPanel:
         self._cards: dict[tuple[ActionKind, str], Card] = {}
         self._known: dict[tuple[ActionKind, str], tuple[object, ...]] = {}
         self._tried = Tried()
+        self._moves: dict[str, tuple[str, ...]] = {}
 
     @property
     def cards(self) -> dict[tuple[ActionKind, str], Card]:
@@ -64,6 +65,8 @@ class ActionsPanel:
         """Ask the hand for its actions; rebuilds only the cards whose actions have changed."""
         actions = await self._hand.actions()
         openings = {(each.action, each.elements): each for each in await self._hand.openings()}
+        if not self._moves:  # which fingers an actuator moves does not change
+            self._moves = {a.name: a.fingers for a in (await self._hand.info()).actuators}
         groups = grouped(actions)
         for key in [key for key in self._cards if key not in groups]:
             self._cards.pop(key).remove()
@@ -86,12 +89,19 @@ class ActionsPanel:
                     expanded=place < _FEW or key[0] is not ActionKind.PRIMITIVE,
                     order=place,
                     remark=self._remark,
+                    fingers=self._fingers,
                 )
             self._cards[key].show_openings(openings)
             self._cards[key].show_trials(self._tried)
             self._known[key] = signature
         self._filter()
         return actions
+
+    def _fingers(self, action: Action) -> tuple[str, ...]:
+        """Return the fingers that an action moves, in the hand's order of actuators."""
+        involved = {name for posture in action.waypoints for name in posture.involved}
+        moved = [f for name, fingers in self._moves.items() if name in involved for f in fingers]
+        return tuple(dict.fromkeys(moved))
 
     def show_trials(self, tried: Tried) -> None:
         """Take what trials of the actions found."""

@@ -11,6 +11,7 @@ import viser
 from rtee.actions.types import Action, Evidence, Posture, Primitive, Timed
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.choice import ElementChoice
+from rtee.gui.panels.contacts import ContactChoice
 from rtee.gui.panels.execution import Execution, last_posture
 from rtee.gui.trial_results import Tried, key_of, object_name, verdict
 from rtee.gui.trial_results import line as tried_line
@@ -30,7 +31,7 @@ _STAGES = {
     "on to the grasp": Stage.GRASP,
 }
 
-_FORCE_HINT = "Force between the fingertips [N]"
+_FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as the effort allows"
 
 
 class Card:
@@ -51,6 +52,7 @@ class Card:
         expanded: bool,
         order: float,
         remark: Callable[[Action], str] = lambda action: "",
+        fingers: Callable[[Action], Sequence[str]] = lambda action: action.fingers,
     ) -> None:
         """Add the card to the current container.
 
@@ -62,6 +64,7 @@ class Card:
             expanded: Whether the card is open at first.
             order: Position among the cards.
             remark: Returns what an action does besides what its name says, in words.
+            fingers: Returns the fingers that an action moves.
         """
         self.name = actions[0].name
         self._bridge = bridge
@@ -76,6 +79,7 @@ class Card:
         self._openings: dict[tuple[str, tuple[str, ...]], OpeningRange] = {}
         self._by_opening = False
         self._remark = remark
+        self._fingers = fingers
         gui = bridge.server.gui
         self._folder = gui.add_folder(self.name, expand_by_default=expanded, order=order)
         with self._folder:
@@ -153,6 +157,7 @@ class Card:
         self._force = gui.add_slider(
             "Force [N]", 0.0, 1.0, 0.1, 0.0, hint=_FORCE_HINT, visible=False, order=1.4
         )
+        self._forces = gui.add_html("", visible=False, order=1.5)
         self._width.on_update(self._on_width)
         self._force.on_update(self._on_force)
 
@@ -169,6 +174,13 @@ class Card:
                 self._stage = gui.add_dropdown(
                     "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
                 )
+            self._contacts = ContactChoice(gui, self._fingers(self.action))
+            self._touch = gui.add_button(
+                "Touch",
+                hint="Close slowly until the first contact, and stop there",
+                visible=not isinstance(self._actions[0], Timed),
+            )
+        self._touch.on_click(self._bridge.clicked(self._close_to_touch))
 
     # --- millimetres and newtons
 
@@ -186,19 +198,34 @@ class Card:
         self._width.visible = self._force.visible = found is not None
         if found is None:
             self._by_opening = False
+            self._show_forces()
             return
         # Rounded inwards, so that neither end is refused.
         self._width.min = math.ceil(found.narrowest * 1e4 - 1e-6) / 10.0
         self._width.max = math.floor(found.widest * 1e4 + 1e-6) / 10.0
         self._follow_intensity()
-        self._force.disabled = bool(found.unlimited)
-        self._force.max = max(math.floor(found.most_force * 10.0) / 10.0, 0.1)
-        self._force.value = min(float(self._force.value), self._force.max)
-        self._force.hint = (
-            found.unlimited
-            or f"{_FORCE_HINT}, with the opening: {found.least_force:.3g} to "
-            f"{found.most_force:.3g} N; 0: as hard as the effort says"
-        )
+
+    def _show_forces(self) -> None:
+        """Offer the forces that can be asked for at the opening that is shown."""
+        found = self._opening
+        self._forces.visible = found is not None
+        if found is None:
+            self._contacts.limit(0.0)
+            return
+        width = float(self._width.value)
+        low, high = found.forces_at(width / 1e3)
+        # Rounded inwards, so that neither end is refused.
+        low, high = math.ceil(low * 10.0) / 10.0, math.floor(high * 10.0) / 10.0
+        self._contacts.limit(high)
+        self._force.disabled = high <= 0.0
+        if high <= 0.0:
+            self._force.value = 0.0
+            why = found.unlimited or f"no force can be limited at {width:g} mm"
+            self._forces.content = small(escape(why))
+            return
+        self._force.max = high
+        self._force.value = min(float(self._force.value), high)
+        self._forces.content = small(f"{low:g} to {high:g} N at {width:g} mm")
 
     def _follow_intensity(self) -> None:
         """Show the opening of the intensity, or the intensity of the opening that was chosen."""
@@ -212,6 +239,7 @@ class Card:
             width = round(1e3 * found.at(self._slider.value / 100.0), 1)
             width = min(max(width, self._width.min), self._width.max)
         self._width.value = width
+        self._show_forces()
 
     async def _on_intensity(self, event: viser.GuiEvent) -> None:
         if event.client is not None:  # moved by a person, not by the other slider
@@ -256,6 +284,7 @@ class Card:
             self._slider.remove()  # the marks of a slider cannot be changed
             with self._folder:
                 self._slider = self._make_slider(self._bridge.server.gui, value)
+        self._contacts.offer(self._fingers(self.action))
         self._show_opening()
         self._show_remark()
         self._show_tried()
@@ -326,8 +355,13 @@ class Card:
                 options["force"] = float(self._force.value)
         elif self._stage is not None:
             options["stage"] = _STAGES[str(self._stage.value)]
+        self._contacts.add_to(options)
         effort = 1.0 if "force" in options else self._effort.value / 100.0
         await self._execution.do(self.action, options, effort)
+
+    async def _close_to_touch(self) -> None:
+        name, elements = key_of(self.action)
+        await self._execution.follow(self._hand.start_touch(elements, action=name))
 
     # --- its place among the cards
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Awaitable, Sequence
 from html import escape
 
 import viser
@@ -15,7 +15,7 @@ from rtee.gui.colours import BAD, BAR, PREVIEW
 from rtee.gui.trial_results import key_of
 from rtee.gui.wording import described, said, small
 from rtee.remote.client import RemoteHand
-from rtee.remote.goal import GoalOptions
+from rtee.remote.goal import GoalOptions, RunningGoal
 from rtee.types import Feedback, Result
 
 
@@ -69,10 +69,18 @@ class Execution:
                 for name in last_posture(action).involved
                 if math.isfinite(limits[name])
             }
-        self._reset()
         name, elements = key_of(action)
+        await self.follow(self._hand.start(name, *elements, **options))
+
+    async def follow(self, start: Awaitable[RunningGoal]) -> None:
+        """Begin a goal and show its progress and result.
+
+        Args:
+            start: Sends the goal.
+        """
+        self._reset()
         try:
-            running = await self._hand.start(name, *elements, **options)
+            running = await start
         except RteeError as error:
             self._say(str(error), BAD)
             raise

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rtee.commands import BeginStream, Command, EndStream, StreamSample, StreamStatus, StreamTargets
 from rtee.errors import GoalRejected
+from rtee.loop.plan import effort_limits
 from rtee.loop.streams.targets import Targets
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.loop.controller import Controller
+    from rtee.loop.devices import Devices
 
 MAX_RATE = 500.0
 """Largest rate of samples [Hz]: faster than gloves and planners are, and what a hand's computer can
@@ -37,7 +39,8 @@ _AHEAD = 0.5
 and a network does not get that much faster."""
 
 _BEHIND = 1.0
-"""A stamp this much older than the one before is not a sample out of order but a mistake [s]."""
+"""A stamp this much older than the one before is not a sample out of order but a mistake [s]:
+networks reorder within milliseconds."""
 
 _LEAK = 1e-3
 """The least offset of the clocks rises by this much per second [s/s]: far more than clocks
@@ -60,7 +63,7 @@ class StreamIntake:
         controller: The controller of the hand, which plays the stream.
         library: The hand's actions.
         append: Appends a command to what the next tick does.
-        check_movable: Raises `GoalRejected` if an actuator's device is not active.
+        devices: The hand's devices: whether they may be moved, and take effort limits.
         now: The loop's clock [s].
     """
 
@@ -69,12 +72,12 @@ class StreamIntake:
         controller: Controller,
         library: ActionLibrary,
         append: Callable[[Command], None],
-        check_movable: Callable[[Collection[int]], None],
+        devices: Devices,
         now: Callable[[], float],
     ) -> None:
         self._controller, self._library = controller, library
         self._hand, self._settings = controller.hand, controller.settings
-        self._append, self._check_movable, self._now = append, check_movable, now
+        self._append, self._devices, self._now = append, devices, now
         self._open = ""
         self._rate = 0.0
         self._known: dict[tuple[str, ...], Targets] = {}
@@ -89,7 +92,13 @@ class StreamIntake:
         """The open stream, or an empty string."""
         return "" if self._open == self._controller.ended_stream else self._open
 
-    def begin(self, stream: str, rate: float, deadline: float | None = None) -> None:
+    def begin(
+        self,
+        stream: str,
+        rate: float,
+        deadline: float | None = None,
+        effort: Mapping[str, float] | None = None,
+    ) -> None:
         """Open a stream; one that is open ends. Nothing moves before its first sample.
 
         Args:
@@ -97,6 +106,7 @@ class StreamIntake:
             rate: Samples per second that the client means to send [Hz].
             deadline: Without a sample for this long the hand brakes and holds [s]; ``None``: as
                 configured.
+            effort: Effort limits by actuator [N·m | N]; the others have the hand's own.
 
         Raises:
             GoalRejected: if a number cannot be used.
@@ -118,6 +128,8 @@ class StreamIntake:
                 f"a stream at {rate:g} Hz would pause after every sample with the deadline "
                 f"{within:g} s; give one of at least {_LEAST_PERIODS / rate:.3g} s"
             )
+        wanted = dict(effort or {})
+        effort_limits(wanted, self._hand, self._devices.refuse_effort())
         now = self._now()
         self._rate, self._tokens, self._filled = rate, _BURST, now
         self._newest, self._offset, self._offset_at = -math.inf, math.inf, now
@@ -126,7 +138,8 @@ class StreamIntake:
         self._known.clear()  # the actions may be others by now
         longest = settings.stream.max_lag
         self._open = stream
-        self._append(BeginStream(stream, rate, within, math.inf if longest is None else longest))
+        lag = math.inf if longest is None else longest
+        self._append(BeginStream(stream, rate, within, lag, wanted))
 
     def admit(self) -> bool:
         """Return whether one more sample may be read now; it is cheap, so a flood costs little.
@@ -209,7 +222,7 @@ class StreamIntake:
         targets = self._known.get(names)
         if targets is None:
             targets = Targets(names, self._hand, self._library)
-            self._check_movable(targets.indices)
+            self._devices.check_movable(targets.indices)
             if len(self._known) >= _MOST_KEPT:
                 self._known.clear()
             self._known[names] = targets

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rtee.commands import BeginStream, StreamSample, StreamStatus
+from rtee.commands import STREAM_ENDED, BeginStream, StreamSample, StreamStatus
 from rtee.loop.motion import Limits
 from rtee.loop.streams.interpolator import Interpolator
 from rtee.loop.streams.playout import Playout
 from rtee.sample import FloatArray
-from rtee.types import readonly
+from rtee.types import Event, readonly
 
 CHANNEL = "stream/lag"
 """The channel of the state that has lag and jitter of a stream [s], while it plays."""
@@ -29,12 +29,13 @@ class StreamPlayer:
     Attributes:
         name: The stream's identifier.
         deadline: Without a sample for this long it pauses [s].
+        effort: Effort limits by actuator [N·m | N]; the others have the hand's own.
         playing: Whether it moves actuators: from a first sample until it pauses.
         channels: Lag and jitter ``(2,)`` [s], by `CHANNEL`.
     """
 
     def __init__(self, begin: BeginStream, limits: Limits, tick: float) -> None:
-        self.name, self.deadline = begin.stream, begin.deadline
+        self.name, self.deadline, self.effort = begin.stream, begin.deadline, begin.effort
         self.playing = False
         self.channels: Mapping[str, FloatArray] = {CHANNEL: readonly((0.0, 0.0))}
         self._playout = Playout(begin.rate, tick, begin.max_lag)
@@ -128,11 +129,19 @@ class StreamPlayer:
         """Return whether no sample came within the deadline."""
         return self.playing and now - self._arrival > self.deadline
 
-    def pause(self) -> None:
-        """Move nothing until the next sample, from which it goes on."""
+    def pause(self, now: float) -> Event:
+        """Move nothing until the next sample, from which it goes on; returns the event of that."""
         self.playing = False
         self._pauses += 1
         self._way.clear()
+        text = f"no sample for {self.deadline * 1e3:.0f} ms: braked, and holding"
+        return Event("stream_paused", self.name, text, now, "warning")
+
+    def ended(self, why: str, now: float) -> Event:
+        """Return the event of its end, with the reason in words."""
+        dropped = self._duplicates + self._out_of_order + self._outliers
+        text = f"the stream ended: {why}; {self._samples} samples taken, {dropped} dropped"
+        return Event(STREAM_ENDED, self.name, text, now)
 
     def step(
         self, now: float, position: Sequence[float], velocity: Sequence[float], into: list[float]

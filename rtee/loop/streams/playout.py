@@ -28,15 +28,19 @@ _SETTLE = 0.3
 _FASTEST = 0.1
 """Meanwhile the stream is played faster or slower by at most this share, which nobody notices."""
 
+_EASE = 0.05
+"""Time in which that share follows [s]: it changes with every sample, and the way's velocity with
+it. A sixth of `_SETTLE`, so that the lag comes to its value without swinging."""
+
 _JUMP = 0.25
 """With a larger error than this [s] the clocks have jumped: the stream continues from there."""
 
 LAG_PERIODS = 1.2
 """The default for the longest lag: this many periods …"""
 
-LAG_MARGIN = 4e-3
-"""… and this [s], a millisecond less than what is promised, for the tick and the way to the hand.
-What comes later than that is covered by extrapolation."""
+LAG_MARGIN = 3e-3
+"""… and this [s], two milliseconds less than what is promised, for the tick and the way to the
+hand. What comes later than that is covered by extrapolation."""
 
 
 class Playout:
@@ -59,6 +63,7 @@ class Playout:
         self.jitter = 0.0
         self.time = -math.inf
         self._tick = tick
+        self._faster = 0.0
         self._max_lag = max_lag
         self._delay = 0.0
         self._offset = math.inf
@@ -110,6 +115,7 @@ class Playout:
         """Begin to play, or go on after a pause, at a time [s]."""
         self.now = now
         self.time = now - self._offset - self.wanted_lag
+        self._faster = 0.0
 
     def advance(self, now: float) -> bool:
         """Go on to a tick.
@@ -127,5 +133,7 @@ class Playout:
             self.time = aim
             return True
         # Never a step: what is wanted of the hand moves on smoothly while the lag changes.
-        self.time += passed * (1.0 + min(max(error / _SETTLE, -_FASTEST), _FASTEST))
+        wanted = min(max(error / _SETTLE, -_FASTEST), _FASTEST)
+        self._faster += (wanted - self._faster) * min(passed / _EASE, 1.0)
+        self.time += passed * (1.0 + self._faster)
         return False

@@ -45,6 +45,29 @@ def test_jog_moves_the_hand_while_nobody_else_can(window: Window, other: Blockin
     assert other.state().position[0] == pytest.approx(0.4, abs=0.01)
 
 
+def test_the_hand_follows_the_sliders_as_a_stream(window: Window, other: BlockingHand) -> None:
+    other.open()
+    hold, follow = window.field("Jog (holds the hand)"), window.field("Follow the sliders")
+    follow.click()
+    hold.click()
+    window.status("held by this GUI")
+    slider = window.field("finger_joint [rad]")
+    for position in (0.2, 0.5, 0.3):
+        slider.fill(f"{position}")
+        window.until(lambda at=position: abs(other.state().position[0] - at) <= 0.005)
+        stream = other.status().stream
+        assert stream.stream.startswith("gui")
+        assert stream.samples > 0
+        assert stream.refused == 0
+    follow.click()
+    window.until(lambda: other.status().stream.stream == "")
+    assert other.state().position[0] == pytest.approx(0.3, abs=0.01)
+    slider.fill("0.6")  # not a stream any more, but jogged to
+    window.until(lambda: abs(other.state().position[0] - 0.6) <= 0.005)
+    hold.click()
+    window.status("held by nobody")
+
+
 def test_the_sliders_follow_the_hand_while_nobody_jogs(window: Window, other: BlockingHand) -> None:
     other.do("PinchTight", "finger_1", "finger_2", intensity=0.5)
     half = other.state().position[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import pytest
 
 from benchmarks.gui_onlooker import controls, use
 from benchmarks.gui_onlooker import window as window_of
+from rtee.errors import RequestRejected
 from rtee.remote.blocking import BlockingHand
 
 from .conftest import Hands
@@ -80,6 +82,21 @@ def test_an_opening_in_millimetres_is_what_the_hand_goes_to(
     window.until(lambda: other.state().position[0] == pytest.approx(target, abs=2e-3))
     assert known.least_force < known.most_force
     assert not known.unlimited
+    window.type("Intensity [%]", "100", card)
+
+
+def test_forces_are_offered_for_the_opening_that_is_chosen(
+    window: Window, other: BlockingHand
+) -> None:
+    (known,) = [each for each in other.openings() if each.action == "PinchTight"]
+    card = window.folder("PinchTight", unfold=True)
+    for width in ("20", "70"):
+        window.type("Opening [mm]", width, card)
+        most = math.floor(known.forces_at(float(width) / 1e3)[1] * 10.0) / 10.0
+        window.says(f"0 to {most:g} N at {width} mm", card)
+        assert other.do("PinchTight", opening=float(width) / 1e3, force=most).reached
+        with pytest.raises(RequestRejected, match="gives at most"):
+            other.do("PinchTight", opening=float(width) / 1e3, force=most + 0.2)
     window.type("Intensity [%]", "100", card)
 
 

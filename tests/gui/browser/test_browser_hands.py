@@ -49,6 +49,33 @@ def test_effort_and_pressure_are_seen(squeezer: Window) -> None:
     window.button("Open").click()
 
 
+def test_fingers_stop_where_they_touch(
+    squeezer: Window, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = squeezer
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
+    card = window.folder("PinchTight", unfold=True)
+    more = window.folder("More", unfold=True)
+    with rtee.connect_blocking(SQUEEZER) as hand:
+        closed = hand.actions("primitive", "PinchTight")[0].posture.position["finger_joint"]
+        window.choose("Contact of", "finger_1", more)
+        window.choose("On contact", "hold", more)
+        window.choose("Contact of", "all fingers", more)
+        window.choose("On contact", "stop", more)
+        window.says("finger_1: hold · others: stop", more)
+        window.button("Do", card).click()
+        window.says(re.compile(r"touched with finger_\d, finger_\d"), card)
+        assert hand.state().reference_position[0] < 0.9 * closed
+        window.button("Open").click()
+        window.choose("On contact", "as configured", more)
+        window.choose("Contact of", "finger_1", more)
+        window.choose("On contact", "as configured", more)
+        window.button("Touch", more).click()
+        window.says("touched with", card)
+        assert hand.state().reference_position[0] < 0.9 * closed
+        window.button("Open").click()
+
+
 def test_what_trials_found_is_on_the_card(squeezer: Window) -> None:
     window = squeezer
     card = window.folder("Grasp")

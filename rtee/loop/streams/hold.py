@@ -1,0 +1,86 @@
+"""What the actuators of a stream hold: watched as those of a goal are, as long as it plays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+
+from rtee.hand.model import Hand
+from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.streams.player import StreamPlayer
+
+_TOLERANCE = 0.01
+"""An actuator that is behind by less than this share of its range is not blocked: goals come as
+near to their targets."""
+
+
+class StreamHold:
+    """Watches the actuators of a stream for what they hold.
+
+    Args:
+        hand: The hand.
+        contact: Judges what is blocked and what grasps.
+        reference: Positions sent last, of all actuators [rad | m].
+        limits: Effort limits sent last [N·m | N].
+        eased: Actuators whose effort is lowered since they hold something.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        contact: ContactWatch,
+        reference: Sequence[float],
+        limits: Sequence[float],
+        eased: set[int],
+    ) -> None:
+        self._hand, self._contact = hand, contact
+        self._reference, self._limits, self._eased = reference, limits, eased
+
+    def begin(self, targets: Mapping[int, float], stamp: float) -> None:
+        """Begin to watch actuators that a stream moves from now on.
+
+        Args:
+            targets: Where they go, by index [rad | m].
+            stamp: Now [s].
+        """
+        tolerance: dict[int, float] = {}
+        for i in targets:
+            actuator = self._hand.actuators[i]
+            span = actuator.upper - actuator.lower
+            # A joint without limits has no range; 1 rad is taken instead, a typical one.
+            tolerance[i] = _TOLERANCE * (span if math.isfinite(span) else 1.0)
+        self._contact.begin(targets, tolerance, stamp)
+
+    def limits(self, stream: StreamPlayer, indices: AbstractSet[int]) -> dict[int, float]:
+        """Return the effort limits that a stream gives some actuators, by index [N·m | N]."""
+        names = self._hand.actuator_names
+        return {i: stream.effort[names[i]] for i in indices if names[i] in stream.effort}
+
+    def aim(self, targets: Mapping[int, float]) -> None:
+        """Note where a sample sends actuators, by index [rad | m]."""
+        for i, target in targets.items():
+            self._contact.aim(i, target)
+
+    def look(self, stream: StreamPlayer, stamp: float, measured: Measured) -> bool:
+        """Look at the actuators of a stream; full effort again for those that hold nothing.
+
+        Args:
+            stream: The stream.
+            stamp: Now [s].
+            measured: What was measured.
+
+        Returns:
+            Whether an actuator that was eased is where the stream wants it, and eased no longer.
+        """
+        reference = self._reference
+        # What is clasped either stays so or is lost, which the controller looks for.
+        free = [i for i in stream.indices if not self._contact.clasped(i, reference[i])]
+        self._contact.update(stamp, measured, reference, self._limits, free)
+        freed = {
+            i
+            for i in self._eased.intersection(stream.indices)
+            if abs(reference[i] - measured.position[i]) <= self._contact.tolerance(i)
+        }
+        self._eased -= freed
+        return bool(freed)

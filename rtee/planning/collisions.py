@@ -1,0 +1,106 @@
+"""Where a hand meets itself or the object in a posture that a planner's grasp comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from rtee.hand.geometry import HandGeometry
+from rtee.hand.model import Hand
+from rtee.planning.objects import GraspObject
+from rtee.planning.reached import Collision
+from rtee.planning.scene import GraspScene
+from rtee.sample import FloatArray
+
+OBJECT: Final = "object"
+"""What a collision with the object names instead of a link."""
+
+_DEPTH: Final = 1e-3
+"""Links overlap from this depth on [m]: models are no more exact."""
+
+_PRESSED: Final = 3e-3
+"""A fingertip may be this deep in the object, or in another fingertip [m]: as far as a contact may
+be missed, and as a soft pad gives."""
+
+
+class Collisions:
+    """Looks for collisions of a hand, at one posture after another.
+
+    Links count as their convex parts first; a pair that overlaps deeper than at rest is compared on
+    the geometry as given, so that what is inside of a hollow palm does not collide. Adjacent links
+    are left out, pairs that touch at rest, and those that the SRDF disables. The time is bounded:
+    each pair of links is looked at once a posture.
+
+    Args:
+        hand: The hand.
+        geometry: Its geometry.
+        thing: The object, or anything else that is in the way, if there is something.
+        pose: Pose ``(4, 4)`` of that in the hand's base frame.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        geometry: HandGeometry,
+        thing: GraspObject | None = None,
+        pose: FloatArray | None = None,
+    ) -> None:
+        self._hand, self._geometry = hand, geometry
+        kinematics = geometry.kinematics
+        parents = kinematics.model.parents
+        disabled = {frozenset((a, b)) for a, b, _ in hand.disabled_collisions}
+        self._pairs = []
+        for links in combinations(dict.fromkeys(shape.link for shape in geometry.shapes), 2):
+            first, second = (kinematics.body(link) for link in links)
+            adjacent = first == second or second == parents[first] or first == parents[second]
+            if not adjacent and frozenset(links) not in disabled:
+                self._pairs.append(links)
+        self._tips = {str(finger.tip): finger.name for finger in hand.fingers}
+        self._at_rest = kinematics.placements(np.array(hand.rest))
+        self._scene = None if thing is None else GraspScene(hand, thing, geometry)
+        self._pose = np.eye(4) if pose is None else pose
+
+    def at(
+        self, u: FloatArray, fingers: Collection[str] = (), posture: str = "posture"
+    ) -> tuple[Collision, ...]:
+        """Return the collisions at a posture, the deepest first.
+
+        Args:
+            u: Actuator positions ``(n,)`` [rad | m].
+            fingers: Fingers whose tips are to touch the object.
+            posture: Which posture that is, for the result.
+        """
+        found = [*self._own(u, posture), *self._with_object(u, fingers, posture)]
+        return tuple(sorted(found, key=lambda each: -each.depth))
+
+    def _own(self, u: FloatArray, posture: str) -> list[Collision]:
+        geometry = self._geometry
+        poses, found = geometry.kinematics.placements(u), []
+        for links in self._pairs:
+            depth = -geometry.closest(links, poses, convex=True)[0]
+            if depth <= (_PRESSED if self._tips.keys() >= set(links) else _DEPTH):
+                continue
+            before = -geometry.closest(links, self._at_rest, convex=True)[0]
+            if depth <= before + _DEPTH or geometry.touching(links, self._at_rest):
+                continue
+            if geometry.touching(links, poses):
+                found.append(Collision(links, depth, posture))
+        return found
+
+    def _with_object(
+        self, u: FloatArray, fingers: Collection[str], posture: str
+    ) -> list[Collision]:
+        scene = self._scene
+        if scene is None:
+            return []
+        at = scene.posed(u)
+        depths: dict[str, float] = {}
+        for number in np.flatnonzero(scene.bounds(at, self._pose) < 0.0).tolist():
+            link = self._geometry.shapes[number].link
+            depth = -scene.touch(number, at, self._pose).distance
+            if depth > (_PRESSED if self._tips.get(link) in fingers else _DEPTH):
+                depths[link] = max(depth, depths.get(link, 0.0))
+        return [Collision((link, OBJECT), depth, posture) for link, depth in depths.items()]
