@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from PIL import Image
 
+import rtee
 from rtee.testing.browser import browser
 
 if TYPE_CHECKING:
@@ -55,6 +56,13 @@ def program(folder: Path, pattern: str, *arguments: str) -> Iterator[re.Match[st
             process.terminate()
 
 
+def opened(hand: str, folder: Path) -> None:
+    """Open a hand that runs in a folder, so that the plots show how it closes."""
+    os.environ["XDG_RUNTIME_DIR"] = str(folder)
+    with rtee.connect_blocking(hand, client="screenshots") as client:
+        client.open()
+
+
 def act(page: Page, action: str) -> None:
     """Do an action: unfold its card if need be, and show it alone."""
     search = page.locator("label:visible", has_text="Search").locator(
@@ -88,6 +96,7 @@ def picture_of(hand: str, action: str, folder: Path) -> None:
         program(Path(name), r"GUI at (\S+)", "gui", hand, "--port", "0") as gui,
     ):
         for suffix, (width, height) in SIZES.items():
+            opened(hand, Path(name))
             with browser(width, height) as context:
                 page = context.pages[0]
                 page.goto(gui[1])
