@@ -44,7 +44,7 @@ class Program:
         for line in self.process.stdout:
             self._lines.put(line)
 
-    def line(self, pattern: str, within: float = 40.0) -> re.Match[str]:
+    def line(self, pattern: str, within: float = 120.0) -> re.Match[str]:
         """Wait for a line of its output."""
         said: list[str] = []
         while True:
