@@ -33,6 +33,8 @@ HANDS = {
 SIZES = {"": (1280, 800), "_tablet": (1024, 768)}
 COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
 COLOURS = 192
+PATIENCE = 600_000
+"""How long anything may take [ms]: planning tries grasps, which takes minutes where others work."""
 
 
 @contextlib.contextmanager
@@ -134,9 +136,11 @@ def picture_of_a_plan(folder: Path) -> None:
         page.get_by_role("tab", name="Try").click()
         choose(page, "Object", thing)
         page.get_by_role("button", name="Plan", exact=True).click()
-        page.get_by_text(re.compile("^best: ")).first.wait_for()
+        page.get_by_text(re.compile("^best: ")).first.wait_for(timeout=PATIENCE)
         page.get_by_role("button", name="Grasp", exact=True).first.click()
-        page.get_by_text(re.compile("^(reached|grasped.*|stalled)$")).first.wait_for()
+        page.get_by_text(re.compile("^(reached|grasped.*|stalled)$")).first.wait_for(
+            timeout=PATIENCE
+        )
         page.mouse.move(640, 20)
         page.wait_for_timeout(3000)
         take(page, folder / "gui_try.png")
