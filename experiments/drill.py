@@ -78,7 +78,8 @@ class Use:
         begun: When the trigger began to be pressed by more than 1 mm [s].
         pressed: How far the trigger was pressed at most [mm].
         back: How far it was pressed in the end [mm].
-        trigger_force: Force on finger_1 when it was pressed most [N].
+        trigger_force: Mean force on finger_1 while it was pressed enough [N]; at a single moment,
+            such as that of the farthest press, the trigger may bounce off the finger.
         forces: Forces on `HOLDERS` in the end [N].
         moved: How far the drill moved in the hand from GRASP3f to the end [mm].
         turned: How far it turned in the hand since it was given [degrees].
@@ -192,7 +193,7 @@ def use(
         _first(time, trigger > 1.0),
         float(trigger[most]),
         max(0.0, float(trigger[-1])),
-        float(force[most]),
+        float(force[trigger > PRESSED].mean()) if trigger[most] > PRESSED else 0.0,
         tuple(float(forces[fingers.index(name)]) for name in HOLDERS),
         1e3 * float(np.linalg.norm(around.position_in_hand - held[0])),
         float(np.degrees(around.turned_in_hand(start))),
