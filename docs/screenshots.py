@@ -101,6 +101,7 @@ def picture_of(hand: str, action: str, folder: Path) -> None:
             opened(hand, Path(name))
             with browser(width, height) as context:
                 page = context.pages[0]
+                page.set_default_timeout(PATIENCE)
                 page.goto(gui[1])
                 page.get_by_text("Primitives", exact=True).wait_for()
                 page.wait_for_timeout(3000)
@@ -129,6 +130,7 @@ def picture_of_a_plan(folder: Path) -> None:
         browser(*SIZES[""]) as context,
     ):
         page = context.pages[0]
+        page.set_default_timeout(PATIENCE)
         page.goto(gui[1])
         page.get_by_text("Primitives", exact=True).wait_for()
         page.wait_for_timeout(3000)
@@ -136,11 +138,9 @@ def picture_of_a_plan(folder: Path) -> None:
         page.get_by_role("tab", name="Try").click()
         choose(page, "Object", thing)
         page.get_by_role("button", name="Plan", exact=True).click()
-        page.get_by_text(re.compile("^best: ")).first.wait_for(timeout=PATIENCE)
+        page.get_by_text(re.compile("^best: ")).first.wait_for()
         page.get_by_role("button", name="Grasp", exact=True).first.click()
-        page.get_by_text(re.compile("^(reached|grasped.*|stalled)$")).first.wait_for(
-            timeout=PATIENCE
-        )
+        page.get_by_text(re.compile("^(reached|grasped.*|stalled)$")).first.wait_for()
         page.mouse.move(640, 20)
         page.wait_for_timeout(3000)
         take(page, folder / "gui_try.png")
