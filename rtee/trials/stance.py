@@ -14,9 +14,9 @@ from rtee.drivers.mujoco.objects import ObjectShape
 from rtee.drivers.mujoco.scene import approach, downward
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.planning.objects import GraspObject
+from rtee.sample import FloatArray
 from rtee.trials.robust_places import robust_places
 from rtee.trials.variation import Variation
-from rtee.types import FloatArray
 
 _ALONG = 0.9
 """An object is along the hand's reach, or across it, if its axis is within 26 degrees of that: the
