@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from PIL import Image
 
+import rtee
 from rtee.testing.browser import browser
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ HANDS = {
 SIZES = {"": (1280, 800), "_tablet": (1024, 768)}
 COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
 COLOURS = 192
+PATIENCE = 600_000
+"""How long anything may take [ms]: planning tries grasps, which takes minutes where others work."""
 
 
 @contextlib.contextmanager
@@ -53,6 +56,13 @@ def program(folder: Path, pattern: str, *arguments: str) -> Iterator[re.Match[st
                 raise SystemExit(f"rtee {' '.join(arguments)} said only: {''.join(lines)}")
         finally:
             process.terminate()
+
+
+def opened(hand: str, folder: Path) -> None:
+    """Open a hand that runs in a folder, so that the plots show how it closes."""
+    os.environ["XDG_RUNTIME_DIR"] = str(folder)
+    with rtee.connect_blocking(hand, client="screenshots") as client:
+        client.open()
 
 
 def act(page: Page, action: str) -> None:
@@ -88,8 +98,10 @@ def picture_of(hand: str, action: str, folder: Path) -> None:
         program(Path(name), r"GUI at (\S+)", "gui", hand, "--port", "0") as gui,
     ):
         for suffix, (width, height) in SIZES.items():
+            opened(hand, Path(name))
             with browser(width, height) as context:
                 page = context.pages[0]
+                page.set_default_timeout(PATIENCE)
                 page.goto(gui[1])
                 page.get_by_text("Primitives", exact=True).wait_for()
                 page.wait_for_timeout(3000)
@@ -118,6 +130,7 @@ def picture_of_a_plan(folder: Path) -> None:
         browser(*SIZES[""]) as context,
     ):
         page = context.pages[0]
+        page.set_default_timeout(PATIENCE)
         page.goto(gui[1])
         page.get_by_text("Primitives", exact=True).wait_for()
         page.wait_for_timeout(3000)

@@ -6,9 +6,11 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import UserError
 from rtee.hand.files import make_folder
@@ -21,6 +23,7 @@ from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
 from rtee.trials.recorded import recorder_for
+from rtee.trials.robust_places import graspable, robust_places
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, TrialResult, run_trial
 from rtee.types import Feedback
@@ -175,6 +178,22 @@ def plot_of(path: Path) -> Path:
     return plot
 
 
+def steadiest(ready: Bench, trial: Trial) -> int:
+    """Return at which of a trial's places the object slides least, counted from 0."""
+    hand, library, settings = ready.hand, ready.library, ready.settings
+    options = SimOptions(object=trial.object, object_mass=trial.mass, carrier="arm")
+    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+    action = library.find(trial.action, trial.elements)
+    thing = graspable(trial.object, trial.mass)
+    count = len(robust_places(simulation, library, action, thing, trial.places))
+    tried = [
+        run_trial(hand, library, settings, replace(trial, places=number + 1), skip=number)
+        for number in range(count)
+    ]
+    held = [result for result in tried if result.held]
+    return min(held, key=lambda result: result.slip).places - 1 if held else 0
+
+
 def hold(
     name: str,
     trial: Trial,
@@ -185,7 +204,7 @@ def hold(
     pictures: bool = True,
     view: FloatArray | None = None,
 ) -> TrialResult:
-    """Try a grasp, with recording, plot and pictures, and note whether the object was held.
+    """Try a grasp at its best place, with recording, plot and pictures; note whether it held.
 
     Args:
         name: The hand.
@@ -198,17 +217,17 @@ def hold(
     """
     ready = bench(name)
     stills = TrialStills(Stills.of_trial(ready.hand, view)) if pictures else None
-    # Once to find the place that holds, and again from there, to record nothing else.
-    first = run_trial(ready.hand, ready.library, ready.settings, trial)
+    # Once at each place, and again at the best one, to record nothing else.
+    skip = steadiest(ready, trial)
     with recording(ready, folder, outcome) as recorder:
         result = run_trial(
             ready.hand,
             ready.library,
             ready.settings,
-            trial,
+            replace(trial, places=skip + 1),
             observers=[recorder] if stills is None else [recorder, stills.steps],
             watch=stills,
-            skip=max(0, first.places - 1),
+            skip=skip,
         )
     what = f"{name}: {' '.join((trial.action, *trial.elements))} on {trial.object}"
     outcome.check(result.held, f"{what} is lifted, held and shaken", result.reason or "held")

@@ -84,8 +84,6 @@ def run(folder: Path, *, pictures: bool = True, steps: Sequence[Step] = STEPS) -
         stack.enter_context(_program(place, rf"{HAND}: .* active", *hand))
         gui = stack.enter_context(_program(place, r"GUI at (\S+)", "gui", HAND, "--port", "0"))
         person = _Person(context.pages[0], gui[1])
-        if pictures:
-            stills.append(("start", person.look()))
         for step in steps:
             said, position = person.do(step)
             seen = position >= CLOSED if step.at is None else abs(position - step.at) <= TOLERANCE
@@ -110,7 +108,7 @@ def run(folder: Path, *, pictures: bool = True, steps: Sequence[Step] = STEPS) -
         _check_log(read(path), steps, outcome)
         outcome.files += [path, plot_of(path)]
     if stills:
-        strip(folder / "dagana_gui.png", stills, outcome, columns=3)
+        strip(folder / "dagana_gui.png", stills, outcome, columns=2)
     return outcome
 
 

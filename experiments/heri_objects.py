@@ -1,8 +1,9 @@
 """HERI II on an arm: three objects from the table into a container, on one timeline.
 
 Each object is taken with another action: a pinch, Trigs below 100 %, and another composed one.
-Motor positions and efforts (a simulated motor has no current) are plotted as one picture, with the
-spans from the start of each action to the end of holding.
+Motor positions and currents are plotted as one picture, with the spans from the start of each
+action to the end of holding. A simulated motor has an effort alone; its current is that effort by
+the constant of the real hand's motors.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.common import Outcome, main, recording, strip
+from rtee.drivers.heri_ethercat.codec import TORQUE_PER_AMPERE
 from rtee.log import read
-from rtee.log.figure import By, figure
+from rtee.log.figure import By, Figure, figure
 from rtee.log.labels import Band, bands_of
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
@@ -51,10 +53,24 @@ def held_spans(found: Recording) -> tuple[Band, ...]:
     )
 
 
+def with_currents(shown: Figure) -> Figure:
+    """Return a plot of HERI II that shows the currents [A] of its motors for their efforts."""
+    rows = tuple(
+        replace(
+            row,
+            efforts=tuple(
+                replace(line, values=line.values / TORQUE_PER_AMPERE) for line in row.efforts
+            ),
+        )
+        for row in shown.rows
+    )
+    return replace(shown, rows=rows, effort_label="current [A]")
+
+
 def plot(path: Path) -> None:
-    """Plot the recording again, with the spans to the end of holding."""
+    """Plot the recording again, with currents and the spans to the end of holding."""
     found = read(path)
-    shown = figure(found, by=By.ACTUATOR, fingers=fingers(found))
+    shown = with_currents(figure(found, by=By.ACTUATOR, fingers=fingers(found)))
     write_png(replace(shown, bands=held_spans(found)), path.with_suffix(".png"))
 
 

@@ -11,8 +11,8 @@ from rtee.log import read
 from rtee.trials.trial import Trial
 
 TRIALS = (
-    ("robotiq_3f", Trial("timed_wide_grasp", object="cylinder:0.06x0.12")),
-    ("robotiq_2f_140", Trial("Grasp", object="box:0.05x0.05x0.1")),
+    ("robotiq_3f", Trial("timed_wide_grasp", object="cylinder:0.06x0.12", places=4)),
+    ("robotiq_2f_140", Trial("Grasp", object="box:0.05x0.05x0.1", places=2)),
 )
 
 SLIP = 0.005

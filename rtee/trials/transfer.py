@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Literal
@@ -11,10 +11,9 @@ from typing import Literal
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
-from rtee.actions.types import Action
 from rtee.drivers.mujoco.objects import parse_object
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.scene import CONTAINER_SIZE, approach, downward, make_simulation
+from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
 from rtee.log.recording import outcome_of
@@ -23,9 +22,9 @@ from rtee.loop.plan import OPEN
 from rtee.loop.settings import LoopSettings
 from rtee.sample import FloatArray
 from rtee.trials.arm_motion import CarrierScript
-from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.stance import Stance
+from rtee.trials.robust_places import graspable
+from rtee.trials.stance import Stance, find_stances
 from rtee.trials.variation import Variation, draw
 from rtee.types import Goal
 
@@ -48,16 +47,40 @@ SPEED = 0.005
 """How fast it may still move [m/s]."""
 
 _ENOUGH = 0.9
+"""Share of the variations that a stance must survive for no other one to be tried."""
+
 _NEAR = 0.003
+"""The arm has learned enough when the object stands as near to its target [m]: a fifth of `OFF`."""
+
 _LESSONS = 3
+"""How often the arm learns from one stance: the second lesson corrects by a millimetre or two."""
+
+_LOOKED_AT = 3
+"""Places that are looked at for each one that is tried: in about a third the object is upright."""
+
 _SETTLE = 0.4
+"""How long the scene comes to rest after each movement [s]."""
+
 _LIFT = 0.12
+"""How far the object is lifted [m]: clear of the table and of the container's walls."""
+
 _AWAY = 0.12
-_ALONG = 0.9
-_TURNS = 3
+"""From how far the hand comes [m]: farther than fingers are long."""
+
 _HOLD = 2.0
+"""How long the object is held in the air [s]."""
+
 _SLOW = 0.06
+"""Speed at which the arm feels its way [m/s]."""
+
+_STEP = 0.02
+"""How long the arm goes between two looks whether it touches [s]: 1.2 mm."""
+
 _DEEPER = 0.03
+"""How far below its old height the object may be set down [m]: more than it may hang askew."""
+
+_FARTHER = 0.06
+"""How far the hand comes on until it touches the object [m]: two variations of height and size."""
 
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a transfer."""
@@ -176,9 +199,8 @@ def run_transfer(
         ConfigError: if the object is none.
         ModelError: if the hand cannot be simulated.
     """
-    action = library.find(transfer.action, transfer.elements)
     bench = _Bench(hand, library, settings, transfer, observers, watch, ticks)
-    ways = stances or _stances(hand, action, settings, transfer)
+    ways = stances or bench.stances()
     tried: list[TransferResult] = []
     for number, first in enumerate(islice(ways, transfer.places), 1):
         result = bench.taught(first, number) if teach else bench.run(first, number)
@@ -207,17 +229,30 @@ class _Bench:
     ) -> None:
         self._hand, self._library, self._settings = hand, library, settings
         self._transfer, self._observers, self._watch = transfer, observers, watch
+        self._action = library.find(transfer.action, transfer.elements)
         self._shape = parse_object(transfer.object)
         self._ticks = ticks
+
+    def stances(self) -> Iterable[Stance]:
+        """Search for stances."""
+        transfer, hand = self._transfer, self._hand
+        options = SimOptions(object=transfer.object, object_mass=transfer.mass, carrier="arm")
+        return find_stances(
+            make_simulation(hand, options, hand.actuator_names, self._settings.period),
+            self._library,
+            self._action,
+            graspable(transfer.object, transfer.mass),
+            transfer.reach,
+            _LOOKED_AT * transfer.places,
+        )
 
     def taught(self, first: Stance, number: int) -> TransferResult:
         """Learn from how the object was held: turn the hand so that it is carried upright."""
         best = self.run(first, number)
         for _ in range(_LESSONS):
-            stance = _learned(best)
-            if stance is None:
+            if best.stance is None or best.held is None or best.lands is None:
                 break
-            result = self.run(stance, number)
+            result = self.run(best.stance.learned(best.held, best.lands), number)
             if (result.placed, -result.off) <= (best.placed, -best.off):
                 break
             best = result
@@ -250,7 +285,7 @@ class _Bench:
                     "friction": variation.friction,
                 }
             )
-            place, mount = self._moved(place, mount, variation)
+            place, mount = stance.varied(variation, self._shape)
         lands = stance.place[:3, 3] if stance.lands is None else stance.lands
         x, y, _ = _turned(transfer.turn) @ mount @ lands + np.array([*transfer.by, 0.0])
         simulation = make_simulation(
@@ -275,58 +310,11 @@ class _Bench:
             ticks=self._ticks,
         )
         watch = None if quiet else self._watch
-        run = _Run(headless, transfer, mount @ lands, way, watch)
+        run = _Run(headless, transfer, mount @ lands, way, stance.back, watch)
         result = run.result()
         if not quiet:
             self._ticks = headless.ticks
         return replace(result, places=number, stance=stance, ticks=headless.ticks)
-
-    def _moved(
-        self, place: FloatArray, mount: FloatArray, variation: Variation
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the pose of a varied object in the hand, and the hand's turn.
-
-        The object stands upright on a table of the same height whatever its size, so that a turn
-        tilts the hand.
-        """
-        upright = mount @ place[:3, :3]
-        place = variation.moved(place)
-        mount = upright @ place[:3, :3].T
-        frame = np.eye(4)
-        frame[:3, :3] = upright
-        grown = self._shape.lowest(frame) - self._shape.scaled(variation.size).lowest(frame)
-        place[:3, 3] += mount.T @ np.array([0.0, 0.0, grown])
-        return place, mount
-
-
-def _stances(
-    hand: Hand, action: Action, settings: LoopSettings, transfer: Transfer
-) -> Iterator[Stance]:
-    """Return stances into which the upright object comes along the hand's reach."""
-    options = SimOptions(object=transfer.object, object_mass=transfer.mass, carrier="arm")
-    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
-    axis, down = approach(hand), downward(hand)
-    for place in Places(simulation, hand, action).find(_TURNS * transfer.places):
-        if float(place.way @ axis) <= 0.0:
-            continue
-        up = place.pose[:3, 2]
-        if transfer.reach == "down" and abs(float(up @ axis)) > _ALONG:
-            yield Stance(place.pose, down, axis)
-        elif transfer.reach == "level" and abs(float(up @ axis)) < 1.0 - _ALONG:
-            for upward in (up, -up):
-                yield Stance(place.pose, np.stack([axis, np.cross(upward, axis), upward]), axis)
-
-
-def _learned(result: TransferResult) -> Stance | None:
-    """Return the stance that carries the object upright and leaves it at its target."""
-    if result.stance is None or result.held is None or result.lands is None:
-        return None
-    before = result.stance
-    place = np.array(before.place)
-    place[:3, :3] = result.held[:3, :3]
-    mount: FloatArray = before.mount @ before.place[:3, :3] @ place[:3, :3].T
-    way: FloatArray = mount.T @ before.mount @ before.way
-    return Stance(place, mount, way, result.lands)
 
 
 class _Run:
@@ -338,6 +326,7 @@ class _Run:
         transfer: Transfer,
         expected: FloatArray,
         way: FloatArray,
+        back: float | None,
         watch: Watch | None,
     ) -> None:
         """Prepare.
@@ -347,10 +336,11 @@ class _Run:
             transfer: What is done.
             expected: Where it is to be left, from the hand's base, in the world ``(3,)`` [m].
             way: How the hand comes, in the world ``(3,)`` [m].
+            back: How far it goes back after it felt the object [m].
             watch: Told of the moments.
         """
         self._headless, self._transfer = headless, transfer
-        self._expected, self._way = expected, way
+        self._expected, self._way, self._back = expected, way, back
         self._watch = watch
         self._around = headless.simulation.surroundings
         self._script = CarrierScript(headless)
@@ -371,13 +361,17 @@ class _Run:
         base[:3, 3] += self._way
         self._tell("start")
         script.go(np.zeros(3), 1.0)
+        if self._back is not None:
+            self._feel(self._back)
         headless.wait(0.2)
         self._tell("approach")
         grasp = Goal(transfer.action, transfer.elements, goal_id=f"grasp-{headless.ticks}")
         self._outcome = outcome_of(headless.do(grasp))
         headless.wait(_SETTLE)
         self._tell("grasp")
-        place = (np.linalg.inv(base) @ before)[:3, 3]
+        closing = np.array(base)
+        closing[:3, 3] += script.at[:3]
+        place = (np.linalg.inv(closing) @ before)[:3, 3]
         if around.touching():
             self._shift = float(np.linalg.norm(around.position_in_hand - place))
         self._start = around.position_in_hand
@@ -409,12 +403,21 @@ class _Run:
         self._lands = down[:3, :3].T @ (around.object_frame[:3, 3] - down[:3, 3])
         return self._judge(_moved(expected, base[:3, 3], transfer))
 
+    def _feel(self, back: float) -> None:
+        """Come on slowly until the hand touches the object, then go back."""
+        script, way = self._script, self._way / np.linalg.norm(self._way)
+        come = 0.0
+        while not self._around.touching() and come < _FARTHER:
+            script.go(script.at[:3] + _SLOW * _STEP * way, _STEP)
+            come += _SLOW * _STEP
+        script.go(script.at[:3] - back * way, back / _SLOW)
+
     def _set_down(self) -> None:
         """Go down slowly until the object stands."""
         script = self._script
         height = script.at[2]
         while not self._around.on_table and height - script.at[2] < _LIFT + _DEEPER:
-            script.move(2, -_SLOW * 0.02, 0.02)
+            script.move(2, -_SLOW * _STEP, _STEP)
         self._headless.wait(_SETTLE)
 
     def _note_slide(self, _: float) -> None:

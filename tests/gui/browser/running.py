@@ -21,13 +21,13 @@ COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
 class Program:
     """A command of rtee that runs until it is ended."""
 
-    def __init__(self, folder: Path, *arguments: str) -> None:
+    def __init__(self, folder: Path, *arguments: str, command: tuple[str, ...] = COMMAND) -> None:
         runtime = folder / "run"
         runtime.mkdir(mode=0o700, exist_ok=True)
         environment = {k: v for k, v in os.environ.items() if not k.startswith("RTEE_")}
         environment["XDG_RUNTIME_DIR"] = str(runtime)
         self.process = subprocess.Popen(
-            [*COMMAND, *arguments],
+            [*command, *arguments],
             cwd=folder,
             env=environment,
             stdout=subprocess.PIPE,
@@ -44,7 +44,7 @@ class Program:
         for line in self.process.stdout:
             self._lines.put(line)
 
-    def line(self, pattern: str, within: float = 40.0) -> re.Match[str]:
+    def line(self, pattern: str, within: float = 120.0) -> re.Match[str]:
         """Wait for a line of its output."""
         said: list[str] = []
         while True:

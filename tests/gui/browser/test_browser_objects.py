@@ -1,0 +1,98 @@
+"""What a simulated hand grasps, in the browser: its object and forces, live and in a recording."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from .conftest import Hands
+from .marks import in_a_browser
+from .running import SQUEEZER
+from .window import Window
+
+pytestmark = in_a_browser
+
+FELT = re.compile(r"inner_finger\w* \d\d+\.\d N")
+"""What is said of the forces while the ball is held; let go, it lies in the hand with 1 N."""
+
+
+@pytest.fixture
+def squeezer(any_window: Window, hands: Hands) -> Window:
+    """The window, showing a simulated gripper with a ball between its fingers."""
+    pytest.importorskip("mujoco")
+    assert hands[SQUEEZER].process.poll() is None
+    any_window.show(SQUEEZER)
+    return any_window
+
+
+def grasp(window: Window) -> None:
+    """Grasp the ball, and wait until the hand has it."""
+    window.tab("Actions")
+    card = window.folder("Grasp", unfold=True)
+    window.button("Do", card).click()
+    window.says("grasped with finger_1, finger_2", card)
+
+
+def toggle(window: Window, label: str) -> None:
+    """Click a box of the tab View, and wait until the 3D view shows something else."""
+    before = window.picture()
+    window.field(label).click()
+    window.pictured_anew(before)
+
+
+def test_contact_forces_are_drawn_and_told(squeezer: Window) -> None:
+    window = squeezer
+    grasp(window)
+    window.tab("View")
+    felt = window.says(FELT)
+    toggle(window, "Contact forces")
+    felt.wait_for(state="hidden")
+    window.field("Contact forces").click()
+    window.says(FELT)
+    window.button("Open").click()
+    felt.wait_for(state="hidden")
+
+
+@pytest.mark.timeout(600)
+def test_a_recording_shows_the_object_where_it_was(squeezer: Window, place: Path) -> None:
+    window = squeezer
+    before = set((place / "logs").glob("*.mcap"))
+    window.tab("Log")
+    window.says("○ off")
+    window.button("Start").click()
+    window.says("a recording begins")
+    window.says("recording to")
+    grasp(window)
+    window.tab("Log")
+    window.type("Mark", "it has the ball")
+    window.button("Set mark").click()
+    window.says("it has the ball")
+    window.button("Open").first.click()
+    window.tab("View")
+    window.page.get_by_text(FELT).first.wait_for(state="hidden")
+    window.tab("Log")
+    window.button("Stop").click()
+    window.says("○ off")
+    (recorded,) = set((place / "logs").glob("*.mcap")) - before
+
+    panel = window.folder("Look at a recording", unfold=True)
+    window.button("Refresh", panel).click()
+    window.field("File", panel).click()
+    window.page.get_by_role("option").filter(has_text=recorded.stem).click()
+    window.button("Open", panel).click()
+    line = panel.get_by_label("actions over time")
+    line.wait_for()
+    window.field("Go to", panel).click()
+    window.page.get_by_role("option").filter(has_text="it has the ball").click()
+    window.tab("View")
+    window.says(FELT)  # in the recording; the hand itself is open
+    toggle(window, "Object")
+    window.field("Object").click()
+    window.tab("Log")
+    window.button("Live", panel).click()
+    line.wait_for(state="detached")
+    window.tab("View")
+    window.page.get_by_text(FELT).first.wait_for(state="hidden")
+    window.tab("Actions")
