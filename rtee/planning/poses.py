@@ -38,6 +38,11 @@ _APART: Final = 0.006
 _PROBE: Final = 0.004
 """Radius of the probe by which openings are measured [m]: half a fingertip's breadth."""
 
+_ROOM: Final = 0.025
+"""What jaws leave free on either side of an object that comes between them [m]: where it may be up
+to 10 mm beside its place, 10 % larger and turned by 10 degrees, a jaw that does not move stays
+clear of it."""
+
 _SHIFTS: Final = (0.0, 0.015, 0.03)
 """Jaws that turn about a hinge have room for an object farther out than their middles [m]."""
 
@@ -310,6 +315,12 @@ class Poses:
             there = np.flatnonzero(self.gaps >= width + GAP)
             step = int(there[there >= open_at].max(initial=open_at))
             placed = self._placed(step, turns[number], self._ways())
+            if len(self._fingers) < _SEVERAL:
+                # Where one jaw is fixed, the middle lies farther from it the wider they are open.
+                there = np.flatnonzero(self.gaps >= width + 2.0 * _ROOM)
+                wide = int(there[there >= open_at].max(initial=open_at))
+                roomy = self._placed(wide, turns[number], self._ways())
+                placed = roomy if wide == step else _by_turns(roomy, placed)
             yield from itertools.islice(placed, _share(most, len(fitting)))
 
     def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:

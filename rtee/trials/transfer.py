@@ -25,7 +25,7 @@ from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.stance import Stance
-from rtee.trials.variation import Variation, draw
+from rtee.trials.variation import CHOOSING_FROM, Variation, draw
 from rtee.types import FloatArray, Goal
 
 MOMENTS = ("start", "approach", "grasp", "lift", "carry", "set down", "open", "retreat")
@@ -46,17 +46,38 @@ TILT = math.radians(10.0)
 SPEED = 0.005
 """How fast it may still move [m/s]."""
 
-_ENOUGH = 0.9
+_CHOOSING = 5
+"""Tries with variation by which places are compared: one that survives them all is taken."""
+
 _NEAR = 0.003
+"""A place that leaves the object this near its target needs no further lesson [m]."""
+
 _LESSONS = 3
+"""How often the arm learns from a place: the turn, where the object is left, and both again."""
+
 _SETTLE = 0.4
+"""Time for the object to come to rest [s]."""
+
 _LIFT = 0.12
+"""How far the object is lifted [m]: higher than a container's wall."""
+
 _AWAY = 0.12
+"""From how far the hand comes to the object, and how far it retreats [m]: a finger's length."""
+
 _ALONG = 0.9
+"""Two axes are parallel if their cosine is above this: within 26 degrees."""
+
 _TURNS = 3
+"""So many turns of an object are found at each place between the fingers."""
+
 _HOLD = 2.0
+"""How long the object is held in the air [s]."""
+
 _SLOW = 0.06
+"""How fast the object is lowered onto the table [m/s]: it does not bounce."""
+
 _DEEPER = 0.03
+"""How much farther down than up the hand goes to find the table [m]: an object may have slid."""
 
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a transfer."""
@@ -167,8 +188,8 @@ def run_transfer(
         ticks: Ticks that went before, so that one recording may hold several transfers.
 
     Returns:
-        The first result that was placed, in 9 of 10 variations if there are any; else the one with
-        the most variations survived, then the nearest to its target.
+        The result from the first place where the object was placed. With variations, places are
+        compared by other draws than those that count.
 
     Raises:
         UnknownAction: if there is no such action.
@@ -178,17 +199,17 @@ def run_transfer(
     action = library.find(transfer.action, transfer.elements)
     bench = _Bench(hand, library, settings, transfer, observers, watch, ticks)
     ways = stances or _stances(hand, action, settings, transfer)
-    tried: list[TransferResult] = []
+    tried: list[tuple[int, TransferResult]] = []
     for number, first in enumerate(islice(ways, transfer.places), 1):
         result = bench.taught(first, number) if teach else bench.run(first, number)
-        if result.placed:
-            result = bench.varied(result)
-            if result.survived >= _ENOUGH * transfer.variations:
-                return result
-        tried.append(result)
+        survived = bench.compared(result)
+        tried.append((survived, result))
+        if result.placed and survived == bench.comparisons:
+            break
     if not tried:
         return TransferResult(transfer, False, "the object fits nowhere between the fingers")
-    return max(tried, key=lambda result: (result.placed, result.survived, -result.off))
+    _, best = max(tried, key=lambda pair: (pair[1].placed, pair[0], -pair[1].off))
+    return bench.varied(best)
 
 
 class _Bench:
@@ -224,9 +245,22 @@ class _Bench:
                 break
         return best
 
+    @property
+    def comparisons(self) -> int:
+        """How many tries with variation compare places; none if no variations are wanted."""
+        return _CHOOSING if self._transfer.variations else 0
+
+    def compared(self, result: TransferResult) -> int:
+        """Return in how many of these tries the object is placed, too."""
+        if result.stance is None or not result.placed:
+            return 0
+        numbers = range(CHOOSING_FROM, CHOOSING_FROM + self.comparisons)
+        draws = [draw(self._transfer.seed, number) for number in numbers]
+        return sum(self.run(result.stance, result.places, each).placed for each in draws)
+
     def varied(self, result: TransferResult) -> TransferResult:
         """Return a result with those of the variations."""
-        if result.stance is None:
+        if result.stance is None or not result.placed:
             return result
         draws = [draw(self._transfer.seed, n) for n in range(self._transfer.variations)]
         tried = tuple(self.run(result.stance, result.places, variation) for variation in draws)
