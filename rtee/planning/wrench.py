@@ -37,6 +37,7 @@ _CIRCLE: Final = np.array(
         for i in range(EDGES)
     ]
 )
+"""Directions of these edges around the normal, unit vectors ``(EDGES, 2)``."""
 
 PATCH: Final = 0.004
 """Radius of the patch in which a fingertip touches [m]: what pads of rubber flatten to."""
@@ -45,7 +46,7 @@ GRAVITY: Final = 9.81
 """Acceleration of free fall [m/s²]."""
 
 MOST_LOAD: Final = 50.0
-"""Loads are told up to this multiple of the object's weight; beyond, they do not limit a grasp."""
+"""Loads are computed up to this multiple of the object's weight; more does not limit a grasp."""
 
 _STARTS: Final = 96
 """Directions from which the least support is sought: a few for each of the 64 orthants."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -40,15 +41,18 @@ _CHOOSING = 10
 _SPARE = 1
 """A place that loses no more of these is taken at once: nine of ten are wanted."""
 
-_EXPLORED = 10
-"""Tries by which the middle of where an object is held is found: it is exact to about 4 mm."""
+_AROUND = np.array(
+    [
+        *(0.012 * np.array(corner) for corner in itertools.product((-1.0, 1.0), repeat=3)),
+        *(sign * 0.02 * axis for axis in np.eye(3) for sign in (-1.0, 1.0)),
+    ]
+)
+"""Where an object is tried around the best place, to find the middle of where it is held [m]: the
+corners of a cube and twice as far along each axis as objects are varied. Since the points are
+balanced, the middle stays where it is when all of them are held."""
 
 _ROUNDS = 2
 """How often the best place is moved to that middle: the second time finds what the first left."""
-
-_WIDER = 2.0
-"""Objects are so many times as far from the place in these tries as in the variations, so that
-they reach beyond the edge of where an object is held."""
 
 _SETTLE = 0.4
 """Time for the object to come to rest in the hand [s]."""
@@ -130,8 +134,8 @@ def run_trial(
     if not best.result.held:
         return best.result
     varied.choose(best, _CHOOSING)
-    for _ in range(_ROUNDS):
-        shifted = varied.shifted(best.place)
+    for round_ in range(_ROUNDS):
+        shifted = varied.shifted(best.place, round_)
         shifted = replace(shifted, pose=Places(simulation, hand, action).freed(shifted))
         result = varied.run(shifted).result()
         here = _Tried(shifted, replace(result, places=best.result.places))
@@ -233,18 +237,19 @@ class _Varied:
                 self._progress(number + 1, count)
         return replace(here.result, survived=survived)
 
-    def shifted(self, place: Place) -> Place:
+    def shifted(self, place: Place, round_: int) -> Place:
         """Return a place amid those around it where an object is held.
 
-        What is looked at is drawn apart from the variations that count, and from farther away.
+        Args:
+            place: The place.
+            round_: How often a place was moved before; each round uses other draws.
         """
         held = [np.zeros(3)]
-        for number in range(_EXPLORED):
-            drawn = draw(self._trial.seed, EXPLORING_FROM + number)
-            x, y, z = (_WIDER * value for value in drawn.position)
-            variation = replace(drawn, position=(x, y, z))
+        for number, point in enumerate(_AROUND, EXPLORING_FROM + round_ * len(_AROUND)):
+            x, y, z = (float(value) for value in point)
+            variation = replace(draw(self._trial.seed, number), position=(x, y, z))
             if self.run(place, variation).result().held:
-                held.append(np.array(variation.position))
+                held.append(point)
         pose = np.array(place.pose)
         pose[:3, 3] += np.mean(held, axis=0)
         return replace(place, pose=pose)
