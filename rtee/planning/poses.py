@@ -189,7 +189,7 @@ class Poses:
         The link of a jaw may be all of the gripper's body.
         """
         reach = self._closing.table[0].middles[shapes] @ self._out
-        least = reach.max(initial=-np.inf) - _TIP
+        least = reach.max(initial=-np.inf) - _TIP  # the rest is the body behind it
         return [shape for shape, far in zip(shapes, reach, strict=True) if far >= least]
 
     def _middle(self, at: HandPose, tips: list[int]) -> FloatArray:

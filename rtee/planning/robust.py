@@ -87,8 +87,10 @@ def robust_poses(
         closed = [
             pair for pair in closed if between <= {c.link for c in pair[1].contacts}
         ] or closed
+    # Judging nearby takes 13 closings for each: only the most promising are judged.
     closed.sort(key=lambda pair: -planner.promise(pair[1]))
     found = [_judged(planner, closing, *pair) for pair in closed[:_JUDGED]]
+    # Rounded, so that the processor's last bit does not decide.
     found.sort(key=lambda pose: (-round(pose.held, 6), -pose.promise))
     return found
 

@@ -108,6 +108,7 @@ def wrenches(
         about it to either side.
     """
     rows = []
+    # Moment of friction of a disc under even pressure.
     torsion = 2.0 / 3.0 * friction * PATCH / length
     for contact in contacts:
         normal, arm = np.array(contact.normal), np.array(contact.point) - centre
@@ -161,6 +162,7 @@ def balanced(vectors: FloatArray) -> bool:
     if len(vectors) < 2:
         return False
     lengths = np.linalg.norm(vectors, axis=1)
+    # The row of ones rules out that all shares are zero.
     system = np.vstack([vectors.T / lengths, np.ones(len(vectors))])
     target = np.zeros(len(system))
     target[-1] = 1.0
@@ -180,6 +182,7 @@ def quality(found: FloatArray) -> float:
         return 0.0
     size = float(np.linalg.norm(found, axis=1).max())
     directions = _starts(found.shape[1])
+    # The support function has edges; smoothed ones, ever sharper, let a descent pass them.
     for sharpness in _SHARPENING:
         for _ in range(_DESCENT):
             support = directions @ found.T

@@ -115,7 +115,7 @@ class Places:
     def find(self, most: int) -> list[Place]:
         """Return up to ``most`` places, the tightest first, each well apart from the others."""
         found: list[Place] = []
-        for place in self._candidates():
+        for place in self._candidates():  # nearest to the fingertips first
             if all(self._apart(place, other) for other in found):
                 found.append(Place(place.pose, place.intensity, self._way(place.pose)))
                 if len(found) == most:
@@ -181,6 +181,7 @@ class Places:
         even: FloatArray = np.full(len(tips), 1.0 / len(tips))
         ways = self._tips(1.0) - tips
         ways -= np.outer(ways @ outward, outward)
+        # The principal axis of the fingertips' motion across the reach.
         sizes, axes = np.linalg.eigh(ways.T @ ways)
         if len(tips) < _SEVERAL or sizes[-1] < max(_DECIDED * sizes[-2], _MOVES**2):
             return None, even

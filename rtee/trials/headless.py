@@ -110,7 +110,7 @@ class HeadlessHand(Generic[P]):
         self._before: list[Callable[[float], None]] = []
         n = len(hand.actuators)
         self._everything = np.ones(n, dtype=bool)
-        self._silent = np.full(n, -1, dtype=np.int8)
+        self._silent = np.full(n, -1, dtype=np.int8)  # no device says whether it has grasped
         self._describe_object()
         self._apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.tick()  # the controller starts from what is measured
@@ -165,6 +165,7 @@ class HeadlessHand(Generic[P]):
 
     def wait(self, duration: float) -> None:
         """Let simulated time pass [s]."""
+        # Half a tick less, so that rounding does not add one.
         end = self.time + duration - 0.5 * self._settings.period
         while self.time < end:
             self.tick()

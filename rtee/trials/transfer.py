@@ -446,12 +446,13 @@ class _Run:
         """Go down slowly until the object stands."""
         script = self._script
         height = script.at[2]
+        # As far as the contact, not to a height: the object may have slid in the hand.
         while not self._around.on_table and height - script.at[2] < _LIFT + _DEEPER:
             script.move(2, -_SLOW * 0.02, 0.02)
         self._headless.wait(_SETTLE)
 
     def _note_slide(self, _: float) -> None:
-        if self._start is not None:
+        if self._start is not None:  # between lift and set-down only
             now = self._around.position_in_hand
             self._slide = max(self._slide, float(np.linalg.norm(now - self._start)))
 

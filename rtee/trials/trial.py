@@ -115,6 +115,7 @@ def run_trial(
     unfit = misfit(library, action, thing, trial.variations)
     if unfit:
         return TrialResult(trial, False, unfit, fits=False)
+    # Geometry ranks the places, since each one tried in dynamics takes a second.
     places = robust_places(simulation, library, action, thing, trial.places)
     if not places:
         return TrialResult(trial, False, "the object fits nowhere between the fingers")
@@ -130,6 +131,7 @@ def run_trial(
         tried.append(here)
         if varied.good(here):
             return varied.measured(here)
+    # None is good enough: the best one is as far as the next tries go.
     best = max(tried, key=lambda here: here.rank)
     if not best.result.held:
         return best.result
@@ -298,6 +300,7 @@ class TrialRun:
         except ActionError as error:
             return self._ended("", str(error), outcome="")
         headless.wait(_SETTLE)
+        # One that fewer than two links touch is still presented: it has to fall now.
         around.remove_support()
         headless.wait(_SETTLE)
         self._tell("grasp")
@@ -307,6 +310,7 @@ class TrialRun:
                 headless.hand.fingers, headless.simulation.contact_forces, strict=True
             )
         )
+        # From here on the object should stay: how far closing moved it is no slip.
         start = around.position_in_hand
         moved = float(np.linalg.norm(start - self._place.pose[:3, 3]))
         if not around.touching() or moved > _FALLEN + _PUSHED:
@@ -327,6 +331,7 @@ class TrialRun:
     def _approach(self) -> None:
         """Bring the hand to the object along the free way."""
         way = self._around.base_pose[:3, :3] @ self._place.way
+        # The hand moves, not the object, which waits where the hand will be.
         self._script.jump(-way)
         self._tell("start")
         if np.any(way):
