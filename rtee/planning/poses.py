@@ -316,12 +316,19 @@ class Poses:
             step = int(there[there >= open_at].max(initial=open_at))
             placed = self._placed(step, turns[number], self._ways())
             if len(self._fingers) < _SEVERAL:
-                # Where one jaw is fixed, the middle lies farther from it the wider they are open.
                 there = np.flatnonzero(self.gaps >= width + 2.0 * _ROOM)
                 wide = int(there[there >= open_at].max(initial=open_at))
-                roomy = self._placed(wide, turns[number], self._ways())
-                placed = roomy if wide == step else _by_turns(roomy, placed)
+                if self._aside(wide, step) > _STILL:
+                    placed = _by_turns(self._placed(wide, turns[number], self._ways()), placed)
             yield from itertools.islice(placed, _share(most, len(fitting)))
+
+    def _aside(self, wide: int, step: int) -> float:
+        """Return how far across the reach the middle moves between two steps [m].
+
+        It moves where one of two jaws is fixed: the wider they are open, the farther from that one.
+        """
+        moved = self._at(wide)[0] - self._at(step)[0]
+        return float(np.linalg.norm(moved - (moved @ self._out) * self._out))
 
     def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
         _, closing = self._at(STEP_MIDDLE)
