@@ -1,4 +1,4 @@
-"""Measure which force hands hold with, beside the one that was asked for, in MuJoCo.
+"""Measure the force with which hands hold, beside the requested one, in MuJoCo.
 
 Each hand grasps an object that floats between its fingertips, by width and force, as `rtee grasp`
 does. The force that counts is that of the contacts half a second later: half the sum over the
@@ -22,9 +22,9 @@ from rtee.trials.headless import HeadlessHand
 from rtee.types import Goal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
-RATE = 500.0
-SETTLE = 0.5
-SPEED = 0.05
+RATE = 500.0  # of the loop [Hz], as hands are simulated
+SETTLE = 0.5  # time in which the force comes to rest [s]
+SPEED = 0.05  # of the fingertips [m/s]: slow enough that the impact does not count
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ CASES = (
 
 
 def measure(case: Case, force: float) -> str:
-    """Return a row of the table: what one grasp came to."""
+    """Return a row of the table: the result of one grasp."""
     folder = CONFIG / case.hand
     hand, config = load_configured(folder)
     library, settings = (
@@ -79,6 +79,7 @@ def measure(case: Case, force: float) -> str:
     except GoalRejected as error:
         return f"| {case.hand} | {force:g} | refused: {error} | | | |"
     headless.wait(SETTLE)
+    # Both sides press with the same force: the sum counts it twice.
     held = float(simulation.contact_forces.sum()) / 2.0
     width = float("nan") if result.opening is None else 1e3 * result.opening
     return (

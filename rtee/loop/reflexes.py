@@ -1,4 +1,4 @@
-"""What fingers do by themselves when they touch something, and when what they hold slips.
+"""Reflexes of the fingers: what they do when they touch something, and when their object slips.
 
 Pure like the rest of a tick: measurements in, references and effort limits out.
 """
@@ -9,31 +9,33 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
+from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.free_motion import FreeMotion
 from rtee.loop.limiter import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile
-from rtee.loop.settings import GraspSettings
 from rtee.loop.squeeze import Held, Squeeze, finger_forces
 from rtee.types import Event, OnContact
 
 _CONFIRMED = 2
-"""Efforts touch in this many measurements in succession: a single one may be noise."""
+"""An effort shows a contact in this many measurements in succession: a single one may be noise."""
 
 _UNKNOWN_SHARE = 0.05
 """Where no lever is known, an actuator touches at this share of its effort limit more than it needs
 to move freely."""
 
 _SET_OUT = 0.1
-"""Efforts tell nothing for this long after an actuator has set out: it breaks loose [s]."""
+"""Efforts are not judged for this long after an actuator has set out, while it breaks loose [s]."""
 
 _RESOLUTION = 0.01
-"""Less than this share of an actuator's effort limit is no contact: devices measure no better."""
+"""Less than this share of an actuator's effort limit is not a contact: devices measure no
+better."""
 
 _SLOW = 0.1
-"""Where efforts cannot be limited, a squeeze closes at this share of the velocity limits."""
+"""Where efforts cannot be limited, a squeeze closes at this share of the velocity limits: slow
+enough for the object to centre itself between the fingers."""
 
 
 @dataclass(slots=True)
@@ -54,14 +56,14 @@ class _Watched:
 
 @dataclass(slots=True)
 class _Approach:
-    """What a leg of a goal is to do on contact.
+    """What a leg of a goal does on contact.
 
     Attributes:
         watched: Its actuators that close, by index.
         sides: Fingers of which one each must touch before the force is built up.
         most: Effort limit that a slip may raise to, by actuator [N·m | N].
         first: All of them stop at the first contact.
-        kept: The force was asked for: it is not eased.
+        kept: The goal asked for the force: it is not eased.
     """
 
     watched: dict[int, _Watched]
@@ -91,9 +93,9 @@ class Reflexes:
 
     Attributes:
         active: Whether there is anything to do; else a tick costs nothing.
-        busy: Actuators that are stopped or squeeze, whose contact is not judged otherwise.
+        busy: Actuators that are stopped or squeeze, whose contact nothing else judges.
         effort: Effort limits by actuator, instead of those of the goal [N·m | N].
-        changed: These have changed; the caller takes it back.
+        changed: These have changed; the caller resets it.
         touched: Fingers that touched something since the goal began.
     """
 
@@ -129,7 +131,7 @@ class Reflexes:
     # --- goals -------------------------------------------------------------------------------
 
     def forget(self, indices: Iterable[int]) -> None:
-        """Give up everything about some actuators."""
+        """Forget everything about some actuators."""
         if not self.active:
             return
         for i in indices:
@@ -163,6 +165,7 @@ class Reflexes:
         goal, targets = plan.goal, plan.legs[leg].targets
         self.touched = ()
         self.forget(targets)
+        # The first leg of a grasp only opens wide around the object.
         usual = self._grasp.on_contact
         if not (goal.on_contact or goal.touch or usual) or (goal.grasp and leg == 0):
             return
@@ -199,7 +202,7 @@ class Reflexes:
         self.active = True
 
     def _mode(self, wanted: Mapping[str, OnContact], i: int) -> OnContact | None:
-        """Return what an actuator does on contact: of its fingers' words the most careful one."""
+        """Return what an actuator does on contact: the most careful of its fingers' reactions."""
         usual = wanted.get("", self._grasp.on_contact)
         fingers = self._hand.actuators[i].fingers
         words = {wanted.get(finger, usual) for finger in fingers} or {usual}
@@ -247,6 +250,7 @@ class Reflexes:
         if signal != signal:
             if not measured.current:
                 return False
+            # Amperes cannot be compared with a threshold in newton metres: a relative one is used.
             signal, threshold = measured.current[i], 0.0
         velocity, dt = self._profile.velocity[i], stamp - watched.seen
         gain = (velocity - watched.velocity) / dt if dt > 0.0 else 0.0
@@ -259,6 +263,7 @@ class Reflexes:
             watched.began = stamp
         free = self._free[i]
         if stamp - watched.began < _SET_OUT:
+            # Breaking loose is dry friction: the model has to know it.
             free.learn(signal, velocity, gain)
             return False
         pushes = free.exceeds(signal, velocity, gain, threshold)
@@ -266,7 +271,7 @@ class Reflexes:
         return watched.over >= _CONFIRMED
 
     def _note(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
-        """Note that an actuator's fingers touch something, and report it."""
+        """Record that an actuator's fingers touch something, and report it."""
         actuator = self._hand.actuators[i]
         forces = self._tip_forces(i, measured)
         felt = [
@@ -282,7 +287,7 @@ class Reflexes:
             self._report(Event("contact", who, text, stamp))
 
     def _stop(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
-        """Have an actuator stay where it is."""
+        """Stop an actuator where it is."""
         if watched.touched:
             return
         watched.touched = True
@@ -291,6 +296,7 @@ class Reflexes:
             return
         if watched.mode is OnContact.SQUEEZE and len(self._hand.actuators[i].fingers) > 1:
             return  # it carries both sides: there is nothing to wait for
+        # At the measured position, not the reference, which has led on into the object.
         self._profile.seed({i: here})
         self._limiter.seed(i, here)
         self.busy.add(i)
@@ -317,13 +323,14 @@ class Reflexes:
                 touching.update(self._hand.actuators[i].fingers)
         if not touching:
             return False
+        # One finger on either side: then nothing is pushed away.
         if approach.sides:
             return all(touching.intersection(side) for side in approach.sides)
         fingers = {f for i, _ in squeezing for f in self._hand.actuators[i].fingers}
         return len(touching) >= min(self._grasp.contact_fingers, len(fingers))
 
     def _begin_squeeze(self, approach: _Approach, stamp: float) -> None:
-        """Build up the force with all that are to squeeze, together."""
+        """Build up the force with all actuators that squeeze, together."""
         held: dict[int, Held] = {}
         floor, most = 0.0, math.inf
         for i, each in approach.watched.items():
@@ -337,6 +344,7 @@ class Reflexes:
                 most = min(most, approach.most.get(i, full) / full)
                 self._profile.go({i: each.target})
             else:
+                # Its effort cannot be limited: at least it arrives slowly.
                 top = _SLOW * self._hand.actuators[i].velocity
                 self._profile.go({i: each.target}, velocity={i: top})
             self.busy.discard(i)
@@ -354,7 +362,7 @@ class Reflexes:
         squeeze.begin(stamp)
 
     def keep(self, stamp: float, measured: Measured) -> None:
-        """Build up the force, and see to what is held; called at every tick while `active`."""
+        """Build up the force, and look after what is held; called at every tick while `active`."""
         squeeze = self._squeeze
         if squeeze is None:
             return

@@ -28,7 +28,8 @@ from rtee.hand.model import Hand
 from rtee.planning.frames import checked_direction, checked_pose, retreated, rows
 from rtee.planning.reached import ReachedGrasp
 from rtee.planning.tips import Fingertips
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 MARGIN: Final = 0.01
 """Before it closes, a hand opens wider than the object by this, or as far as it can [m]."""

@@ -20,14 +20,14 @@ from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import OPEN
 from rtee.loop.settings import LoopSettings
+from rtee.sample import FloatArray
 from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.stance import Stance
-from rtee.trials.transfer_result import Transfer as Transfer
-from rtee.trials.transfer_result import TransferResult as TransferResult
+from rtee.trials.transfer_result import Transfer, TransferResult
 from rtee.trials.variation import CHOOSING_FROM, Variation, draw
-from rtee.types import FloatArray, Goal
+from rtee.types import Goal
 
 MOMENTS = ("start", "approach", "grasp", "lift", "carry", "set down", "open", "retreat")
 """The moments of a transfer, in order."""

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from rtee.sample import FloatArray
 from rtee.trials.stance import Stance
-from rtee.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -224,7 +224,8 @@ class _Varied:
 
     def choose(self, here: _Tried, count: int) -> None:
         """Try a place with variation until there are so many tries, to compare it with others."""
-        most = count if here.result.held and self._trial.variations else 0
+        # No more than are wanted afterwards: two variations are asked for to be quick.
+        most = min(count, self._trial.variations) if here.result.held else 0
         for number in range(len(here.held), most):
             variation = draw(self._trial.seed, CHOOSING_FROM + number)
             here.held.append(self.run(here.place, variation).result().held)
