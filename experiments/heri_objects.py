@@ -23,7 +23,8 @@ from rtee.log.recording import Recording
 from rtee.loop.plan import OPEN
 from rtee.trials.pictures import Stills
 from rtee.trials.sweep import bench
-from rtee.trials.transfer import LOST, Transfer, run_transfer
+from rtee.trials.transfer import LOST, run_transfer
+from rtee.trials.transfer_result import Transfer
 
 HAND = "heri_ii"
 

@@ -21,7 +21,8 @@ from rtee.loop.plan import OPEN
 from rtee.trials.pictures import Stills
 from rtee.trials.stance import Stance, standing
 from rtee.trials.sweep import bench
-from rtee.trials.transfer import OFF, SLIDE, TILT, Transfer, run_transfer
+from rtee.trials.transfer import OFF, SLIDE, TILT, run_transfer
+from rtee.trials.transfer_result import Transfer
 from rtee.trials.variation import interval
 from rtee.types import Goal
 

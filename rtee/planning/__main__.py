@@ -1,6 +1,6 @@
 """Plans one grasp for a hand that runs: reads a question from stdin, writes the answer to stdout.
 
-A process of its own, so that planning neither takes Python's lock from the loop nor needs
+A separate process, so that planning neither takes Python's lock from the loop nor needs
 Pinocchio and Coal in its process. See `rtee.planning.apart`.
 """
 

@@ -21,7 +21,7 @@ from rtee.planning.planner import Planner, rank, squeeze
 from rtee.planning.result import GraspPlan
 
 DRAFT: Final = "Planned"
-"""Name of a composed action while it has none of its own."""
+"""Name of a composed action until it is stored under another one."""
 
 _TRIES: Final = 12
 """Combinations that are tried: all of three to five fingers, and some pinches with others."""
@@ -57,7 +57,7 @@ def composed_for(planner: Planner, library: ActionLibrary) -> GraspPlan | None:
 
 
 def action_of(library: ActionLibrary, name: str, plan: GraspPlan, description: str) -> Composed:
-    """Return the action of a plan under a name of its own, scaled as planned.
+    """Return the action of a plan under a new name, scaled as planned.
 
     Args:
         library: The hand's actions.

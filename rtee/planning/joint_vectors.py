@@ -19,6 +19,7 @@ _HALVINGS: Final = 40
 """Steps of the refinement, by the golden section: to a billionth of the range."""
 
 _GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
+"""Share of a range that a step of the golden section keeps."""
 
 
 @dataclass(frozen=True, slots=True)

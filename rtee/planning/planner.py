@@ -215,6 +215,7 @@ class Planner:
     def promise(self, closure: Closure) -> float:
         """Return a quick estimate of how good a grasp is; larger is better."""
         contacts = closure.contacts
+        # One contact of each link is enough for a quick estimate.
         by_link = {contact.link: contact for contact in contacts}
         found = self._wrenches(closure, list(by_link.values()))
         points = np.array([contact.point for contact in contacts])
@@ -234,9 +235,10 @@ class Planner:
     def _carried(self, closure: Closure, contacts: Sequence[Contact], found: FloatArray) -> float:
         """Return how many times its weight the object can have, at full effort."""
         limits = np.array([actuator.effort for actuator in self.hand.actuators])
+        # An actuator without a known limit does not limit the load; the notes say so.
         limited: BoolArray = np.isfinite(limits)
         maps = self.scene.torques(closure.u, contacts)[:, limited] / limits[limited, None]
-        maps = np.repeat(maps, EDGES + 2, axis=0)
+        maps = np.repeat(maps, EDGES + 2, axis=0)  # each contact has so many wrenches
         torques = np.einsum("kaj,kj->ka", maps, found[:, :3])
         force = self.thing.mass * GRAVITY * self.task.weight_axis
         return load(found, torques, np.concatenate([force, np.zeros(3)]))

@@ -38,6 +38,11 @@ _APART: Final = 0.006
 _PROBE: Final = 0.004
 """Radius of the probe by which openings are measured [m]: half a fingertip's breadth."""
 
+_ROOM: Final = 0.025
+"""What jaws leave free on either side of an object that comes between them [m]: where it may be up
+to 10 mm beside its place, 10 % larger and turned by 10 degrees, a jaw that does not move stays
+clear of it."""
+
 _SHIFTS: Final = (0.0, 0.015, 0.03)
 """Jaws that turn about a hinge have room for an object farther out than their middles [m]."""
 
@@ -184,7 +189,7 @@ class Poses:
         The link of a jaw may be all of the gripper's body.
         """
         reach = self._closing.table[0].middles[shapes] @ self._out
-        least = reach.max(initial=-np.inf) - _TIP
+        least = reach.max(initial=-np.inf) - _TIP  # the rest is the body behind it
         return [shape for shape, far in zip(shapes, reach, strict=True) if far >= least]
 
     def _middle(self, at: HandPose, tips: list[int]) -> FloatArray:
@@ -310,7 +315,20 @@ class Poses:
             there = np.flatnonzero(self.gaps >= width + GAP)
             step = int(there[there >= open_at].max(initial=open_at))
             placed = self._placed(step, turns[number], self._ways())
+            if len(self._fingers) < _SEVERAL:
+                there = np.flatnonzero(self.gaps >= width + 2.0 * _ROOM)
+                wide = int(there[there >= open_at].max(initial=open_at))
+                if self._aside(wide, step) > _STILL:
+                    placed = _by_turns(self._placed(wide, turns[number], self._ways()), placed)
             yield from itertools.islice(placed, _share(most, len(fitting)))
+
+    def _aside(self, wide: int, step: int) -> float:
+        """Return how far across the reach the middle moves between two steps [m].
+
+        It moves where one of two jaws is fixed: the wider they are open, the farther from that one.
+        """
+        moved = self._at(wide)[0] - self._at(step)[0]
+        return float(np.linalg.norm(moved - (moved @ self._out) * self._out))
 
     def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
         _, closing = self._at(STEP_MIDDLE)

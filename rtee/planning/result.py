@@ -32,7 +32,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What dynamics said of a grasp.
+    """How a grasp ended in dynamics.
 
     Attributes:
         held: The object was lifted, held and shaken and is still in the hand.
@@ -73,7 +73,7 @@ class GraspPlan:
         way: From where the object comes, relative to the hand ``(3,)`` [m].
         contacts: Where the hand touches.
         reasons: Why it has its rank, one sentence each.
-        check: What dynamics said, if it was asked.
+        check: How it ended in dynamics, if it was tried there.
     """
 
     action: str

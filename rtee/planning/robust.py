@@ -22,6 +22,13 @@ cameras place it."""
 _TURNED: Final = 0.15
 """… and how far it is turned about each axis [rad]."""
 
+_PUSHED: Final = 0.05
+"""How far the open hand may push an object before it as it comes [m]; farther, the fingertips no
+longer reach it."""
+
+_PUSH: Final = 0.002
+"""By how much at a time the object is pushed [m]."""
+
 _CANDIDATES: Final = 24
 """Poses between all fingers that are compared: two or three depths of each way to turn it."""
 
@@ -80,8 +87,10 @@ def robust_poses(
         closed = [
             pair for pair in closed if between <= {c.link for c in pair[1].contacts}
         ] or closed
+    # Judging nearby takes 13 closings for each: only the most promising are judged.
     closed.sort(key=lambda pair: -planner.promise(pair[1]))
     found = [_judged(planner, closing, *pair) for pair in closed[:_JUDGED]]
+    # Rounded, so that the processor's last bit does not decide.
     found.sort(key=lambda pose: (-round(pose.held, 6), -pose.promise))
     return found
 
@@ -135,11 +144,24 @@ def _judged(
     promises = [planner.promise(middle)]
     nearby = _nearby(candidate.pose)
     for pose in nearby:
-        closure = closing.close(pose)
+        free = _pushed(closing, pose, candidate.way)
+        closure = None if free is None else closing.close(free)
         if closure is not None:
             promises.append(planner.promise(closure))
     count = len(nearby) + 1
     return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)
+
+
+def _pushed(closing: Closing, pose: FloatArray, way: FloatArray) -> FloatArray | None:
+    """Return the pose to which the open hand pushes an object on its way; none if out of reach."""
+    pose, length = pose.copy(), float(np.linalg.norm(way))
+    for _ in range(round(_PUSHED / _PUSH)):
+        if closing.scene.nearest(closing.table[0], pose, enough=_PUSH) > 0.0:
+            return pose
+        if not length:
+            return None
+        pose[:3, 3] += _PUSH * way / length
+    return None
 
 
 def _nearby(pose: FloatArray) -> list[FloatArray]:

@@ -143,6 +143,7 @@ class GraspScene:
         least, point, normal = math.inf, _NOWHERE, _NOWHERE
         pieces = self.object.pieces
         rooms = self._rooms(shape, at) if len(pieces) > 1 else (-math.inf,)
+        # The nearest piece first: its distance rules most others out.
         for room, piece in sorted(zip(rooms, pieces, strict=True), key=lambda pair: pair[0]):
             if room >= least:
                 break

@@ -37,6 +37,7 @@ _CIRCLE: Final = np.array(
         for i in range(EDGES)
     ]
 )
+"""Directions of these edges around the normal, unit vectors ``(EDGES, 2)``."""
 
 PATCH: Final = 0.004
 """Radius of the patch in which a fingertip touches [m]: what pads of rubber flatten to."""
@@ -45,7 +46,7 @@ GRAVITY: Final = 9.81
 """Acceleration of free fall [m/s²]."""
 
 MOST_LOAD: Final = 50.0
-"""Loads are told up to this multiple of the object's weight; beyond, they do not limit a grasp."""
+"""Loads are computed up to this multiple of the object's weight; more does not limit a grasp."""
 
 _STARTS: Final = 96
 """Directions from which the least support is sought: a few for each of the 64 orthants."""
@@ -107,6 +108,7 @@ def wrenches(
         about it to either side.
     """
     rows = []
+    # Moment of friction of a disc under even pressure.
     torsion = 2.0 / 3.0 * friction * PATCH / length
     for contact in contacts:
         normal, arm = np.array(contact.normal), np.array(contact.point) - centre
@@ -160,6 +162,7 @@ def balanced(vectors: FloatArray) -> bool:
     if len(vectors) < 2:
         return False
     lengths = np.linalg.norm(vectors, axis=1)
+    # The row of ones rules out that all shares are zero.
     system = np.vstack([vectors.T / lengths, np.ones(len(vectors))])
     target = np.zeros(len(system))
     target[-1] = 1.0
@@ -179,6 +182,7 @@ def quality(found: FloatArray) -> float:
         return 0.0
     size = float(np.linalg.norm(found, axis=1).max())
     directions = _starts(found.shape[1])
+    # The support function has edges; smoothed ones, ever sharper, let a descent pass them.
     for sharpness in _SHARPENING:
         for _ in range(_DESCENT):
             support = directions @ found.T

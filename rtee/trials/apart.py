@@ -1,4 +1,4 @@
-"""Trials and plans in a process of its own, asked for by another program; needs no simulator.
+"""Trials and plans in a separate process, started by another program; needs no simulator.
 
 The process reads one job as JSON from its standard input, and writes lines of JSON: how far it is,
 results as they come, at last the end or what is wrong. It ends with the one that started it: when
@@ -34,6 +34,8 @@ LONGEST_LINE: Final = 1 << 24
 """Longest line that the process writes [bytes]: a ranking with all its contacts is 0.1 MB."""
 
 _LIGHTEST, _HEAVIEST = 0.001, 100.0
+"""Masses of objects [kg]: a simulation is stable with these, and no hand holds more."""
+
 _PACKAGES: Final = str(Path(__file__).resolve().parents[2])
 
 

@@ -15,7 +15,7 @@ class CarrierScript:
     """Moves the carrier of a simulated hand while its loop goes on.
 
     Attributes:
-        at: Where the carrier is told to be ``(6,)``: x, y, z [m], roll, pitch, yaw [rad].
+        at: Where the carrier has to be ``(6,)``: x, y, z [m], roll, pitch, yaw [rad].
     """
 
     def __init__(self, headless: HeadlessHand[Simulation]) -> None:

@@ -18,17 +18,43 @@ from rtee.sample import FloatArray
 from rtee.types import from_rest
 
 _STEPS = 21
+"""Intensities at which the fingertips are compared with the object: a few millimetres apart."""
+
 _TURNS = 3
+"""Turns of the object at each place: its long axis across the hand, along its reach, and between
+the fingers."""
+
 _OUTWARD = (0.0, 0.01, 0.02, 0.035, 0.05, 0.065, -0.02, -0.04)
+"""How far out from the fingertips' middle places are looked for [m]: hands that do not close on
+their fingertips have room there; the nearest ones first."""
+
 _ACROSS = (0.0, 0.015, 0.03, 0.045)
+"""How far towards where the fingertips curl [m]: fingers that roll up meet there."""
+
 _TOUCH = 2e-4
+"""A link less deep inside the object counts as clear of it [m]: the models are less exact."""
+
 _APART = 0.015
+"""Places nearer to each other are one [m]: objects are varied by 10 mm along each axis."""
+
 _AWAY = 0.12
+"""From how far the object comes to the hand [m]: about a finger's length."""
+
 _WAY = 9
+"""Points of that way at which it is checked for contact: 15 mm apart."""
+
 _MOVES = 1e-3
+"""An actuator that an action moves less stays at rest [rad | m]."""
+
 _SEVERAL = 3
+"""So many fingertips may close along one axis, or from all around."""
+
 _DECIDED = 4.0
+"""They close along an axis if their motion along it has this many times the square of the next."""
+
 _TAKES_PART = 0.1
+"""A fingertip moves along that axis if it goes this part of the way of the fastest one."""
+
 _BACK = 2e-3
 """How far an object is moved back at a time until the hand is clear of it [m]."""
 
@@ -90,7 +116,7 @@ class Places:
     def find(self, most: int) -> list[Place]:
         """Return up to ``most`` places, the tightest first, each well apart from the others."""
         found: list[Place] = []
-        for place in self._candidates():
+        for place in self._candidates():  # nearest to the fingertips first
             if all(self._apart(place, other) for other in found):
                 found.append(Place(place.pose, place.intensity, self._way(place.pose)))
                 if len(found) == most:
@@ -122,6 +148,7 @@ class Places:
         )
         for along, aside in ways:
             missing = set(range(_TURNS))
+            # From closed to open: the first place that is clear is the tightest.
             for intensity in np.linspace(1.0, 0.0, _STEPS):
                 centres = self._tips(float(intensity))
                 middle = weights @ centres + self._shift
@@ -137,6 +164,7 @@ class Places:
 
     def _curl(self, outward: FloatArray) -> FloatArray:
         """Return the unit vector ``(3,)`` across the reach in which the fingertips close."""
+        # Not at the end: fingertips that have rolled up move back again.
         way = self._tips(0.4).mean(axis=0) - self._tips(0.0).mean(axis=0)
         way = way - (way @ outward) * outward
         length = float(np.linalg.norm(way))
@@ -154,6 +182,7 @@ class Places:
         even: FloatArray = np.full(len(tips), 1.0 / len(tips))
         ways = self._tips(1.0) - tips
         ways -= np.outer(ways @ outward, outward)
+        # The principal axis of the fingertips' motion across the reach.
         sizes, axes = np.linalg.eigh(ways.T @ ways)
         if len(tips) < _SEVERAL or sizes[-1] < max(_DECIDED * sizes[-2], _MOVES**2):
             return None, even
@@ -191,7 +220,7 @@ class Places:
         inverse: FloatArray = np.asarray(np.linalg.inv(self._base()), dtype=np.float64)
         middles = []
         for geoms in self._geoms:
-            weight = self._model.geom_rbound[geoms] ** 3
+            weight = self._model.geom_rbound[geoms] ** 3  # about the volume
             middles.append(weight @ self._data.geom_xpos[geoms] / weight.sum())
         points = np.array(middles) if middles else np.zeros((1, 3))
         found: FloatArray = points @ inverse[:3, :3].T + inverse[:3, 3]

@@ -25,7 +25,7 @@ _PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action ta
 
 
 class Play(Protocol):
-    """What plays the hand: the simulation, or a kinematic stand-in."""
+    """What moves the hand: the simulation, or a kinematic stand-in."""
 
     object_description: ObjectDescription | None
     """What the object looks like, if there is one."""
@@ -70,7 +70,7 @@ class HeadlessHand(Generic[P]):
         hand: The hand.
         simulation: The simulated hand and its surroundings.
         library: Its actions.
-        observers: Who is told everything.
+        observers: They get every tick and event.
         controller: The loop's pure core.
         time: Simulated time since the start [s].
         ticks: Ticks since the start.
@@ -94,7 +94,7 @@ class HeadlessHand(Generic[P]):
             library: Its actions.
             settings: The loop's settings; their period must be the simulation's.
             simulation: The simulated hand.
-            observers: Who is told everything, as in the loop.
+            observers: They get every tick and event, as in the loop.
             ticks: How many ticks went before, so that one recording may hold several runs.
         """
         self.hand = hand
@@ -110,7 +110,7 @@ class HeadlessHand(Generic[P]):
         self._before: list[Callable[[float], None]] = []
         n = len(hand.actuators)
         self._everything = np.ones(n, dtype=bool)
-        self._silent = np.full(n, -1, dtype=np.int8)
+        self._silent = np.full(n, -1, dtype=np.int8)  # no device says whether it has grasped
         self._describe_object()
         self._apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.tick()  # the controller starts from what is measured
@@ -165,6 +165,7 @@ class HeadlessHand(Generic[P]):
 
     def wait(self, duration: float) -> None:
         """Let simulated time pass [s]."""
+        # Half a tick less, so that rounding does not add one.
         end = self.time + duration - 0.5 * self._settings.period
         while self.time < end:
             self.tick()

@@ -1,4 +1,4 @@
-"""A hand without dynamics in the place of a simulation: it stands where it is told to."""
+"""A hand without dynamics in the place of a simulation: it is always where it has to be."""
 
 from __future__ import annotations
 

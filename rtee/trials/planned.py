@@ -27,6 +27,7 @@ from rtee.trials.result import Trial
 from rtee.trials.trial import TrialRun
 
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
+"""Where the weight pulls in the world."""
 
 
 def check_plan(
@@ -114,6 +115,7 @@ def _simulation(
 ) -> Simulation:
     """Build a simulation of a carried hand that holds its weight axis down, with the object."""
     built = build_hand(hand, options)
+    # Turning the hand instead of gravity leaves the world as a trial has it.
     pose = np.eye(4)
     pose[:3, :3] = _turned(weight_axis)
     add_carrier(built.spec, pose[:3, :3], options)
@@ -140,6 +142,7 @@ def _add_pieces(spec: mujoco.MjSpec, thing: GraspObject, pose: FloatArray, folde
     masses = thing.mass * volumes / volumes.sum()
     first = add_object(spec, _shape(thing.pieces[0], folder, 0), mass=masses[0], pose=pose)
     model = first.geoms[0]
+    # As the first one in all that decides a contact.
     for number, piece in enumerate(thing.pieces[1:], 1):
         file = _shape(piece, folder, number).path
         mesh = spec.add_mesh(name=f"{model.name}/{number}", file=str(file))

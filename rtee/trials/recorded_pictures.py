@@ -32,7 +32,11 @@ MOST: Final = 6
 _OBJECT: Final = "#bd9970"
 _FORCE: Final = "#a3195b"
 _LONGEST: Final = 0.35
+"""Length of the arrow of the largest force, as a share of the hand's size."""
+
 _HALF: Final = 10.0
+"""Force whose arrow is half as long [N]: a firm pinch."""
+
 _THICK: Final = 0.006
 """Radius of an arrow's shaft, as a share of the hand's size."""
 

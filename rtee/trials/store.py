@@ -16,7 +16,7 @@ from rtee.trials.result import Trial, TrialResult
 from rtee.trials.variation import interval
 
 FILE_NAME = TRIALS
-"""Where the results stand in a hand's folder."""
+"""The file with the results in a hand's folder."""
 
 
 def to_document(result: TrialResult) -> dict[str, Any]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import islice
-from typing import Literal
 
 import numpy as np
 
@@ -25,7 +24,8 @@ from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.robust_places import graspable
 from rtee.trials.stance import Stance, find_stances
-from rtee.trials.variation import Variation, draw
+from rtee.trials.transfer_result import Transfer, TransferResult
+from rtee.trials.variation import CHOOSING_FROM, Variation, draw
 from rtee.types import Goal
 
 MOMENTS = ("start", "approach", "grasp", "lift", "carry", "set down", "open", "retreat")
@@ -46,8 +46,8 @@ TILT = math.radians(10.0)
 SPEED = 0.005
 """How fast it may still move [m/s]."""
 
-_ENOUGH = 0.9
-"""Share of the variations that a stance must survive for no other one to be tried."""
+_CHOOSING = 5
+"""Tries with variation by which stances are compared: one that survives them all is taken."""
 
 _NEAR = 0.003
 """The arm has learned enough when the object stands as near to its target [m]: a fifth of `OFF`."""
@@ -86,82 +86,6 @@ Watch = Callable[[str, HeadlessHand[Simulation]], None]
 """Told at the moments of a transfer."""
 
 
-@dataclass(frozen=True, slots=True)
-class Transfer:
-    """What is carried, how, and where to.
-
-    Attributes:
-        action: Name of the action that grasps.
-        elements: Its elements.
-        object: The object, as on the command line.
-        mass: Its mass [kg].
-        by: How far it is carried along the world's x and y [m].
-        turn: How far it is turned about the vertical on the way [rad].
-        reach: The hand comes from above (``down``), or from the side (``level``).
-        places: How many places in the hand are tried at most.
-        variations: How often it is tried with variations of the object, of its place and friction.
-        seed: Seed of the variations.
-        container: An open container is at its target, into which it is put. Then it may lie there
-            as it likes.
-    """
-
-    action: str
-    elements: tuple[str, ...] = ()
-    object: str = "cylinder:0.025x0.14"
-    mass: float = 0.1
-    by: tuple[float, float] = (0.15, 0.1)
-    turn: float = 0.5
-    reach: Literal["down", "level"] = "down"
-    places: int = 6
-    variations: int = 0
-    seed: int = 0
-    container: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class TransferResult:
-    """How a transfer ended.
-
-    Attributes:
-        transfer: What was tried.
-        placed: The object was held for two seconds in the air, hardly slid, and stands at its
-            target.
-        reason: Why not; empty if it does.
-        outcome: How the grasping action ended.
-        shift: How far the fingers moved the object as they closed [m].
-        slide: How far it slid in the hand between lift and set-down, at most [m].
-        off: How far from its target it stands in the plane [m].
-        tilt: How far it leans from how it stood before [rad].
-        speed: How fast it still moves [m/s].
-        duration: Simulated time [s].
-        places: How many places in the hand were tried.
-        survived: In how many of the variations it was placed, too.
-        stance: How the hand came to the object; nothing if it fits nowhere.
-        held: Pose ``(4, 4)`` in the hand's base frame in which it was carried.
-        lands: Where it was left ``(3,)`` [m], in the base frame of the hand that opens.
-        varied: The results of the variations.
-        ticks: Ticks since the recording's start.
-    """
-
-    transfer: Transfer
-    placed: bool
-    reason: str = ""
-    outcome: str = ""
-    shift: float = math.inf
-    slide: float = math.inf
-    off: float = math.inf
-    tilt: float = math.inf
-    speed: float = math.inf
-    duration: float = 0.0
-    places: int = 0
-    survived: int = 0
-    stance: Stance | None = field(default=None, compare=False)
-    held: FloatArray | None = field(default=None, compare=False)
-    lands: FloatArray | None = field(default=None, compare=False)
-    varied: tuple[TransferResult, ...] = ()
-    ticks: int = 0
-
-
 def run_transfer(
     hand: Hand,
     library: ActionLibrary,
@@ -191,8 +115,8 @@ def run_transfer(
         ticks: Ticks that went before, so that one recording may hold several transfers.
 
     Returns:
-        The first result that was placed, in 9 of 10 variations if there are any; else the one with
-        the most variations survived, then the nearest to its target.
+        The result from the first place where the object was placed. With variations, places are
+        compared by other draws than those that count.
 
     Raises:
         UnknownAction: if there is no such action.
@@ -201,17 +125,17 @@ def run_transfer(
     """
     bench = _Bench(hand, library, settings, transfer, observers, watch, ticks)
     ways = stances or bench.stances()
-    tried: list[TransferResult] = []
+    tried: list[tuple[int, TransferResult]] = []
     for number, first in enumerate(islice(ways, transfer.places), 1):
         result = bench.taught(first, number) if teach else bench.run(first, number)
-        if result.placed:
-            result = bench.varied(result)
-            if result.survived >= _ENOUGH * transfer.variations:
-                return result
-        tried.append(result)
+        survived = bench.compared(result)
+        tried.append((survived, result))
+        if result.placed and survived == bench.comparisons:
+            break
     if not tried:
         return TransferResult(transfer, False, "the object fits nowhere between the fingers")
-    return max(tried, key=lambda result: (result.placed, result.survived, -result.off))
+    _, best = max(tried, key=lambda pair: (pair[1].placed, pair[0], -pair[1].off))
+    return bench.varied(best)
 
 
 class _Bench:
@@ -260,9 +184,22 @@ class _Bench:
                 break
         return best
 
+    @property
+    def comparisons(self) -> int:
+        """How many tries with variation compare places; none if no variations are wanted."""
+        return _CHOOSING if self._transfer.variations else 0
+
+    def compared(self, result: TransferResult) -> int:
+        """Return in how many of these tries the object is placed, too."""
+        if result.stance is None or not result.placed:
+            return 0
+        numbers = range(CHOOSING_FROM, CHOOSING_FROM + self.comparisons)
+        draws = [draw(self._transfer.seed, number) for number in numbers]
+        return sum(self.run(result.stance, result.places, each).placed for each in draws)
+
     def varied(self, result: TransferResult) -> TransferResult:
         """Return a result with those of the variations."""
-        if result.stance is None:
+        if result.stance is None or not result.placed:
             return result
         draws = [draw(self._transfer.seed, n) for n in range(self._transfer.variations)]
         tried = tuple(self.run(result.stance, result.places, variation) for variation in draws)
@@ -416,12 +353,13 @@ class _Run:
         """Go down slowly until the object stands."""
         script = self._script
         height = script.at[2]
+        # As far as the contact, not to a height: the object may have slid in the hand.
         while not self._around.on_table and height - script.at[2] < _LIFT + _DEEPER:
             script.move(2, -_SLOW * _STEP, _STEP)
         self._headless.wait(_SETTLE)
 
     def _note_slide(self, _: float) -> None:
-        if self._start is not None:
+        if self._start is not None:  # between lift and set-down only
             now = self._around.position_in_hand
             self._slide = max(self._slide, float(np.linalg.norm(now - self._start)))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,7 +23,7 @@ from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
 from rtee.trials.robust_places import graspable, misfit, robust_places
-from rtee.trials.variation import Variation, draw
+from rtee.trials.variation import CHOOSING_FROM, EXPLORING_FROM, Variation, draw
 from rtee.types import Goal
 
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
@@ -32,29 +32,48 @@ Watch = Callable[[str, HeadlessHand[Simulation]], None]
 Progress = Callable[[int, int], None]
 """Told how many of how many variations were tried."""
 
-_ENOUGH = 0.9
-"""Share of the variations that a place must survive for no other one to be tried."""
-
 _FIRST = 5
-"""Variations that are tried at each place, before the best one is chosen."""
+"""Tries with variation at each place, before places are compared."""
 
-_EXPLORED = 10
-"""Tries by which the middle of where an object is held is found: it is exact to about 4 mm."""
+_CHOOSING = 10
+"""Tries by which a place is chosen: their share is exact to about 10 %."""
 
-_WIDER = 2.0
-"""They are so many times as far from the place as the variations."""
+_SPARE = 1
+"""A place that loses no more of these is taken at once: nine of ten are wanted."""
 
-_APART_SEED = 1_000_000
-"""Added to the seed for these tries."""
+_AROUND = np.array(
+    [
+        *(0.012 * np.array(corner) for corner in itertools.product((-1.0, 1.0), repeat=3)),
+        *(sign * 0.02 * axis for axis in np.eye(3) for sign in (-1.0, 1.0)),
+    ]
+)
+"""Where an object is tried around the best place, to find the middle of where it is held [m]: the
+corners of a cube and twice as far along each axis as objects are varied. Since the points are
+balanced, the middle stays where it is when all of them are held."""
+
+_ROUNDS = 2
+"""How often the best place is moved to that middle: the second time finds what the first left."""
 
 _SETTLE = 0.4
+"""Time for the object to come to rest in the hand [s]."""
+
 _LIFT = 0.15
+"""How far the hand lifts the object [m], in a second: an arm's calm motion."""
+
 _HOLD = 2.0
+"""How long the object is held before it is shaken [s]; one that slides falls within this time."""
+
 _FALLEN = 0.06
+"""An object that has moved farther in the hand has fallen [m]: more than a finger's breadth."""
+
+_PUSHED = 0.05
+"""How much farther closing fingers may push an object that they grasp [m]."""
+
 _AMPLITUDE = 0.015
 _FREQUENCY = 2.0
 _CYCLES = 2
-_SHAKE_AXES = (0, 1, 2)
+"""Shaking along each axis: to either side [m], how fast [Hz], and how often. The acceleration is up
+to 2.4 m/s², a quarter of the weight, as of an arm that stops."""
 
 
 def run_trial(
@@ -81,8 +100,9 @@ def run_trial(
         progress: Called with how many variations of a place were tried, and of how many.
 
     Returns:
-        The result at the first place where it was held, in 9 of 10 variations if there are any; or
-        else at the one with the most variations survived, then with the least slip.
+        The result at the first place where it was held. With variations, the place is chosen by
+        other draws than those that count: the first that survives nine of ten, or else the best
+        one, moved to the middle of where the object is held around it.
 
     Raises:
         UnknownAction: if there is no such action.
@@ -95,6 +115,7 @@ def run_trial(
     unfit = misfit(library, action, thing, trial.variations)
     if unfit:
         return TrialResult(trial, False, unfit, fits=False)
+    # Geometry ranks the places, since each one tried in dynamics takes a second.
     places = robust_places(simulation, library, action, thing, trial.places)
     if not places:
         return TrialResult(trial, False, "the object fits nowhere between the fingers")
@@ -108,26 +129,28 @@ def run_trial(
         here = _Tried(place, TrialRun(headless, trial, place, number, watch).result())
         ticks = headless.ticks
         tried.append(here)
-        varied.go_on(here, _FIRST)
-        if here.result.held and not here.lost and varied.good(here):
-            return here.ended
+        if varied.good(here):
+            return varied.measured(here)
+    # None is good enough: the best one is as far as the next tries go.
     best = max(tried, key=lambda here: here.rank)
-    if not best.result.held or varied.good(best):
-        return best.ended
-    shifted = varied.shifted(best.place)
-    shifted = replace(shifted, pose=Places(simulation, hand, action).freed(shifted))
-    result = varied.run(shifted).result()
-    here = _Tried(shifted, replace(result, places=best.result.places))
-    if varied.good(here):
-        return here.ended
-    best = max(best, here, key=lambda here: here.rank)
-    varied.go_on(best, trial.variations)
-    return best.ended
+    if not best.result.held:
+        return best.result
+    varied.choose(best, _CHOOSING)
+    for round_ in range(_ROUNDS):
+        shifted = varied.shifted(best.place, round_)
+        shifted = replace(shifted, pose=Places(simulation, hand, action).freed(shifted))
+        result = varied.run(shifted).result()
+        here = _Tried(shifted, replace(result, places=best.result.places))
+        varied.choose(here, _CHOOSING)
+        best = max(best, here, key=lambda here: here.rank)
+        if best is not here or best.lost <= _SPARE:
+            break
+    return varied.measured(best)
 
 
 @dataclass
 class _Tried:
-    """A place, how the trial ended there, and which of its variations were held so far."""
+    """A place, how the trial ended there, and which of the tries to choose it were held."""
 
     place: Place
     result: TrialResult
@@ -135,7 +158,7 @@ class _Tried:
 
     @property
     def lost(self) -> int:
-        """How many variations were lost."""
+        """How many of these tries were lost."""
         return len(self.held) - sum(self.held)
 
     @property
@@ -143,11 +166,6 @@ class _Tried:
         """Larger is better."""
         share = sum(self.held) / len(self.held) if self.held else 0.0
         return self.result.held, share, -self.result.slip
-
-    @property
-    def ended(self) -> TrialResult:
-        """The result with the variations survived."""
-        return replace(self.result, survived=sum(self.held))
 
 
 def _simulation(
@@ -185,8 +203,6 @@ class _Varied:
     ) -> None:
         self._hand, self._library, self._settings = hand, library, settings
         self._trial, self._progress = trial, progress
-        self._losses = trial.variations - math.ceil(_ENOUGH * trial.variations)
-        """So many variations may be lost at a place that is good enough."""
 
     def run(self, place: Place, variation: Variation | None = None) -> TrialRun:
         """Return the trial at a place, or a variation of it, ready to start."""
@@ -199,31 +215,44 @@ class _Varied:
         return TrialRun(headless, self._trial, place)
 
     def good(self, here: _Tried) -> bool:
-        """Return whether enough variations are held at a place; stops as soon as they are not."""
-        self.go_on(here, self._trial.variations, self._losses)
-        return here.result.held and here.lost <= self._losses
+        """Return whether a place is good enough for no other one to be tried."""
+        self.choose(here, _FIRST)
+        if not here.result.held or here.lost:
+            return False
+        self.choose(here, _CHOOSING)
+        return here.lost <= _SPARE
 
-    def go_on(self, here: _Tried, count: int, losses: int | None = None) -> None:
-        """Try variations at a place until there are so many, or too many are lost."""
+    def choose(self, here: _Tried, count: int) -> None:
+        """Try a place with variation until there are so many tries, to compare it with others."""
+        # No more than are wanted afterwards: two variations are asked for to be quick.
         most = min(count, self._trial.variations) if here.result.held else 0
-        while len(here.held) < most and (losses is None or here.lost <= losses):
-            variation = draw(self._trial.seed, len(here.held))
+        for number in range(len(here.held), most):
+            variation = draw(self._trial.seed, CHOOSING_FROM + number)
             here.held.append(self.run(here.place, variation).result().held)
-            if self._progress is not None:
-                self._progress(len(here.held), self._trial.variations)
 
-    def shifted(self, place: Place) -> Place:
+    def measured(self, here: _Tried) -> TrialResult:
+        """Return the result at a place, with how many of the trial's variations are held there."""
+        survived, count = 0, self._trial.variations
+        for number in range(count):
+            variation = draw(self._trial.seed, number)
+            survived += self.run(here.place, variation).result().held
+            if self._progress is not None:
+                self._progress(number + 1, count)
+        return replace(here.result, survived=survived)
+
+    def shifted(self, place: Place, round_: int) -> Place:
         """Return a place amid those around it where an object is held.
 
-        What is looked at is drawn apart from the variations that count, and farther away.
+        Args:
+            place: The place.
+            round_: How often a place was moved before; each round uses other draws.
         """
         held = [np.zeros(3)]
-        for number in range(_EXPLORED):
-            drawn = draw(self._trial.seed + _APART_SEED, number)
-            x, y, z = (_WIDER * value for value in drawn.position)
-            variation = replace(drawn, position=(x, y, z))
+        for number, point in enumerate(_AROUND, EXPLORING_FROM + round_ * len(_AROUND)):
+            x, y, z = (float(value) for value in point)
+            variation = replace(draw(self._trial.seed, number), position=(x, y, z))
             if self.run(place, variation).result().held:
-                held.append(np.array(variation.position))
+                held.append(point)
         pose = np.array(place.pose)
         pose[:3, 3] += np.mean(held, axis=0)
         return replace(place, pose=pose)
@@ -272,6 +301,7 @@ class TrialRun:
         except ActionError as error:
             return self._ended("", str(error), outcome="")
         headless.wait(_SETTLE)
+        # One that fewer than two links touch is still presented: it has to fall now.
         around.remove_support()
         headless.wait(_SETTLE)
         self._tell("grasp")
@@ -281,9 +311,10 @@ class TrialRun:
                 headless.hand.fingers, headless.simulation.contact_forces, strict=True
             )
         )
+        # From here on the object should stay: how far closing moved it is no slip.
         start = around.position_in_hand
         moved = float(np.linalg.norm(start - self._place.pose[:3, 3]))
-        if not around.touching() or moved > _FALLEN + 0.05:
+        if not around.touching() or moved > _FALLEN + _PUSHED:
             return self._ended("it was not grasped", "", outcome, moved, forces)
         headless.before_tick(self._note_force)
         self._script.move(2, _LIFT, 1.0)
@@ -301,6 +332,7 @@ class TrialRun:
     def _approach(self) -> None:
         """Bring the hand to the object along the free way."""
         way = self._around.base_pose[:3, :3] @ self._place.way
+        # The hand moves, not the object, which waits where the hand will be.
         self._script.jump(-way)
         self._tell("start")
         if np.any(way):

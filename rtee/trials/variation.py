@@ -29,6 +29,11 @@ TURN: Final = math.radians(10.0)
 FRICTION: Final = (0.5, 1.0)
 """The range of friction."""
 
+CHOOSING_FROM: Final = 1_000_000
+EXPLORING_FROM: Final = 2_000_000
+"""Numbers of the first draws by which places are chosen and found. The draws that count have the
+numbers from 0: a rate measured with those by which its place was chosen would be too high."""
+
 _CONFIDENCE = 1.96
 """Standard deviations of a normal distribution to either side that hold 95 %."""
 

@@ -21,6 +21,7 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError, UnknownAction
 from rtee.hand.catalog import hand_names
 from rtee.loop.observer import Observer
+from rtee.trials import trial as trial_module
 from rtee.trials.grasp_placement import Places
 from rtee.trials.recorded import recorder_for
 from rtee.trials.robust_places import graspable, robust_places
@@ -41,6 +42,7 @@ from rtee.trials.sweep import (
     sweep_on_cluster,
 )
 from rtee.trials.trial import Trial, TrialResult, run_trial
+from rtee.trials.variation import CHOOSING_FROM, EXPLORING_FROM, Variation, draw
 from rtee.types import Result
 
 GRIPPER = "robotiq_2f_85"
@@ -125,6 +127,25 @@ def test_robust_places_are_free_in_the_palm_and_apart(shape: str) -> None:
             moved = np.linalg.norm(place.pose[:3, 3] - other.pose[:3, 3])
             turned = np.abs(place.pose[:3, :3] - other.pose[:3, :3]).max()
             assert moved > 0.01 or turned > 0.1
+
+
+def test_what_chooses_the_place_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[int] = []
+
+    def noted(seed: int, number: int) -> Variation:
+        drawn.append(number)
+        return draw(seed, number)
+
+    monkeypatch.setattr(trial_module, "draw", noted)
+    ready = bench(GRIPPER)
+    trial = replace(BALL, variations=2)
+    result = run_trial(ready.hand, ready.library, ready.settings, trial)
+    assert result.survived == 2
+    counted = [number for number in drawn if number < CHOOSING_FROM]
+    assert counted == [0, 1]
+    chosen = [number for number in drawn if CHOOSING_FROM <= number < EXPLORING_FROM]
+    assert len(chosen) == 2
+    assert drawn.index(0) > drawn.index(chosen[-1])
 
 
 def test_without_closing_it_falls() -> None:
