@@ -275,6 +275,20 @@ class Grip:
         chosen = self.squeezing(min(max(share, self.intensity[0]), self.intensity[-1]))
         return any(abs(effort[i]) >= _PRESSES * limits[i] for _, i, _ in chosen)
 
+    def tip_force(self, touch: Sequence[float]) -> float:
+        """Return the force that sensors at the fingertips measure [N]; ``NaN``: there are not all.
+
+        Two sides press equally on what they hold: what one side measures more is fingers, or links
+        of a finger, that press against one another.
+
+        Args:
+            touch: Forces at the fingertips [N], if they are measured.
+        """
+        if not touch or max(*self.fingers, *self.others) >= len(touch):
+            return math.nan
+        one, other = (sum([touch[i] for i in side]) for side in (self.fingers, self.others))
+        return one + other if self.around else min(one, other) if one == one else one
+
     def force(
         self,
         position: Sequence[float],
@@ -292,10 +306,9 @@ class Grip:
             touch: Forces at the fingertips [N], if they are measured.
             pressing: Whether actuators are known to be blocked, so that they exert their limits.
         """
-        tips = [touch[i] for i in (*self.fingers, *self.others) if i < len(touch)]
-        if tips and all(tip == tip for tip in tips):
-            total = sum(tips) if self.around else sum(tips) / 2.0
-            return total, _TIP_SHARE * total, TIPS
+        felt = self.tip_force(touch)
+        if felt == felt:
+            return felt, _TIP_SHARE * felt, TIPS
         share = self._nearest(position)
         if share != share:
             return math.nan, math.nan, ""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.grip import Grip
 from rtee.loop.profiles import Profile
 from rtee.loop.settings import GraspSettings
 from rtee.types import Event
@@ -40,6 +41,17 @@ _DROP = 0.7
 
 _TOLD_EVERY = 0.5
 """Slips are reported at most this often [s]."""
+
+_FOLLOW = 0.2
+"""Time constant with which a measured force is brought to the one that was asked for [s]: slower
+than motors answer, so that nothing oscillates."""
+
+_BELIEVED = 2.0
+"""A measured force changes effort limits by this factor at most: sensors break, too."""
+
+_FELT = 0.5
+"""Below this share of the force that was asked for, nothing is corrected: what is held is lost, or
+only a part of the force is felt."""
 
 _CONFIRMED = 2
 """Forces change in this many measurements in succession: a single one may be noise."""
@@ -91,6 +103,10 @@ class Squeeze:
         held: The actuators, by index.
         effort: Their effort limits [N·m | N].
         built: The force has been built up.
+        answers_slips: Slips are answered and reported.
+        force: The force that was asked for [N]; ``NaN``: none was.
+        grip: Tells the force that is measured at the fingertips, if it is.
+        pressing: Those of the actuators whose effort makes the force.
     """
 
     def __init__(
@@ -109,6 +125,11 @@ class Squeeze:
         self.held = held
         self.effort = {i: each.start for i, each in held.items()}
         self.built = False
+        self.answers_slips = True
+        self.force = math.nan
+        self.grip: Grip | None = None
+        self.pressing: frozenset[int] = frozenset()
+        self._factor, self._corrected = 1.0, math.nan
         self._floor, self._most = floor, most
         self._level = 1.0
         self._since = self._settled = self._ease = math.inf
@@ -118,6 +139,7 @@ class Squeeze:
         """Give up an actuator."""
         self.held.pop(i, None)
         self.effort.pop(i, None)
+        self.pressing -= {i}
 
     def begin(self, stamp: float) -> None:
         """Begin to build up the force at a time [s]."""
@@ -133,13 +155,16 @@ class Squeeze:
         if not self.built:
             self._build(stamp)
             return True
+        corrected = self.grip is not None and self._correct(self.grip, stamp, measured)
+        if not self.answers_slips:
+            return corrected
         if not any(self._contact.grasping(i) for i in self.held):
             self._settled = stamp + _SETTLE
-            return False
+            return corrected
         if stamp < self._settled:
             for held in self.held.values():
                 held.position = math.nan
-            return False
+            return corrected
         for i, held in self.held.items():
             if measured.fresh[i] and self._slips(i, held, measured):
                 self._raise(i, stamp)
@@ -147,7 +172,34 @@ class Squeeze:
         if self._level > self._floor and stamp >= self._ease:
             self._set_level(max(self._level - _EASE_STEP, self._floor), stamp)
             return True
-        return False
+        return corrected
+
+    def _correct(self, grip: Grip, stamp: float, measured: Measured) -> bool:
+        """Bring the force that sensors measure to the one that was asked for.
+
+        Adaptive fingers bend and touch elsewhere than the levers have it. Without sensors at the
+        fingertips of both sides, the levers count alone.
+        """
+        felt = grip.tip_force(measured.touch)
+        time, self._corrected = stamp - self._corrected, stamp
+        wanted = self._level * self.force
+        if not (felt >= _FELT * wanted and time > 0.0 and self.pressing):
+            return False
+        factor = self._factor
+        if felt > wanted:
+            # Where the limit is not reached yet, lowering it would do nothing for a while.
+            factor = min([factor, *(self._exerted(i, measured) for i in self.pressing)])
+        elif not all(self._contact.blocked(i) for i in self.pressing):
+            return False  # still on the way to the present limit
+        factor *= 1.0 + min(time / _FOLLOW, 1.0) * (1.0 - felt / wanted)
+        self._factor = min(max(factor, 1.0 / _BELIEVED), _BELIEVED)
+        self._apply()
+        return True
+
+    def _exerted(self, i: int, measured: Measured) -> float:
+        """Return what an actuator exerts as a share of its effort limit without correction."""
+        share = abs(measured.effort[i]) / (self._level * self.held[i].full)
+        return share if share == share else math.inf
 
     def _build(self, stamp: float) -> None:
         time = self._grasp.squeeze_time
@@ -195,5 +247,9 @@ class Squeeze:
     def _set_level(self, level: float, stamp: float) -> None:
         self._level = level
         self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
+        self._apply()
+
+    def _apply(self) -> None:
         for i, held in self.held.items():
-            self.effort[i] = level * held.full
+            factor = self._factor if i in self.pressing else 1.0
+            self.effort[i] = self._level * factor * held.full
