@@ -24,9 +24,10 @@ from rtee.errors import GoalRejected
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.loop.configure import loop_settings
+from rtee.loop.contact import Measured
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.types import Goal
+from rtee.types import FloatArray, Goal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 RATE = 500.0
@@ -83,7 +84,14 @@ def squeeze(simulation: Simulation, hand: Hand) -> float:
     return float(np.linalg.norm(found, axis=1).sum()) / 2.0
 
 
-def measure(case: Case, force: float) -> str:
+class Numb(HeadlessHand[Simulation]):
+    """A hand without sensors at its fingertips."""
+
+    def _measured(self, position: FloatArray, effort: FloatArray, forces: FloatArray) -> Measured:
+        return super()._measured(position, effort, np.full_like(forces, np.nan))
+
+
+def measure(case: Case, force: float, numb: bool) -> str:
     """Return a row of the table: what one grasp came to."""
     folder = CONFIG / case.hand
     hand, config = load_configured(folder)
@@ -97,7 +105,8 @@ def measure(case: Case, force: float) -> str:
     place = Places(simulation, hand, library.find(case.action, case.elements)).find(1)[0]
     simulation.reset()
     simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
-    headless = HeadlessHand(hand, library, settings, simulation)
+    kind = Numb if numb else HeadlessHand[Simulation]
+    headless = kind(hand, library, settings, simulation)
     goal = Goal(
         case.action,
         case.elements,
@@ -126,6 +135,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hand", help="this hand only")
     parser.add_argument("--quick", action="store_true", help="one force per hand")
+    parser.add_argument("--numb", action="store_true", help="without sensors at the fingertips")
     arguments = parser.parse_args()
     print("| hand | asked N | held N | off | peak N | width mm | within |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | --- |")
@@ -133,7 +143,7 @@ def main() -> None:
         if arguments.hand not in (None, case.hand):
             continue
         for force in case.forces[:1] if arguments.quick else case.forces:
-            print(measure(case, force), flush=True)
+            print(measure(case, force, arguments.numb), flush=True)
 
 
 if __name__ == "__main__":

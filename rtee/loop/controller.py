@@ -106,8 +106,16 @@ class Controller:
         self._reflexes = Reflexes(
             hand, settings.grasp, self._profile, self._limiter, self._contact, self._limit, report
         )
+        self.max_velocity = list(limits.velocity)
         self._executor = Executor(
-            hand, settings, self._profile, self._contact, self._plausible, self._reflexes, report
+            hand,
+            settings,
+            self._profile,
+            self._contact,
+            self._plausible,
+            self._reflexes,
+            report,
+            self.max_velocity,
         )
         self.active = [False] * n
         self._accepts = [True] * n
@@ -124,7 +132,6 @@ class Controller:
             self._limiter.seed(i, position)
         nothing = [math.nan] * n
         self._measured = Measured(nothing, nothing, nothing, [False] * n, [-1] * n)
-        self.max_velocity = list(limits.velocity)
         self.reference_position = self._limiter.position
         self.reference_velocity = self._limiter.velocity
         self.reference_effort = [0.0] * n
@@ -182,8 +189,6 @@ class Controller:
         self._kept -= plan.involved
         if plan.goal.force is not None:
             self._kept |= plan.involved
-        for i, actuator in enumerate(self.hand.actuators):
-            self.max_velocity[i] = plan.goal.speed * actuator.velocity
         self._executor.start(plan, stamp, self._measured)
         self._set_efforts()
         lost = [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]

@@ -10,6 +10,7 @@ from typing import TypedDict
 
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.opening_plan import closing_speed
 from rtee.loop.plan import Leg, Plan
 from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import Profile
@@ -76,6 +77,7 @@ class Executor:
         plausible: Says whether what is measured can be believed.
         reflexes: Act when fingers touch something.
         report: Called with feedback, and with the result of every goal, exactly once.
+        max_velocity: Is given the velocity limits of each leg, by actuator [rad/s | m/s].
     """
 
     def __init__(
@@ -87,8 +89,10 @@ class Executor:
         plausible: Plausibility,
         reflexes: Reflexes,
         report: Callable[[Feedback | Result], None],
+        max_velocity: list[float],
     ) -> None:
         self._hand = hand
+        self._max_velocity = max_velocity
         self._settings = settings
         self._profile = profile
         self._contact = contact
@@ -283,7 +287,11 @@ class Executor:
     def _set_out(self, run: _Run, stamp: float, measured: Measured) -> None:
         run.phase = Phase.MOVING
         leg, goal = run.present, run.plan.goal
-        top = {i: goal.speed * actuator.velocity for i, actuator in enumerate(self._hand.actuators)}
+        last = run.leg + 1 == len(run.plan.legs)
+        speed = closing_speed(run.plan.goal, self._hand, run.plan.grip) if last else goal.speed
+        for i, actuator in enumerate(self._hand.actuators):
+            self._max_velocity[i] = speed * actuator.velocity
+        top = dict(enumerate(self._max_velocity))
         self._profile.go(leg.targets, brake=self._moving(except_for=leg.targets), velocity=top)
         run.length = self._length_tolerance(leg.targets, goal.tolerance)
         run.shares = self._shares(run)

@@ -25,6 +25,14 @@ _ROUNDING: Final = 5e-5
 """An opening outside of the table by less than this is the one at its end [m]: what people read is
 rounded to 0.1 mm."""
 
+_CONTACT_SPEED: Final = 0.01
+"""A force that is asked for does not slow the opening to less than this when it closes [m/s]: as a
+touch, within a second over the margin."""
+
+_SPEED_PER_FORCE: Final = 2e-3
+"""Speed of the opening at which an object is met, per newton that is asked for [m/s/N]. A 2F-85 hits
+with 0.38 N per mm/s in MuJoCo, more than any other hand: the impact stays below the force."""
+
 _SAMPLES: Final = 8
 """Openings at which the range of the force is looked at, besides the first: it bends little."""
 
@@ -247,6 +255,29 @@ def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float, name: str) 
             f"not {1e3 * speed:g} mm/s"
         )
     return min(share, 1.0)
+
+
+def closing_speed(goal: Goal, hand: Hand, grip: Grip | None) -> float:
+    """Return the share of the velocity limits at which a goal closes on its object.
+
+    What an impact does before any reflex comes from the inertia of the motors, and goes with the
+    speed: the less force is asked for, the slower the fingers meet the object.
+    """
+    if not goal.grasp or goal.force is None or goal.opening is None or grip is None:
+        return goal.speed
+    speed = max(_CONTACT_SPEED, _SPEED_PER_FORCE * goal.force)
+    try:
+        at = grip.intensity_at(goal.opening)
+        return min(goal.speed, tip_speed_share(speed, hand, grip, at, ""))
+    except GoalRejected:  # faster than it closes
+        return goal.speed
+
+
+def closing_time(goal: Goal) -> float:
+    """Return how long a goal may take longer because it closes slowly on its object [s]."""
+    if not goal.grasp or goal.force is None or goal.opening is None:
+        return 0.0
+    return (goal.opening + MARGIN) / max(_CONTACT_SPEED, _SPEED_PER_FORCE * goal.force)
 
 
 def _best(
