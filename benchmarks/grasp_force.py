@@ -63,7 +63,7 @@ def squeeze(simulation: Simulation, hand: Hand) -> float:
     """Return the force with which one side presses on the object, and the other side back [N].
 
     That is half the sum over the fingers of the size of what each exerts on the object, all of its
-    links together: links of one finger that press against each other through the object add nothing.
+    links together: links of one finger that press against each other add nothing.
     """
     model, data = simulation.model, simulation.data
     thing = model.body(OBJECT).id

@@ -106,17 +106,10 @@ class Controller:
         self._reflexes = Reflexes(
             hand, settings.grasp, self._profile, self._limiter, self._contact, self._limit, report
         )
-        self.max_velocity = list(limits.velocity)
         self._executor = Executor(
-            hand,
-            settings,
-            self._profile,
-            self._contact,
-            self._plausible,
-            self._reflexes,
-            report,
-            self.max_velocity,
+            hand, settings, self._profile, self._contact, self._plausible, self._reflexes, report
         )
+        self.max_velocity = self._executor.max_velocity
         self.active = [False] * n
         self._accepts = [True] * n
         self._seeding: set[int] = set()
@@ -180,7 +173,7 @@ class Controller:
     def accept(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted, and a stream ends."""
         self._end_stream(stamp, f"{plan.action} took over")
-        self._let_go(plan.involved)
+        self._let_go(plan)
         self._leave_hold(plan.involved)
         self._goal_effort = {
             i: e for i, e in self._goal_effort.items() if i not in plan.involved
@@ -197,15 +190,19 @@ class Controller:
                 list(plan.involved), stamp, f"the device of {lost[0]} is not active any more"
             )
 
-    def _let_go(self, indices: Iterable[int]) -> None:
-        """Have references that press with a force begin anew where the actuators are.
+    def _let_go(self, plan: Plan) -> None:
+        """Have references that press on something begin anew where the actuators are.
 
-        They lie far inside of what is held: on the way back from there, they would press with
-        whatever effort the next goal allows.
+        They lie inside of what is held: on the way back from there, they would press with whatever
+        effort the plan allows. Where it closes further, what is held is not let go.
         """
-        pressing = self._kept.union(self._reflexes.held)
-        there = {i: self._measured.position[i] for i in pressing.intersection(indices)}
-        there = {i: position for i, position in there.items() if math.isfinite(position)}
+        there: dict[int, float] = {}
+        for i, target in plan.legs[0].targets.items():
+            here = self._measured.position[i]
+            ahead = self._limiter.position[i] - here
+            blocked = self._contact.blocked(i) or i in self._kept or i in self._reflexes.held
+            if blocked and math.isfinite(here) and ahead * (target - here) <= 0.0:
+                there[i] = here
         self._profile.seed(there)
         for i, position in there.items():
             self._limiter.seed(i, position)

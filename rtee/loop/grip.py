@@ -23,6 +23,9 @@ from rtee.types import GripForce
 TIPS: Final = "tip forces"
 """The force is the sum of what sensors at the fingertips measure."""
 
+DEVICE: Final = "device"
+"""The force is what the device measures, in newtons by its sheet."""
+
 EFFORT: Final = "effort"
 """The force is estimated from the efforts that the devices measure."""
 
@@ -183,6 +186,19 @@ class Grip:
         way = self.intensity[high] - self.intensity[low]
         return (self.width[low] - self.width[high]) / way
 
+    def error_of(self, width: float, intensity: float) -> float:
+        """Return how far actuators may be off where the opening is off by a width [m].
+
+        Args:
+            width: How far the opening may be off [m].
+            intensity: Where.
+
+        Returns:
+            The norm of the errors of all actuators [rad | m], whichever way they are off.
+        """
+        levers = self._levers(intensity)
+        return width / max(math.sqrt(sum([lever * lever for lever in levers])), _LEAST_TRAVEL)
+
     def _cell(self, intensity: float) -> tuple[int, float]:
         grid = self.intensity
         k = min(max(bisect_right(grid, intensity) - 1, 0), len(grid) - 2)
@@ -317,7 +333,7 @@ class Grip:
         if self.sheet is not None and effort[self.indices[0]] == effort[self.indices[0]]:
             i = self.indices[0]
             found = self.sheet.force_for(abs(effort[i]), position[i])
-            return found, _EFFORT_SHARE * found, EFFORT
+            return found, _EFFORT_SHARE * found, DEVICE
         if chosen and all(effort[i] == effort[i] for _, i, _ in chosen):
             return self._from_efforts(chosen, effort)
         if pressing and chosen and all(math.isfinite(limits[i]) for _, i, _ in chosen):

@@ -153,7 +153,7 @@ class Squeeze:
             measured: What was measured.
         """
         if not self.built:
-            self._build(stamp)
+            self._build(stamp, measured)
             return True
         corrected = self.grip is not None and self._correct(self.grip, stamp, measured)
         if not self.answers_slips:
@@ -201,13 +201,19 @@ class Squeeze:
         share = abs(measured.effort[i]) / (self._level * self.held[i].full)
         return share if share == share else math.inf
 
-    def _build(self, stamp: float) -> None:
+    def _build(self, stamp: float, measured: Measured) -> None:
         time = self._grasp.squeeze_time
         share = min((stamp - self._since) / time, 1.0) if time > 0.0 else 1.0
         for i, held in self.held.items():
             self.effort[i] = held.start + share * (held.full - held.start)
-        if share >= 1.0:
+        there = self.grip is not None and self.grip.tip_force(measured.touch) >= self.force
+        if share >= 1.0 or there:
             self.built = True
+            if there:  # with less effort than the levers have it
+                shares = (self._exerted(i, measured) for i in self.pressing)
+                self._factor = max(min(shares, default=1.0), 1.0 / _BELIEVED)
+                self._factor = min(self._factor, 1.0)
+                self._apply()
             self._ease = stamp + self._grasp.grip_after
             for i in self.held:
                 self._contact.unpin(i, stamp)
