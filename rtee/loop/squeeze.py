@@ -46,6 +46,12 @@ _FOLLOW = 0.2
 """Time constant with which a measured force is brought to the one that was asked for [s]: slower
 than motors answer, so that nothing oscillates."""
 
+_THERE = 0.02
+"""A force that is off by less than this share of the one that was asked for is there."""
+
+_CORRECTED = 3.0
+"""It is corrected for this long at most after the fingers have come to rest [s]."""
+
 _BELIEVED = 2.0
 """A measured force changes effort limits by this factor at most: sensors break, too."""
 
@@ -130,6 +136,7 @@ class Squeeze:
         self.grip: Grip | None = None
         self.pressing: frozenset[int] = frozenset()
         self._factor, self._corrected = 1.0, math.nan
+        self._correct_until, self._there = -math.inf, math.inf
         self._floor, self._most = floor, most
         self._level = 1.0
         self._since = self._settled = self._ease = math.inf
@@ -155,16 +162,19 @@ class Squeeze:
         if not self.built:
             self._build(stamp, measured)
             return True
-        corrected = self.grip is not None and self._correct(self.grip, stamp, measured)
-        if not self.answers_slips:
+        if self.grip is not None and stamp < self._correct_until:
+            corrected = self._correct(self.grip, stamp, measured)
+            self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
             return corrected
+        if not self.answers_slips:
+            return False
         if not any(self._contact.grasping(i) for i in self.held):
             self._settled = stamp + _SETTLE
-            return corrected
+            return False
         if stamp < self._settled:
             for held in self.held.values():
                 held.position = math.nan
-            return corrected
+            return False
         for i, held in self.held.items():
             if measured.fresh[i] and self._slips(i, held, measured):
                 self._raise(i, stamp)
@@ -172,24 +182,32 @@ class Squeeze:
         if self._level > self._floor and stamp >= self._ease:
             self._set_level(max(self._level - _EASE_STEP, self._floor), stamp)
             return True
-        return corrected
+        return False
 
     def _correct(self, grip: Grip, stamp: float, measured: Measured) -> bool:
         """Bring the force that sensors measure to the one that was asked for.
 
         Adaptive fingers bend and touch elsewhere than the levers have it. Without sensors at the
-        fingertips of both sides, the levers count alone.
+        fingertips of both sides, the levers count alone. Once the force is there, it is corrected
+        no more: what pulls at the object is felt, too, and must not loosen the grasp.
         """
         felt = grip.tip_force(measured.touch)
         time, self._corrected = stamp - self._corrected, stamp
-        wanted = self._level * self.force
+        wanted = self.force
+        still = all(self._contact.blocked(i) for i in self.pressing)
+        if still and self._correct_until == math.inf:
+            self._correct_until = stamp + _CORRECTED
+        if not (still and abs(felt - wanted) <= _THERE * wanted):
+            self._there = stamp
+        if felt != felt or stamp - self._there >= _SETTLE:
+            self._correct_until = stamp
         if not (felt >= _FELT * wanted and time > 0.0 and self.pressing):
             return False
         factor = self._factor
         if felt > wanted:
             # Where the limit is not reached yet, lowering it would do nothing for a while.
             factor = min([factor, *(self._exerted(i, measured) for i in self.pressing)])
-        elif not all(self._contact.blocked(i) for i in self.pressing):
+        elif not still:
             return False  # still on the way to the present limit
         factor *= 1.0 + min(time / _FOLLOW, 1.0) * (1.0 - felt / wanted)
         self._factor = min(max(factor, 1.0 / _BELIEVED), _BELIEVED)
@@ -215,6 +233,7 @@ class Squeeze:
                 self._factor = min(self._factor, 1.0)
                 self._apply()
             self._ease = stamp + self._grasp.grip_after
+            self._correct_until, self._there = math.inf, stamp
             for i in self.held:
                 self._contact.unpin(i, stamp)
 

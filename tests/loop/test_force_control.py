@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from rtee.loop.configure import loop_settings
 from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
 from rtee.loop.plan import make_plan
-from rtee.types import Event, Goal, Result
+from rtee.types import Event, Goal, OnContact, Result
 
 FOLDER = Path(__file__).parents[2] / "config" / "robotiq_2f_85"
 NAN = float("nan")
@@ -30,6 +31,7 @@ class Gripper:
         reads: What the sensors read for every newton by the levers; ``NaN``: there are none.
         friction: Effort below which nothing moves [N·m].
         stops_short: How far before its reference it stands still [rad].
+        amperes: Current for every unit of effort, which is not measured then [A/(N·m)].
     """
 
     def __init__(
@@ -38,12 +40,14 @@ class Gripper:
         reads: float = NAN,
         friction: float = 0.0,
         stops_short: float = 0.0,
+        amperes: float = NAN,
     ) -> None:
         self.hand, config = load_configured(FOLDER)
         self.library = ActionLibrary.load(self.hand, FOLDER / "actions")
         self.settings = loop_settings(config, rate=500.0)
         self.controller = Controller(self.hand, self.settings)
         self.reads, self.friction, self.stops_short = reads, friction, stops_short
+        self.amperes = amperes
         self.grip = self.plan(Goal("Grasp", opening=width)).grip
         assert self.grip is not None
         self.contact = math.inf
@@ -93,6 +97,9 @@ class Gripper:
         if self.reads == self.reads:
             touch = [self.reads * self.force] * 2
         measured = Measured([self.position], [self.effort], [NAN], [True], [-1], touch=touch)
+        if self.amperes == self.amperes:
+            free = 0.3 * (self.controller.reference_velocity[0] > 0.0)
+            measured.effort, measured.current = [NAN], [self.amperes * (self.effort + free)]
         self.controller.step(self.time, measured)
         for item in self.controller.outbox.items:
             if isinstance(item, Result):
@@ -123,7 +130,7 @@ def test_an_approach_takes_little_effort_and_the_force_comes_after_the_contact()
         limits.append(gripper.limit)
         assert gripper.force <= 1.05 * 40.0
     assert gripper.results.pop().grasped
-    rising = [b - a for a, b in zip(limits, limits[1:], strict=False)]
+    rising = [b - a for a, b in pairwise(limits)]
     assert max(rising) < 0.1 * wanted, "in steps of a ramp"
 
 
@@ -177,6 +184,24 @@ def test_a_goal_that_closes_further_does_not_let_go() -> None:
     for _ in range(200):
         gripper.tick()
         assert gripper.force >= 0.99 * before
+
+
+@pytest.mark.parametrize("amperes", [0.05, 2.0])
+def test_a_device_that_measures_nothing_but_currents_feels_what_it_touches(amperes: float) -> None:
+    gripper = Gripper(0.04, amperes=amperes)
+    gripper.accept(Goal("Grasp", on_contact={"": OnContact.STOP}, speed=0.3))
+    pressed = 0.0
+    while not gripper.results:
+        gripper.tick()
+        pressed = max(pressed, gripper.force)
+    assert gripper.results.pop().touched == ("finger_1", "finger_2")
+    assert gripper.reference == pytest.approx(gripper.contact, abs=1e-3)
+    assert pressed < 10.0
+    # The effort limits of a force are in other units than the current that free motion takes.
+    squeezing = Gripper(0.04, amperes=amperes)
+    assert squeezing.do(grasp(0.04, 40.0)).stalled
+    wanted = squeezing.plan(grasp(0.04, 40.0)).effort[0]
+    assert squeezing.limit == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize(("off", "reached"), [(3e-4, True), (1e-3, False)])
