@@ -81,6 +81,7 @@ class _Approach:
         grip: Tells the force, where it was asked for.
         pressing: Actuators whose effort makes the force.
         slips: Slips are answered and reported.
+        speed: Share of the velocity limits at which it squeezes.
     """
 
     watched: dict[int, _Watched]
@@ -91,6 +92,7 @@ class _Approach:
     grip: Grip | None = None
     pressing: frozenset[int] = frozenset()
     slips: bool = True
+    speed: float = 1.0
 
 
 class Reflexes:
@@ -223,7 +225,7 @@ class Reflexes:
         slips = bool(goal.on_contact or self._grasp.on_contact or most)
         pressing = frozenset(plan.effort)
         self._approach = _Approach(
-            watched, sides, most, goal.touch, goal.force, plan.grip, pressing, slips
+            watched, sides, most, goal.touch, goal.force, plan.grip, pressing, slips, goal.speed
         )
         self.active = True
         for i, each in watched.items():
@@ -411,7 +413,8 @@ class Reflexes:
                 spec = self._hand.actuators[i]
                 floor = max(floor, self._grasp.grip_effort * spec.effort / full)
                 most = min(most, approach.most.get(i, full) / full)
-                self._profile.go({i: each.target})
+                # The slowness of the approach is for the impact alone.
+                self._profile.go({i: each.target}, velocity={i: approach.speed * spec.velocity})
             else:
                 top = _SLOW * self._hand.actuators[i].velocity
                 self._profile.go({i: each.target}, velocity={i: top})

@@ -42,9 +42,12 @@ _DROP = 0.7
 _TOLD_EVERY = 0.5
 """Slips are reported at most this often [s]."""
 
-_FOLLOW = 0.2
+_FOLLOW = 0.1
 """Time constant with which a measured force is brought to the one that was asked for [s]: slower
 than motors answer, so that nothing oscillates."""
+
+_AT_LIMIT = 0.9
+"""From this share of its effort limit on, an actuator is at it."""
 
 _THERE = 0.02
 """A force that is off by less than this share of the one that was asked for is there."""
@@ -194,7 +197,10 @@ class Squeeze:
         felt = grip.tip_force(measured.touch)
         time, self._corrected = stamp - self._corrected, stamp
         wanted = self.force
-        still = all(self._contact.blocked(i) for i in self.pressing)
+        still = all(
+            self._contact.blocked(i) and self._exerted(i, measured) >= _AT_LIMIT * self._factor
+            for i in self.pressing
+        )
         if still and self._correct_until == math.inf:
             self._correct_until = stamp + _CORRECTED
         if not (still and abs(felt - wanted) <= _THERE * wanted):
