@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test wheels lint types layers docs bench format clean
+.PHONY: demo test wheels bundle lint types layers docs bench format clean
 
 # The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.
 .venv/.ready: pyproject.toml constraints.txt
@@ -24,7 +24,12 @@ test: lint types layers
 
 # The wheel as a user gets it: in an empty environment of each Python there is, and on ARM.
 wheels: .venv/.ready
-	RTEE_WHEELS=1 $(BIN)/python -m pytest -v tests/install
+	RTEE_WHEELS=1 $(BIN)/python -m pytest -v tests/install \
+		tests/deploy/test_bundle.py tests/deploy/test_container.py
+
+# For a robot PC without a network: make bundle FOR="--python 3.12 --platform aarch64"
+bundle: .venv/.ready
+	$(BIN)/python deploy/bundle.py $(FOR)
 
 lint: .venv/.ready
 	$(BIN)/ruff format --check .

@@ -1,4 +1,4 @@
-"""Every decoder against random and mutated frames, a million each.
+"""Run every decoder against random and mutated frames, a million each.
 
     python benchmarks/codecs.py [--frames 1000000] [--only NAME]
 

@@ -1,4 +1,4 @@
-"""What the benchmarks share: how their command lines are read, and how their tables are printed."""
+"""Common parts of the benchmarks: the parser of command lines, and the printer of tables."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ HELP = {
     "warm": "time before anything is measured [s]",
     "witness": "cyclictest beside the loop",
 }
-"""What the options of the benchmarks are."""
+"""The help texts of the benchmarks' options."""
 
 
 def command_line(doc: str | None, **options: object) -> argparse.ArgumentParser:
@@ -56,6 +56,7 @@ def command_line(doc: str | None, **options: object) -> argparse.ArgumentParser:
     )
     for name, value in options.items():
         flag, said = f"--{name.replace('_', '-')}", HELP[name]
+        # Before `isinstance(value, type)` and numbers: a bool is an int in Python.
         if value is False:
             parser.add_argument(flag, action="store_true", help=said)
         elif isinstance(value, type):
@@ -74,8 +75,8 @@ class Table:
 
         Args:
             head: The columns' titles.
-            widths: At least how wide the first columns are [characters], so that they stand below
-                one another on a terminal, too.
+            widths: Least widths of the first columns [characters], so that columns are aligned on a
+                terminal, too.
         """
         self._widths = [*widths, *(0 for _ in head[len(widths) :])]
         self.row(*head)

@@ -1,4 +1,4 @@
-"""How hard, how sticky and how costly contacts are, with the settings of the simulation and others.
+"""Measure how hard, sticky and costly contacts are, with the simulation's settings and others.
 
 Run: ``python benchmarks/contacts.py [--rounds N] [--hand NAME]``; prints Markdown. With the name of
 a hand, its contacts with all standard objects; without, those of all hands, after the settings.
@@ -36,7 +36,7 @@ GRASPS = (
 """Grasps that hold with every setting."""
 
 HELD = 1.0
-"""How long an object is watched after it was let go into the hand [s]."""
+"""How long an object is watched after its support was removed [s]."""
 
 CLOSING = 0.3
 """An object that moves faster than this has been lost, and is no part of the study [m/s]."""
@@ -133,12 +133,14 @@ class Watch:
             return
         for number, contact in enumerate(data.contact):
             roots = model.body_rootid[model.geom_bodyid[[contact.geom1, contact.geom2]]]
+            # Contacts of the hand with itself do not count.
             if -contact.dist > self.deepest[0] and (roots == self._object).sum() == 1:
                 mujoco.mj_contactForce(model, data, number, self._force)
                 self.deepest = (-float(contact.dist), float(self._force[0]))
         dof = int(model.joint("object").dofadr[0])
         velocity = data.qvel[dof : dof + 6]
         mass = model.body_subtreemass[self._object]
+        # Translation only: an object that chatters between fingers moves, whether it turns or not.
         self.energies.append(0.5 * float(mass * velocity[:3] @ velocity[:3]))
 
 
@@ -161,13 +163,16 @@ def grasp(name: str, shape: str, settings: Settings) -> Seen | None:
     watch = Watch(simulation)
     headless.before_tick(watch)
     headless.do(Goal(action.name, action.elements))
+    # The fingers come to rest before the object has to be held.
     headless.wait(0.4)
     around.remove_support()
+    # The object settles in the hand; that is not creep.
     headless.wait(0.4)
     start = around.position_in_hand
     watch.energies.clear()
     began = time.process_time()
     headless.wait(HELD)
+    # Processor time, not time on the clock: other programs run beside.
     cost = (time.process_time() - began) / HELD
     creep = float(np.linalg.norm(around.position_in_hand - start)) / HELD
     energy = float(np.mean(watch.energies)) if watch.energies else 0.0

@@ -1,4 +1,4 @@
-"""The devices that the benchmarks drive: those that the contract suite drives, and more of them."""
+"""The devices that the benchmarks drive: those of the contract suite, and whole hands of them."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ def cases(only: str | None) -> dict[str, DeviceCase]:
         if spec is None or spec.loader is None:
             continue
         module = importlib.util.module_from_spec(spec)
+        # Before executing: dataclasses look their module up there.
         sys.modules[spec.name] = module
         spec.loader.exec_module(module)
         for name, value in vars(module).items():
@@ -70,6 +71,7 @@ def whole_hands(devices: dict[str, DeviceCase], only: str | None) -> dict[str, D
                     "servos": {n: {"id": i + 1} for i, n in enumerate(names)},
                     "baudrate": baudrate,
                     "fast": fast,
+                    # Seldom, so that nearly all exchanges carry the same bytes.
                     "health_every": 200,
                 }
                 joints = tuple(actuator(n, -1.0, 1.5, effort=0.5, rest=0.0) for n in names)

@@ -1,4 +1,4 @@
-"""Every driver on its emulated wire: throughput beside the wire's limit, and a matrix of faults.
+"""Measure every driver on its emulated wire: throughput beside the wire's limit, and faults.
 
     python benchmarks/drivers.py [--seconds 3] [--cycles 10000] [--only NAME] [--no-matrix]
 
@@ -14,17 +14,16 @@ Dynamixels 1 ms, Modbus 3.5 characters but at least 1.75 ms), and the silence th
 of its master. ``rate`` is that of all seconds together, ``of it`` its share of the limit;
 ``median`` is that of the median exchange, which other programs on the machine disturb less.
 
-The device at a serial line is played by a process of its own (`farend`) on the machine's last
-processor, and the driver runs on the others: the device shall not take the driver's time. The
-wire's time begins when the driver writes; the way to the device through the pseudo-terminal is not
-counted, the way back is: a program that only writes and reads comes to 92 % of the qb hand's limit.
-By how much the device's last answer before a request was too late, on average, stands under ``end``
-[µs]; ``of it`` and ``median`` do not forgive the driver that. ``but for it`` is ``of it`` with it
-taken off.
+A separate process (`farend`) on the machine's last processor emulates the device of a serial line,
+and the driver runs on the other processors: the device must not take the driver's time. The wire's
+time begins when the driver writes; the way to the device through the pseudo-terminal is not
+counted, the way back is: a program that only writes and reads reaches 92 % of the qb hand's limit.
+Column ``end`` [µs] is the mean delay of the device's last answer before a request; ``of it`` and
+``median`` include it, ``but for it`` is ``of it`` without it.
 
-Devices without a wire of that kind (networks, process data) have no such limit; a device that sends
-by itself (Allegro) has its own pace for one. Beside stands the rate that the driver itself names as
-its best, which the loop does not exceed.
+Devices without a wire of that kind (networks, process data) have no such limit; the limit of a
+device that sends by itself (Allegro) is its own pace. The next column is the rate that the driver
+itself names as its best, which the loop does not exceed.
 
 Matrix: see `matrix`. The survival of the faults is tried several at a time, as emulated devices
 mostly wait; the lateness of another hand afterwards, one fault at a time and nothing beside.
@@ -50,7 +49,7 @@ OWN_PACE = frozenset({"allegro"})
 
 
 async def throughput(case: DeviceCase, seconds: float) -> list[object]:
-    """Return the cells of a row of the table but the device's name."""
+    """Return the cells of a row of the table, without the device's name."""
     async with ApartPool() as pool, Session(case, pool=pool) as session:
         await session.start()
         near, far = case.between()
@@ -59,6 +58,8 @@ async def throughput(case: DeviceCase, seconds: float) -> list[object]:
         here = [float(q) for q in (await session.sense()).position]
         goals = [
             Reference.at(
+                # References that differ in every exchange, within ±5 % of the way: a driver may
+                # skip equal ones.
                 [q + 1e-3 * (i - 50) * (f - n) for q, n, f in zip(here, near, far, strict=True)]
             )
             for i in range(100)
@@ -87,6 +88,7 @@ async def throughput(case: DeviceCase, seconds: float) -> list[object]:
                     fresh += 1
                     times.append(now - before)
                     before = now
+                # A device that is silent for a second must not count as one long exchange.
                 elif now - before > 1.0:
                     before = now
             taken, need, said = time.perf_counter() - start, used() - began, pool.late()
@@ -95,6 +97,7 @@ async def throughput(case: DeviceCase, seconds: float) -> list[object]:
         if case.driver in OWN_PACE:
             need, middle = fresh / best, 1.0 / best
         limit = mean = share = end = but = "–"
+        # Less of the time than this on the wire: the wire is not what limits it.
         if need > 0.02 * taken:
             limit = f"{fresh / need:.0f}"
             mean = f"{100.0 * need / taken:.0f} %"

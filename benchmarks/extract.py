@@ -1,4 +1,4 @@
-"""The extraction measured beside random sampling and a search of many starts; prints Markdown.
+"""Measure the extraction beside random sampling and a search of many starts; print Markdown.
 
     python benchmarks/extract.py [--hands schunk_svh some/hand.urdf …] [--runs 3] [--jobs 0]
                                  [--starts 256] [--no-sampling]
@@ -48,6 +48,7 @@ from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 
 HANDS = ("robotiq_2f_85", "robotiq_3f", "dagana", "qb_softhand", "heri_ii", "schunk_svh")
+# Samples and polished minima as in the reference implementation; see above.
 TIGHT = WIDE = DISTANCE = 5000
 SEVERAL = 3000
 POLISHED = 8
@@ -98,10 +99,13 @@ def extracted(hand: str, runs: int, jobs: int) -> Measured:
             stderr=subprocess.DEVNULL,
         )
         assert process.stdout is not None
+        # Read to the end before waiting: a full pipe would stop the process.
         output = process.stdout.read()
+        # With the processes that it started: `resource` would only count those of this one.
         _, status, usage = os.wait4(process.pid, 0)
         walls.append(time.perf_counter() - start)
         cpus.append(usage.ru_utime + usage.ru_stime)
+        # Linux counts in KiB.
         peaks.append(usage.ru_maxrss / 1024)
         assert status == 0
     depths = {
@@ -133,6 +137,7 @@ def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Fingers, float]]:
     pairs = tip_pairs(scene)
     tips = sum(finger.tip is not None for finger in hand.fingers)
     rounds = [(real_limits(hand), TIGHT + DISTANCE), (widened_limits(hand), WIDE)]
+    # Groups of three fingers up to all: two are the pairs above.
     rounds += [(real_limits(hand), SEVERAL)] * max(0, tips - 2)
     for index, ((lower, upper), count) in enumerate(rounds):
         for u in random.uniform(lower, upper, (count, len(lower))):
@@ -223,6 +228,7 @@ def compare_depth(hands: Sequence[str], jobs: int, starts: int) -> None:
                 known = deepest(scene, goal, space, starts)
             depth = depths.get(names, 0.0)
             if known or depth:
+                # Shares of a bare contact would be quotients of rounding errors.
                 shares.append(depth / known if known > NOTHING else 1.0)
                 fingers = ", ".join(sorted(names))
                 table.row(
@@ -236,6 +242,7 @@ def main() -> None:
     parser = command_line(__doc__, runs=3, jobs=0, starts=0, no_sampling=False)
     parser.add_argument("--hands", nargs="+", default=list(HANDS), help=HELP["hands"])
     arguments = parser.parse_args()
+    # Otherwise the first run alone would pay for the compilation.
     compileall.compile_dir(str(Path(rtee.__file__).parent), quiet=1)
     compare_speed(
         arguments.hands, arguments.runs, arguments.jobs, sampling=not arguments.no_sampling

@@ -1,9 +1,9 @@
-"""The device's end of a serial line in a process of its own, so that it costs the driver nothing.
+"""The device's end of a serial line in a separate process, so that it costs the driver nothing.
 
-Played in a thread, as everywhere else, an emulated device shares the interpreter's lock with the
-driver, and its thread is woken some tens of microseconds late at every message: that is counted
-against the driver, although no real device takes the driver's processor. Here the device is played
-by a forked process that never sleeps. It hands bytes over when the modelled wire has carried them,
+In a thread, as everywhere else, an emulated device shares the interpreter's lock with the
+driver, and its thread is woken some tens of microseconds late at every message: that would count
+against the driver, although no real device takes the driver's processor. Here a forked process that
+never sleeps emulates the device. It hands bytes over when the modelled wire has carried them,
 never before, and notes by how much later it did.
 
 Bytes are on the wire from the moment the driver writes them, as on a real one. The kernel hands
@@ -41,9 +41,9 @@ _COUNT = struct.Struct("@Q")
 _WRITE = struct.Struct("@dQ")
 """When the driver wrote, CLOCK_MONOTONIC [s], and how many bytes."""
 _WRITES = 256
-"""Newest writes that are kept."""
+"""Newest writes that are kept: far more than are ever on their way at once."""
 _AT_ONCE = 2e-5
-"""What is due so soon is waited for without looking whether bytes have come [s]."""
+"""What is due within this time is awaited without checking whether bytes have come [s]."""
 
 
 class FarEnd:
@@ -60,6 +60,7 @@ class FarEnd:
             try:
                 self._play(factory, line)
             finally:
+                # Not sys.exit: the child must not run the parent's clean-up.
                 os._exit(1)
         while not self._read()[0]:
             time.sleep(0.001)
@@ -79,6 +80,7 @@ class FarEnd:
         at = _COUNT.size + self._written % _WRITES * _WRITE.size
         _WRITE.pack_into(self._writes, at, now, count)
         self._written += 1
+        # Last: the other process reads an entry only when the count says that it is there.
         _COUNT.pack_into(self._writes, 0, self._written)
 
     def _heard(self, data: bytes) -> Iterator[tuple[bytes, float]]:
@@ -106,10 +108,12 @@ class FarEnd:
         return _NOTES.unpack_from(self._notes)  # type: ignore[return-value]
 
     def _play(self, factory: EmulatorFactory, line: Line) -> None:
+        # A collection would be a late answer.
         gc.disable()
         processors = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, processors[-1:])
         device = factory()
+        # Its answers depend on the time at which they are computed, not on requests alone.
         if device.period:
             raise ValueError("a device that acts by itself cannot think ahead")
         wire = Wire([device], baudrate=float(line.baudrate), bits=float(line.bits))

@@ -1,4 +1,4 @@
-"""Measure which force hands hold with, beside the one that was asked for, in MuJoCo.
+"""Measure the force with which hands hold, beside the requested one, in MuJoCo.
 
 Each hand grasps an object that floats between its fingertips, by width and force, as `rtee grasp`
 does. The force that counts is that of the contacts half a second later; the peak is the strongest
@@ -25,14 +25,15 @@ from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.loop.configure import loop_settings
 from rtee.loop.contact import Measured
+from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.types import FloatArray, Goal
+from rtee.types import Goal
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
-RATE = 500.0
-SETTLE = 0.5
-SPEED = 0.05
+RATE = 500.0  # of the loop [Hz], as hands are simulated
+SETTLE = 0.5  # time in which the force comes to rest [s]
+SPEED = 0.05  # of the fingertips [m/s]: slow enough that the impact does not count
 
 
 @dataclass(frozen=True)

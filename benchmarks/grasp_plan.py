@@ -1,4 +1,4 @@
-"""How often a planned grasp holds in dynamics, beside the best stored action and a random one.
+"""Count how often a planned grasp holds in dynamics, beside the best stored and a random action.
 
 Things that no action was made for (``experiments/objects``) are grasped, lifted, held and shaken:
 
@@ -31,12 +31,13 @@ from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, run_trial
 
 FOLDER = Path(__file__).parents[1] / "experiments" / "objects"
+# The experiments are not installed; their objects and masses are shared with them.
 sys.path.insert(0, str(FOLDER.parents[1]))
 
 from experiments.objects.make import MASSES  # noqa: E402
 
 HANDS = ("robotiq_2f_85", "robotiq_3f", "schunk_svh")
-SEED = 13
+SEED = 13  # of the random actions, so that runs can be compared
 
 
 def best_stored(ready: Bench) -> Action:
@@ -91,6 +92,7 @@ def main() -> None:
             label, one, wall, used = planned(ready, target)
             two = tried(ready, stored, target, arguments.places)
             three = tried(ready, draw.choice(list(ready.library)), target, arguments.places)
+            # Counters add booleans as 0 and 1.
             held.update(planned=one, stored=two, random=three)
             times.append(wall)
             words = ["held" if found else "lost" for found in (one, two, three)]

@@ -1,4 +1,4 @@
-"""What the GUI costs a loop of 1 kHz, in one run; prints Markdown tables.
+"""Measure what the GUI costs a loop of 1 kHz, in one run; print Markdown tables.
 
     python benchmarks/gui.py [--rounds 3] [--seconds 6] [--hand schunk_svh] [--nice 19] [--realtime]
 
@@ -21,7 +21,6 @@ import argparse
 import os
 import statistics
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +28,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from common import Table, command_line
-from gui_common import chromium, gui_of, mover, program, remote_window, shown, used
+from gui_common import chromium, gui_of, mover, program, remote_window, runtime_folder, shown, used
 from gui_onlooker import kinds
 from gui_relay import Relay
 
@@ -55,9 +54,9 @@ finally:
     with open("ticks.bin", "wb") as file:
         kept.tofile(file)
 """
-RATE = 1000.0
-WARM = 1.0
-COUNTED = 5.0
+RATE = 1000.0  # of the loop [Hz]
+WARM = 1.0  # time before each part counts [s]
+COUNTED = 5.0  # time for which frames are counted [s]
 PARTS = ("alone", "GUI, no window", "GUI, window on another computer", "GUI, Chromium here")
 
 
@@ -101,6 +100,7 @@ def one_round(parts: dict[str, Part], folder: Path, given: argparse.Namespace, p
     alone, closed, remote, opened = (parts[name] for name in PARTS)
     alone.measure(given.seconds, None)
     with gui_of(folder, given.hand) as (gui, address):
+        # Starting the GUI loads the computer for a moment, which no part is about.
         time.sleep(2.0)
         closed.measure(given.seconds, gui)
         with remote_window(address, folder):
@@ -121,6 +121,7 @@ def counted(folder: Path, hand: str, page: Page) -> list[list[str]]:
         time.sleep(2.0)
         for name, window in windows.items():
             with Relay(address) as relay, window(relay.address):
+                # What a window is sent at its beginning, such as meshes, is not counted.
                 time.sleep(2.0 * WARM)
                 relay.take()
                 time.sleep(COUNTED)
@@ -164,9 +165,8 @@ def main() -> None:
     given = command_line(
         __doc__, rounds=3, seconds=6.0, hand="schunk_svh", nice=19, realtime=False
     ).parse_args()
-    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
-        os.environ["XDG_RUNTIME_DIR"] = place
-        measured(Path(place), given)
+    with runtime_folder() as place:
+        measured(place, given)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the benchmarks of the GUI have in common: a hand, the GUI and its windows, as processes."""
+"""Common parts of the GUI's benchmarks: a hand, the GUI and its windows, as processes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import re
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,9 +21,9 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
-MEGA = 2.0**20
-_PAGE = os.sysconf("SC_PAGE_SIZE")
-_TICK = os.sysconf("SC_CLK_TCK")
+MEGA = 2.0**20  # bytes of a MiB
+_PAGE = os.sysconf("SC_PAGE_SIZE")  # bytes
+_TICK = os.sysconf("SC_CLK_TCK")  # units of processor time per second
 
 
 @contextlib.contextmanager
@@ -33,6 +34,7 @@ def program(folder: Path, pattern: str, *command: str) -> Iterator[tuple[int, st
             assert process.stdout is not None
             for line in process.stdout:
                 if found := re.search(pattern, line):
+                    # Read on, or the process would stop when the pipe is full.
                     threading.Thread(target=process.stdout.read, daemon=True).start()
                     yield process.pid, found[1] if found.groups() else line
                     return
@@ -54,6 +56,7 @@ def resident(pid: int) -> float:
 
 def used(pid: int) -> float:
     """Return the processor time a process has used [s]."""
+    # Behind the name in parentheses, which may contain blanks.
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / _TICK
 
@@ -61,6 +64,7 @@ def used(pid: int) -> float:
 def family(pid: int) -> list[int]:
     """Return a process and all that it started."""
     found = [pid]
+    # The list grows while it is iterated over: children of children, too.
     for each in found:
         for task in Path(f"/proc/{each}/task").iterdir():
             found += map(int, (task / "children").read_text().split())
@@ -123,3 +127,11 @@ def shown(page: Page, address: str) -> Iterator[None]:
         yield
     finally:
         page.goto("about:blank")
+
+
+@contextlib.contextmanager
+def runtime_folder() -> Iterator[Path]:
+    """A temporary folder for files and sockets, in which hands that already run are not found."""
+    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
+        os.environ["XDG_RUNTIME_DIR"] = place
+        yield Path(place)

@@ -1,4 +1,4 @@
-"""Whether the GUI's memory grows while it plots; prints Markdown.
+"""Measure whether the GUI's memory grows while it plots; print Markdown.
 
     python benchmarks/gui_memory.py [--seconds 270] [--warm 60] [--hand schunk_svh] [--chromium]
 
@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,12 +29,13 @@ from gui_common import (
     program,
     remote_window,
     resident,
+    runtime_folder,
     shown,
 )
 from gui_onlooker import controls, use, window
 
-HOUR = 3600.0
-PIECE = 10
+HOUR = 3600.0  # seconds
+PIECE = 10  # sizes in a mean: memory goes up and down with each collection
 
 
 def slope(times: Sequence[float], sizes: Sequence[float]) -> tuple[float, float]:
@@ -50,7 +50,7 @@ def slope(times: Sequence[float], sizes: Sequence[float]) -> tuple[float, float]
 
 
 def line(name: str, times: Sequence[float], sizes: Sequence[float]) -> str:
-    """Return what there is to say of a process' memory."""
+    """Return the sentence about a process's memory."""
     rise, error = slope(times, sizes)
     return (
         f"{name}: {sizes[0] / MEGA:.1f} MB after the warm-up, {sizes[-1] / MEGA:.1f} MB "
@@ -116,9 +116,8 @@ def main() -> None:
     given = command_line(
         __doc__, seconds=270.0, warm=60.0, hand="schunk_svh", chromium=False
     ).parse_args()
-    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
-        os.environ["XDG_RUNTIME_DIR"] = place
-        measured(Path(place), given)
+    with runtime_folder() as place:
+        measured(place, given)
 
 
 if __name__ == "__main__":

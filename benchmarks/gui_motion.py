@@ -1,4 +1,4 @@
-"""From a command to motion, and where the time goes; prints a Markdown table.
+"""Measure the time from a command to motion, stage by stage; print a Markdown table.
 
     python benchmarks/gui_motion.py [--tries 20] [--hand schunk_svh] [--nice 19] [--still 1e-3]
 
@@ -15,10 +15,8 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import os
 import statistics
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -28,7 +26,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from common import Table, command_line
-from gui_common import COMMAND, chromium, program, shown
+from gui_common import COMMAND, chromium, program, runtime_folder, shown
 from gui_onlooker import controls, use, window
 
 import rtee
@@ -60,7 +58,7 @@ noting(GuiApi, "_handle_gui_updates", "click")
 noting(RemoteHand, "start", "asked")
 main()
 """
-RATE = 1000.0
+RATE = 1000.0  # of the states that are watched [Hz]: those of every tick
 STAGES = (
     "click, until the GUI has it",
     "GUI, until it asks the hand",
@@ -121,16 +119,19 @@ def tried(
     """Return the lengths of the stages of each try [s]; without a folder the first two are none."""
     found = []
     for _ in range(given.tries):
+        # From rest each time, and with some time to come to rest.
         hand.open()
         time.sleep(0.3)
         watch = Watch(given.hand, given.still)
         start = begin()
         watch.wait()
         times = [start, start, start, watch.changed, watch.moved]
+        # A client's own request passes neither stage of the GUI.
         if folder is not None:
             times[1:3] = [noted(folder, what, start) for what in ("click", "asked")]
         found.append([after - before for before, after in itertools.pairwise(times)])
         hand.stop()
+        # The next try begins with a goal, which a hand refuses while another client drives it.
         while hand.status().holder:
             time.sleep(0.01)
     return found
@@ -144,6 +145,7 @@ def clicked(page: Page) -> float:
     )
     page.get_by_role("button", name="Do", exact=True).first.click()
     at = page.evaluate("window.released")
+    # The browser's time is that of the wall; stamps of ticks are CLOCK_MONOTONIC.
     return float(at) * 1e-3 - (time.time() - time.monotonic())
 
 
@@ -158,6 +160,7 @@ def elsewhere(address: str) -> Iterator[Callable[[], float]]:
             for c in found
             if "Do" in c["props"].get("options", ()) and c["container_uuid"] == card["uuid"]
         )
+        # What the server sends has to be received, or it would stop sending.
         threading.Thread(target=lambda: sum(1 for _ in connection), daemon=True).start()
 
         def click() -> float:
@@ -216,9 +219,8 @@ def measured(folder: Path, given: argparse.Namespace) -> None:
 def main() -> None:
     """Run and print."""
     given = command_line(__doc__, tries=20, hand="schunk_svh", nice=19, still=1e-3).parse_args()
-    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
-        os.environ["XDG_RUNTIME_DIR"] = place
-        measured(Path(place), given)
+    with runtime_folder() as place:
+        measured(place, given)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""A window of the GUI without eyes: receives all that a browser would, and draws nothing.
+"""A window of the GUI without a display: receives all that a browser would, and draws nothing.
 
-It stands for a browser on another computer, whose drawing costs this one nothing::
+It represents a browser on another computer, whose drawing costs this one nothing::
 
     python benchmarks/gui_onlooker.py http://127.0.0.1:8080
 """

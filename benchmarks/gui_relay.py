@@ -15,6 +15,7 @@ def split(data: bytes) -> tuple[list[bytes], bytes]:
     at = 0
     while len(data) >= at + 2:
         length, head = data[at + 1] & 0x7F, 2
+        # 126 and 127 announce a length of 2 or 8 bytes (RFC 6455, section 5.2).
         if length >= 126:
             wide = 2 if length == 126 else 8
             head += wide
@@ -88,6 +89,7 @@ class Relay:
                     start, found, data = head.partition(b"\r\n\r\n")
                     if not found:
                         continue
+                    # Only a connection that switches to the websocket protocol carries frames.
                     keep = b" 101 " in start.splitlines()[0]
                 frames, rest = split(rest + data)
                 self._frames += frames

@@ -81,6 +81,7 @@ def _finger(finger: str, base: str, place: tuple[str, str]) -> list[str]:
     parts += [
         _link(n, _phalanx(length, RADIUS)) for n, length in zip(names[1:], PHALANGES, strict=True)
     ]
+    # The knuckle is a link without shape: two joints at one point, for spreading and bending.
     parts += [_joint(f"{finger}j4", base, names[0], place, "0 -1 0", (-0.349, 0.349))]
     offsets = ("0 0 0", f"0 0 {PHALANGES[0]}", f"0 0 {PHALANGES[1]}")
     for number, parent, child, offset in zip((3, 2, 1), names, names[1:], offsets, strict=False):

@@ -1,4 +1,4 @@
-"""Time from a client's goal to the first changed reference, in another process on this computer.
+"""Measure the time from a client's goal to the first changed reference, in another process.
 
     python benchmarks/latency.py [--hand schunk_svh] [--rate 1000] [--goals 300] [--realtime]
 
@@ -50,7 +50,7 @@ STAGES = (
 """What lies between the times noted for a goal."""
 
 QUESTION = bytes(200)
-"""Of the size of a goal."""
+"""A request of the size of a goal."""
 
 now = time.monotonic_ns
 
@@ -101,6 +101,7 @@ class Notes:
 
         async def noted(reference: Reference) -> None:
             position = reference.position.tobytes()
+            # Bit for bit: the first change of a jerk-limited motion is far below any tolerance.
             if position != self._last and self._changing:
                 self.found[self._changing].append(now())
                 self._changing = ""
@@ -155,6 +156,7 @@ def echo() -> None:
 
     session.declare_queryable("rtee/echo", direct(answer))
     print(endpoint, flush=True)
+    # The parent closes standard input to end it.
     sys.stdin.read()
     session.close()
 
@@ -184,8 +186,10 @@ async def send_goals(
         # asyncio sleeps whole milliseconds: always to the same moment of the period.
         time.sleep(source.uniform(0.0, 1e-3))
         begin = now()
+        # Two intensities by turns, so that every goal moves; both small, so that it ends soon.
         running = await hand.start(*action, intensity=0.02 if i % 2 else 0.04, tolerance=0.002)
         sent.append((running.goal.goal_id, begin, handed))
+        # To the end: the next goal must find the hand at rest.
         result = await running.result()
         assert result.succeeded, result
     return sent
@@ -205,6 +209,7 @@ async def measure_network(endpoint: str, count: int) -> tuple[list[float], list[
             loop.call_soon_threadsafe(came.set_result, int(reply.ok.payload.to_bytes()))
 
         begin = now()
+        # Express, as the client's own requests: Zenoh would wait to batch it otherwise.
         session.get("rtee/echo", direct(on_reply), payload=QUESTION, express=True)
         there.append((await came - begin) * 1e-9)
         back.append((now() - begin) * 1e-9)
@@ -250,6 +255,7 @@ def measure(arguments: argparse.Namespace) -> None:
 
         async def run() -> tuple[list[tuple[str, int, int]], tuple[list[float], list[float]]]:
             async with rtee.connect(arguments.hand, wait=20.0) as remote:
+                # Connecting leaves work for a moment, which would count as latency.
                 await anyio.sleep(1.0)
                 sent = await send_goals(remote, tuple(arguments.action), arguments.goals)
             return sent, await measure_network(endpoint, arguments.goals)

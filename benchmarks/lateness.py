@@ -1,4 +1,4 @@
-"""Whether another hand's ticks come later beside something: measured in stretches by turns."""
+"""Measure whether another hand's ticks come later beside something, in alternating stretches."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from rtee.loop.clock import Clock
 
 RATE = 1000.0
-"""Of the other hand [Hz]."""
+"""Rate of the other hand [Hz]."""
 TOLERANCE = 50.0
 """Later by less than this, a twentieth of the tick, counts as unchanged [µs]."""
 
@@ -38,6 +38,7 @@ class Lateness:
     def taken(self) -> tuple[float, float] | None:
         """Return p50 and p99 since the last call [µs]."""
         found, self.values = sorted(self.values), []
+        # Too few for a 99th percentile that means anything.
         if len(found) < 20:
             return None
         return statistics.median(found), found[int(0.99 * (len(found) - 1))]
@@ -109,6 +110,7 @@ def _difference(
     # Order statistics: the median lies below the k-th change with a binomial probability.
     while k < (n - 1) // 2:
         outside += 2.0 * math.comb(n, k) / 2.0**n
+        # For an interval of 95 %.
         if outside > 0.05:
             break
         k += 1

@@ -1,4 +1,4 @@
-"""Recordings measured: size, reading, what a killed process loses, what recording costs the loop.
+"""Measure recordings: their size, reading, what a killed process loses, the cost to the loop.
 
     python benchmarks/log.py [--minutes 10] [--kills 30] [--hand schunk_svh] [--rate 1000]
 
@@ -42,26 +42,26 @@ from rtee.types import DeviceSpec, Goal, Result
 
 
 class Keeper(Observer):
-    """Keeps what the loop tells."""
+    """Keeps what the loop reports."""
 
     def __init__(self) -> None:
-        self.told: list[object] = []
+        self.records: list[object] = []
         self.results: list[Result] = []
 
     def on_tick(self, record: TickRecord) -> None:
-        self.told.append(record)
+        self.records.append(record)
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
-        self.told.append((goal, stamp))
+        self.records.append((goal, stamp))
 
     def on_feedback(self, feedback) -> None:
-        self.told.append((feedback, feedback.stamp))
+        self.records.append((feedback, feedback.stamp))
 
     def on_result(self, result: Result) -> None:
         self.results.append(result)
 
     def on_status(self, statuses, statistics) -> None:
-        self.told += [(status, -1.0) for status in (*statuses, statistics)]
+        self.records += [(status, -1.0) for status in (*statuses, statistics)]
 
 
 async def working_hand(name: str, rate: float, seconds: float) -> tuple[Hand, list[object]]:
@@ -89,7 +89,7 @@ async def working_hand(name: str, rate: float, seconds: float) -> tuple[Hand, li
                 intensity = source.uniform(0.2, 1.0)
                 loop.submit(Goal(action.name, action.elements, intensity=intensity))
             loop.tick(clock.next())
-    return hand, keeper.told
+    return hand, keeper.records
 
 
 def restless(hand: Hand, rate: float, seconds: float) -> Iterator[TickRecord]:
@@ -112,8 +112,8 @@ def restless(hand: Hand, rate: float, seconds: float) -> Iterator[TickRecord]:
         )  # fmt: skip
 
 
-def write(hand: Hand, told: list[object], folder: Path, rate: float, repeat: int = 1) -> Path:
-    """Record what a loop told, ``repeat`` times one after the other."""
+def write(hand: Hand, records: list[object], folder: Path, rate: float, repeat: int = 1) -> Path:
+    """Record what a loop reported, ``repeat`` times one after the other."""
     now = [0.0]
     settings = RecorderSettings(
         folder, sync=False, flight_recorder=0.0, max_file_size=1e12, max_file_time=1e9,
@@ -121,10 +121,11 @@ def write(hand: Hand, told: list[object], folder: Path, rate: float, repeat: int
     )  # fmt: skip
     writer = LogWriter(Contents(hand, rate), settings, monotonic=lambda: now[0])
     writer.start()
-    ticks = sum(isinstance(each, TickRecord) for each in told)
+    ticks = sum(isinstance(each, TickRecord) for each in records)
     for lap in range(repeat):
+        # A long recording from a minute's ticks: only the times go on.
         later = lap * ticks / rate
-        for each in told:
+        for each in records:
             if isinstance(each, TickRecord):
                 now[0] = each.stamp + later
                 wall = each.wall_ns + round(later * 1e9)
@@ -185,9 +186,9 @@ def reading(minute: Path, long: Path, minutes: float) -> None:
     print()
 
 
-def cost(hand: Hand, told: list[object], folder: Path, rate: float) -> None:
+def cost(hand: Hand, records: list[object], folder: Path, rate: float) -> None:
     """Measure processor time per tick: in the loop's thread and in the writer's."""
-    ticks = [each for each in told if isinstance(each, TickRecord)][: round(10 * rate)]
+    ticks = [each for each in records if isinstance(each, TickRecord)][: round(10 * rate)]
     print("## What recording costs\n\nProcessor time per tick, 3 messages, in microseconds.\n")
     table = Table("what", "loop's thread", "writer's thread")
     recorder = Recorder(hand, RecorderSettings(folder / "cost"), rate=rate)
@@ -198,8 +199,10 @@ def cost(hand: Hand, told: list[object], folder: Path, rate: float) -> None:
         begin = time.perf_counter_ns()
         recorder.on_tick(record)
         in_loop.append(time.perf_counter_ns() - begin)
+        # As between ticks: the writer gets the interpreter.
         if number % 10 == 0:
             time.sleep(0.001)
+    # Read in the writer's own thread, after all that was queued before.
     recorder._queue.put(lambda: spent.append(time.thread_time()))
     recorder.close()
     loop = float(np.median(in_loop)) / 1e3
@@ -281,6 +284,7 @@ def kills(hand: str, count: int, rate: float) -> None:
             while not seen and child.poll() is None and not list(Path(folder).glob("*.mcap")):
                 time.sleep(0.01)
             time.sleep(source.uniform(0.2, 4.0))
+            # Without a chance to clean up, as when the power fails.
             os.kill(child.pid, signal.SIGKILL)
             child.wait()
             reader.join()
@@ -305,8 +309,8 @@ def main() -> None:
     rate = given.rate
     with tempfile.TemporaryDirectory(prefix="rtee-log-") as name:
         folder = Path(name)
-        hand, told = anyio.run(working_hand, given.hand, rate, 60.0)
-        minute = write(hand, told, folder / "minute", rate)
+        hand, records = anyio.run(working_hand, given.hand, rate, 60.0)
+        minute = write(hand, records, folder / "minute", rate)
         busy = write(hand, list(restless(hand, rate, 20.0)), folder / "restless", rate)
         print(f"# Recordings of {hand.name}, {rate:g} Hz\n")
         print(f"{len(hand.actuators)} actuators, {len(hand.joints)} joints, every tick.\n")
@@ -315,10 +319,10 @@ def main() -> None:
         table.row("goals one after the other, kinematic", f"{minute.stat().st_size / 1e6:.1f}")
         table.row("every number changes at every tick", f"{3 * busy.stat().st_size / 1e6:.1f}")
         print()
-        long = write(hand, told, folder / "long", rate, repeat=max(1, round(given.minutes)))
+        long = write(hand, records, folder / "long", rate, repeat=max(1, round(given.minutes)))
         reading(minute, long, max(1, round(given.minutes)))
         long.unlink()
-        cost(hand, told, folder, rate)
+        cost(hand, records, folder, rate)
         kills(given.hand, given.kills, rate)
 
 

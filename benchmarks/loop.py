@@ -1,4 +1,4 @@
-"""How well the loop keeps its time, beside `cyclictest` in the same run; prints a Markdown table.
+"""Measure how well the loop keeps its time, beside `cyclictest`; print a Markdown table.
 
     python benchmarks/loop.py [--seconds 60] [--hand schunk_svh] [--only ordinary realtime …]
                               [--beside alone bare junk …]
@@ -19,12 +19,11 @@ with real-time set-up. `--beside` measures the first set in other circumstances,
 - `junk`: the client also has 50 bad goals refused a second (unknown action, wrong elements, NaN,
   intensity 1.2, effort for an unknown actuator) and sends a megabyte of junk ten times a second, to
   every key in turn;
-- `idle-junk`: as many megabytes to another hand's keys, where nobody takes them: what the sender
+- `idle-junk`: as many megabytes to another hand's keys, without a receiver: what the sender
   alone costs the computer.
 
-`--witness` has `cyclictest` run beside the loop, too, above its priority, and tells of every tick
-that was missed whose it was: the computer's, if a witness was late at that moment, or the loop's
-own.
+`--witness` runs `cyclictest` beside the loop, too, above its priority, and attributes every missed
+tick: to the computer, if a witness was late at that moment, or to the loop itself.
 The witness takes one to two per cent of every CPU.
 
 Memory is given after 10 s, after 2 minutes (when the flight recorder has long been full) and at the
@@ -65,7 +64,7 @@ PRINTED = re.compile(
 
 HOG = "while True: pass"
 SHOWN = 10
-"""So many missed ticks are shown one by one."""
+"""This many missed ticks are shown one by one."""
 
 RUN = """
 import json, os, resource
@@ -96,10 +95,7 @@ finally:
 """
 """`rtee run`, which also notes when it missed ticks."""
 
-CLIENT = """
-import sys, anyio, rtee
-from rtee.errors import RemoteError
-
+WATCH_AND_MOVE = """
 async def watch(hand):
     async for _ in hand.states(rate=100):
         pass
@@ -108,7 +104,17 @@ async def move(hand):
     while True:
         await hand.do("Grasp")
         await hand.do("open")
+"""
+"""What a client of a hand does: it receives its states, and opens and closes it."""
 
+CLIENT = (
+    """
+import sys, anyio, rtee
+from rtee.errors import RemoteError
+
+"""
+    + WATCH_AND_MOVE
+    + """
 async def main(name):
     async with rtee.connect(name) as hand, anyio.create_task_group() as group:
         group.start_soon(watch, hand)
@@ -119,8 +125,10 @@ try:
 except* RemoteError:
     pass
 """
+)
 
-JUNK = """
+JUNK = (
+    """
 import random, sys, anyio, rtee
 from rtee.errors import RequestRejected, RteeError
 from rtee.messages import network_key
@@ -141,15 +149,9 @@ BAD = (
     (("Grasp",), {"effort": {"elbow": 1.0}}),
 )
 
-async def watch(hand):
-    async for _ in hand.states(rate=100):
-        pass
-
-async def move(hand):
-    while True:
-        await hand.do("Grasp")
-        await hand.do("open")
-
+"""
+    + WATCH_AND_MOVE
+    + """
 async def refused(hand):
     for k in range(10**9):
         action, options = BAD[k % len(BAD)]
@@ -186,6 +188,7 @@ try:
 except* RteeError:
     pass
 """
+)
 
 
 @dataclass(frozen=True)
@@ -255,7 +258,7 @@ def beside(how: How, name: str) -> How:
         "unrecorded": "no recorder",
         "bare": "no client, no recorder",
         "junk": "and junk",
-        "idle-junk": "and junk for somebody else",
+        "idle-junk": "and junk for another hand",
     }
     label = f"… {words[name]}"
     return replace(how, label=label, **changes[name])  # type: ignore[arg-type]
@@ -268,6 +271,7 @@ def memory_of(pid: int) -> float:
 
 def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
     """Return copies of a hand under other names, with more in their hand.yaml."""
+    # Copies under other names: hands that run on this computer already stay out of it.
     names = []
     for _ in range(count):
         name = f"{hand}_{len(list(folder.iterdir()))}"
@@ -282,7 +286,7 @@ def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
 def run(
     how: How, hand: str, seconds: float, folder: Path, flight: float | None, witness: bool
 ) -> Row:
-    """Run hands as users do, with a client each, and read what the loop says of itself."""
+    """Run hands as users do, with a client each, and read the loop's own statistics."""
     extra = "\nrealtime: {helper_priority: 10}\n" if how.helpers else ""
     kept = flight if how.record else 0.0
     extra += "" if kept is None else f"\nlog: {{flight_recorder: {kept:g}}}\n"
@@ -312,6 +316,7 @@ def run(
     while (passed := time.monotonic() - begin) < seconds:
         time.sleep(min(10.0, seconds - passed))
         memory.append(memory_of(process.pid))
+    # A client that crashed would make the loop look better than it is.
     failed = [client.args for client in clients if client.poll() is not None]
     assert not failed, f"a client ended early: {failed}"
     stood_still = watching.stop() if watching else None
@@ -320,14 +325,17 @@ def run(
     process.wait(timeout=30)
     drain.join(10.0)
     for client, other in zip(clients, others, strict=True):
+        # It never ends by itself.
         if other[0] is JUNK:
             client.kill()
         client.wait(timeout=30)
     found = PRINTED.search("".join(said))
     assert found is not None, "".join(said)
     printed = {name: int(value) for name, value in found.groupdict().items()}
+    # Only the parts of the recordings; their folder also has other files.
     size = sum(file.stat().st_size for file in logs.glob("*_0*.mcap")) / 1e6
     missed = [judged(Missed(*values), stood_still) for values in json.loads(notes.read_text())]
+    # While programs start or end, the witness does not run.
     unseen = [one for one in missed if one.woken > until or one.woken < begin]
     missed = [replace(one, computer=None) if one in unseen else one for one in missed]
     return Row(printed, memory, size / seconds * 60, missed)
@@ -338,6 +346,7 @@ def cyclictest(seconds: float, period_us: int = 1000) -> list[str]:
     nothing = ["not installed", *"–––––––––"]
     if shutil.which("cyclictest") is None:
         return nothing
+    # At least a thousand, or there is no 99.9th percentile.
     loops = max(1000, int(seconds * 1e6 / period_us))
     command = ["cyclictest", "-q", "-m", "-p80", f"-i{period_us}", f"-l{loops}", "-h2000"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -412,6 +421,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="rtee-loop-") as text:
         folder = Path(text)
         chosen = [how_of(name) for name in arguments.only]
+        # Right after the first set, so that the computer is the same.
         chosen[1:1] = [beside(chosen[0], name) for name in arguments.beside]
         for how in chosen:
             seconds, flight = arguments.seconds, arguments.flight

@@ -1,4 +1,4 @@
-"""Every driver and every fault: survived, named, recovered, and another hand's lateness beside.
+"""Try every driver with every fault: survived, named, recovered, and the lateness of another hand.
 
 Faults of the wire last for so many cycles at 5 %, without the wire's time; then the cable is pulled
 and put back, the supply cut, the position stuck, another device answers. Each pair of a driver and
@@ -11,7 +11,7 @@ a fault is a job of its own, several at a time.
 Then, for each pair alone: a clock of 1 kHz runs in the driver's event loop, as another hand would,
 while the driver exchanges at its pace (half of its best rate, at most 100 Hz) on a wire that takes
 its time. Stretches without and with the fault alternate. The clock's lateness has a median (p50)
-and a 99th percentile (p99) in each stretch; told are the medians over the stretches, without and
+and a 99th percentile (p99) in each stretch; shown are the medians over the stretches, without and
 with, and the 95 % interval of the median of the pairs' differences [µs]. It is ``unchanged`` if
 both intervals end below 50 µs, a twentieth of the tick, ``LATER`` if one begins above, else ``not
 shown``.
@@ -39,11 +39,12 @@ from rtee.testing.contract import NEEDS_CHECKSUMS, WIRE_FAULTS
 from rtee.types import Reference
 
 SHARE = 0.05
-"""Part of the messages that suffer."""
+"""Share of the messages that are damaged, as in the contract suite."""
 STRETCH = 0.15
-"""Shortest stretch of a measurement of the lateness [s]."""
+"""Shortest stretch of a measurement of the lateness [s]: 150 ticks, of which one is a
+percentile."""
 FASTEST = 100.0
-"""Pace of the driver while the lateness is measured, at most [Hz]."""
+"""Pace of the driver while the lateness is measured, at most [Hz], as hands are usually driven."""
 DEVICE, FAULT = 32, 14
 """Widths of the columns that name devices and faults [characters]."""
 MENDED = ("retries", "timeouts", "checksum_errors", "strays")
@@ -51,7 +52,7 @@ MENDED = ("retries", "timeouts", "checksum_errors", "strays")
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a driver under a fault; `good` is whether that is as it must be."""
+    """The outcome for a driver under a fault; `good` is whether it is as it must be."""
 
     survived: str
     named: str
@@ -61,6 +62,7 @@ class Outcome:
 
 def applies(case: DeviceCase, fault: str) -> bool:
     """Return whether a fault of the wire can happen to a device, and be noticed."""
+    # Without checksums a damaged message is a valid one: no driver could notice it.
     if fault in NEEDS_CHECKSUMS and not case.checksums:
         return False
     return case.wire_faults is None or fault in case.wire_faults
@@ -93,12 +95,12 @@ async def wire_fault(case: DeviceCase, fault: str, cycles: int) -> Outcome:
         after = session.driver.counters()
         back = session.near(await session.reach(near), near)
     mended = {name: after.get(name, 0) - before.get(name, 0) for name in MENDED}
-    told = [f"{count} {name}" for name, count in raised.items()]
-    told += [f"{count} {name}" for name, count in mended.items() if count]
+    counts = [f"{count} {name}" for name, count in raised.items()]
+    counts += [f"{count} {name}" for name, count in mended.items() if count]
     share = 1.0 - sum(raised.values()) / cycles
     survived = f"{100.0 * share:.1f} %"
     good = back and share >= case.share
-    return Outcome(survived, ", ".join(told) or "bears it", "yes" if back else "NO", good)
+    return Outcome(survived, ", ".join(counts) or "bears it", "yes" if back else "NO", good)
 
 
 async def unplugged(session: Session, case: DeviceCase) -> Outcome:
@@ -160,6 +162,7 @@ async def _returned(session: Session, case: DeviceCase, name: str, *, good: bool
 
 async def _error(session: Session) -> str:
     """Return the name of the error that the device leads to; a time-out only if it lasts."""
+    # A single time-out is mended in the next cycle and is no finding.
     end, name = time.monotonic() + 0.5, "nothing"
     while time.monotonic() < end:
         try:
@@ -197,6 +200,7 @@ def job(name: str, fault: str, cycles: int) -> Outcome:
 
     try:
         return asyncio.run(test())
+    # Anything else is a result as well: the table must show it and not end.
     except Exception as error:
         return Outcome("NO", f"{type(error).__name__}: {error}"[:60], "NO", good=False)
 
@@ -211,6 +215,7 @@ async def beside(case: DeviceCase, fault: str, rounds: int) -> Beside:
         period = 1.0 / min(FASTEST, session.driver.capabilities.best_rate / 2.0)
         for number in range(rounds):
             goal = Reference.at(list(far if number % 2 else near))
+            # The order alternates, too, so that a drift of the computer cancels out.
             for now in (False, True) if number % 2 else (True, False):
                 found.begin()
                 end = time.monotonic() + STRETCH
@@ -251,6 +256,7 @@ def matrix(names: list[str], cycles: int, rounds: int, jobs: int) -> None:
         "good",
         widths=(DEVICE, FAULT, 8, 9, 40),
     )
+    # Not forked: event loops and threads of this process must not be inherited.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, context) as workers:
         done: dict[tuple[str, str], Future[Outcome]] = {

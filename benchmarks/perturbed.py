@@ -1,4 +1,4 @@
-"""Whether last digits decide what the extraction finds; prints Markdown.
+"""Test whether last digits decide what the extraction finds; print Markdown.
 
     python benchmarks/perturbed.py [--hands schunk_svh …] [--times 20] [--jobs 0] [--every]
 
@@ -39,6 +39,7 @@ def moved(hand: Hand, random: np.random.Generator) -> Hand:
     """Return the hand with all joint origins moved."""
     joints = {}
     for name, joint in hand.urdf.joints.items():
+        # Evenly over the orders of magnitude: each may meet another rounding boundary.
         step = 10.0 ** random.uniform(SMALLEST, LARGEST) * random.choice((-1.0, 1.0), 3)
         x, y, z = (a + float(b) for a, b in zip(joint.xyz, step, strict=True))
         joints[name] = replace(joint, xyz=(x, y, z))
@@ -53,6 +54,7 @@ def pinches(hand: Hand, jobs: int) -> dict[Fingers, Primitive]:
 
 def compare(table: Table, hand: Hand, times: int, jobs: int, *, every: bool) -> None:
     """Print what the extraction makes of a hand whose joints are moved, beside itself."""
+    # The same seed for all hands, so that runs can be compared.
     random = np.random.default_rng(0)
     runs = [pinches(moved(hand, random), jobs) for _ in range(times)]
     worst_best, worst_deepest, unequal = 1.0, 1.0, 0

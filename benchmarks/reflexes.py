@@ -28,10 +28,10 @@ from rtee.trials.headless import HeadlessHand
 from rtee.types import Goal, OnContact
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
-RATE = 500.0
-SPEED = 0.02
-SETTLE = 1.0
-BREAKS = 8.0
+RATE = 500.0  # of the loop [Hz], as hands are simulated
+SPEED = 0.02  # of the fingertips [m/s]
+SETTLE = 1.0  # time in which a grip, or what disturbed it, settles [s]
+BREAKS = 8.0  # force of a finger that breaks the egg [N]
 LOST = 0.02
 """What has moved further than this in the hand is lost [m]."""
 
@@ -95,6 +95,7 @@ class Trial:
         simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
         action = library.find(grasped.action, grasped.elements)
         pose = Places(simulation, hand, action).find(1)[0].pose.copy()
+        # Up to 3 mm off the middle, as a camera or a person puts it.
         pose[:3, 3] += varied.uniform(-0.003, 0.003, 3)
         simulation.reset()
         around = simulation.surroundings
@@ -158,6 +159,7 @@ def cup(grasped: Grasped, how: How, number: int) -> bool:
 
     def fill(share: float) -> None:
         model.body_mass[body] = empty + 0.5 * share
+        # The water is where the cup is: its inertia grows with the mass.
         model.body_inertia[body] = inertia * model.body_mass[body] / empty
 
     trial.during(5.0, fill)

@@ -1,4 +1,4 @@
-"""How fast hands are simulated: headless against simulated time, and in lockstep with the loop.
+"""Measure how fast hands are simulated: headless, and in lockstep with the loop.
 
 Run: ``python benchmarks/simulation.py [--seconds S]``; prints Markdown.
 """
@@ -26,7 +26,7 @@ HEADLESS = (
     ("heri_ii", "Grasp", "sphere:0.03"),
     ("schunk_svh", "Grasp", "sphere:0.03"),
 )
-ROUNDS = 5
+ROUNDS = 5  # of each grasp; the median counts
 
 
 def headless(name: str, action: str, shape: str) -> float:
@@ -38,6 +38,7 @@ def headless(name: str, action: str, shape: str) -> float:
             ready.hand, SimOptions(object=shape), ready.hand.actuator_names, ready.settings.period
         )
         hand = HeadlessHand(ready.hand, ready.library, ready.settings, simulation)
+        # Processor time: the figure must not depend on what else the computer does.
         began = time.process_time()
         hand.do(Goal(action))
         hand.wait(1.0)

@@ -1,4 +1,4 @@
-"""Streams of set-points beside jogging and beside raw steps; prints Markdown tables.
+"""Measure streams of set-points beside jogging and beside raw steps; print Markdown tables.
 
     python benchmarks/streams.py [--hand schunk_svh] [--seconds 20] [--live]
 
@@ -45,19 +45,19 @@ from rtee.log import read
 from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
 from rtee.loop.settings import LoopSettings
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 TICK = 1e-3
 """Period of the loop [s]."""
 
 FREQUENCY = 0.5
-"""Of the sine [Hz]."""
+"""Frequency of the sine [Hz]: within the velocity limits of most hands."""
 
 DELAY = 0.5e-3
-"""Of every sample on its way [s]: what the network of one computer takes."""
+"""Delay of every sample [s]: what the network of one computer takes."""
 
 SETTLED = 4.0
-"""What comes before this is left out [s]: taking over, and learning the jitter."""
+"""Everything before this time is left out [s]: taking over, and learning the jitter."""
 
 SHARE = 0.25
 """Amplitude as a share of the range, unless that needs more than half the velocity limit."""
@@ -72,6 +72,7 @@ def sine_of(hand: Hand) -> tuple[Sine, FloatArray]:
     for spec in hand.actuators:
         low, high = max(spec.lower, -math.pi), min(spec.upper, math.pi)
         centre.append(0.5 * (low + high))
+        # Far enough below the limits that only the way of sending limits the motion.
         most = min(0.5 * spec.velocity / omega, 0.25 * spec.acceleration / omega**2)
         amplitude.append(min(SHARE * (high - low), most))
 
@@ -87,6 +88,7 @@ def samples(rate: float, seconds: float, jitter: float, loss: float) -> list[tup
     chance, last, found = random.Random(7), 0.0, []
     for k in range(round(seconds * rate)):
         stamp = 0.1 + k / rate
+        # In order, as over TCP: a sample waits for the one before it.
         arrival = last = max(last, stamp + DELAY + chance.uniform(0.0, jitter))
         if chance.random() >= loss:
             found.append((stamp, arrival))
@@ -114,6 +116,7 @@ def played(
             command: Command = Jog(to)
             if way == "stream":
                 without = dict.fromkeys(names, math.nan)
+                # The client's clock is another one, 10,000 s behind: the offset must not matter.
                 command = StreamSample("s", stamp - 1e4, arrival, to, {}, to, without)
             if way != "steps":
                 controller.apply(command, now)
@@ -124,6 +127,7 @@ def played(
         here = list(controller.reference_position) if k else at(0.0)
         grasped, fresh = [-1] * len(names), [True] * len(names)
         controller.step(now, Measured(here, unknown, unknown, fresh, grasped))
+        # Emptied as the loop does; it would grow for the whole run.
         controller.outbox.items.clear()
         rows.append(list(controller.reference_position))
     return np.array(rows)
@@ -138,12 +142,14 @@ def figures(
     lags, shares, errors, jerks = [], [], [], []
     for i in columns:
         values = found[kept, i]
+        # The best sine by least squares: its phase is the lag, its amplitude what is left.
         basis = np.stack([np.sin(omega * t), np.cos(omega * t), np.ones_like(t)], axis=1)
         sine, cosine, _ = np.linalg.lstsq(basis, values, rcond=None)[0]
         lags.append((-math.atan2(cosine, sine) / omega) % (1.0 / FREQUENCY))
         shares.append(math.hypot(sine, cosine) / amplitude[i])
         meant = at(0.0)[i] + amplitude[i] * np.sin(omega * (t - lags[-1]))
         errors.append(float(np.sqrt(np.mean((values - meant) ** 2))) / amplitude[i])
+        # The sine's own jerk has an RMS of amplitude · ω³ / √2, the unit of this column.
         third = np.diff(values, 3) / TICK**3
         jerks.append(float(np.sqrt(np.mean(third**2))) * math.sqrt(2) / (amplitude[i] * omega**3))
     return (

@@ -1,4 +1,4 @@
-"""Was it the computer? A witness of moments at which a CPU stood still, and when it was not one.
+"""Attribute missed ticks to the computer or to the loop, by a witness of stalled CPUs.
 
 A virtual machine is stopped by its host now and then, for milliseconds; whatever runs on it then is
 late. `cyclictest` (Debian: rt-tests), the kernel's own C program, runs beside the loop as a
@@ -24,10 +24,11 @@ PERIOD_US = 500
 LATE_US = 300
 """A witness that is woken later than this saw its CPU stand still [µs]."""
 
-PRIORITY = 90
+PRIORITY = 90  # above the loop's 80: the witness is late only if the CPU stood still
 
 _SPIKE = re.compile(r"(?m)^T:\s*\d+ Spike:\s*(\d+): TS:\s*(\d+)")
 _PR_SET_PDEATHSIG = 1
+# Loaded before the fork: little is safe between fork and exec.
 _C = ctypes.CDLL(None)
 
 
@@ -76,7 +77,7 @@ class Witness:
         self._process = child(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
     def stop(self) -> list[tuple[float, float]] | None:
-        """Return when a CPU stood still, from and to [s]; ``None``: nobody looked."""
+        """Return when a CPU did not run, from and to [s]; ``None`` without a measurement."""
         if self._process is None or self._process.poll() is not None:
             return None
         self._process.send_signal(signal.SIGINT)

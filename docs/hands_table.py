@@ -13,9 +13,9 @@ from pathlib import Path
 import anyio
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
 from rtee.drivers.registry import find_driver
 from rtee.prepare import PreparedHand, RunOptions, prepare
-from rtee.types import Capabilities
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "hands" / "index.md"

@@ -17,12 +17,13 @@ from rtee.log.figure import By, figure
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
 from rtee.loop.observer import Observer
+from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
 from rtee.trials.recorded import recorder_for
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, TrialResult, run_trial
-from rtee.types import Feedback, FloatArray
+from rtee.types import Feedback
 
 SLIP = 0.06
 """How far an object may move in the hand before it counts as fallen [m], as in `rtee try`."""

@@ -15,10 +15,11 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
+from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.variation import Variation, draw, interval
-from rtee.types import FloatArray, Goal
+from rtee.types import Goal
 
 PRESSED, LET_GO = 5.0, 1.0
 """How far the trigger is pressed, and how far it has come back in the end [mm]."""

@@ -16,10 +16,11 @@ from rtee.extract.scene import Scene
 from rtee.hand.model import Hand
 from rtee.log import Recording, read
 from rtee.loop.plan import OPEN
+from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.kinematic import KinematicPlay
 from rtee.trials.sweep import bench
-from rtee.types import FloatArray, Goal
+from rtee.types import Goal
 
 TOLERANCE = 0.01
 """How far from its posture an action may end [rad]."""

@@ -15,6 +15,7 @@ import anyio
 from rtee.buses.pool import BusPool
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, LoopError, RteeError
+from rtee.hand.config_schema import Behaviour, RealtimeSettings
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
 from rtee.loop.configure import profile_words, realtime_settings
@@ -28,7 +29,7 @@ from rtee.loop.realtime import (
     small_stacks,
 )
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
-from rtee.loop.settings import Behaviour, RealtimeSettings
+from rtee.loop.service import Service
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.shutdown_signals import Signals, companion, receive_signals, wait_for_end
 from rtee.loop.tick_driver import drive
@@ -93,7 +94,10 @@ async def run_hands(
     _warn_of_profiles(prepared)
     realtime = _realtime(prepared, options)
     collector = Collector()
+    service = Service.of()
     async with AsyncExitStack() as stack:
+        if service is not None:
+            stack.enter_context(service)
         stack.callback(threading.stack_size, small_stacks())
         signals = stack.enter_context(receive_signals())
         trace = _Trace()
@@ -107,6 +111,8 @@ async def run_hands(
                 server = serve(one.loop, config.remote, one.recorder, words)
                 one.server = await stack.enter_async_context(server)
             say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
+            if service is not None:
+                one.loop.add_observer(service.watch(one.loop.name))
         cpus = affinity()
         for warning in set_up(realtime):
             log.warning("%s", warning)
@@ -115,7 +121,7 @@ async def run_hands(
         collector.start()
         stack.callback(collector.stop)
         try:
-            await _run(running, options, collector, until, signals, cpus)
+            await _run(running, options, collector, until, signals, cpus, service)
         finally:
             for line in _summary(running):
                 say(line)
@@ -195,6 +201,7 @@ async def _run(
     until: anyio.Event,
     signals: Signals,
     cpus: Collection[int],
+    service: Service | None,
 ) -> None:
     clocks: dict[float, list[HandLoop]] = {}
     for one in running:
@@ -207,10 +214,14 @@ async def _run(
             for command in options.companions:
                 group.start_soon(companion, command, cpus)
             reason = await wait_for_end(options.duration, until, signals)
+            if service is not None:
+                service.stopping()
             await _rest(running, reason, ticking=True)
             rested = True
             group.cancel_scope.cancel()
     except Exception as error:
+        if service is not None:
+            service.stopping()
         await _rest(running, "the loop failed", failed=True)
         rested = True
         raise _failure(error, running) from error

@@ -17,12 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from rtee.capabilities import Capabilities as Capabilities  # part of this vocabulary, too
-from rtee.capabilities import GripForce as GripForce
-from rtee.sample import NOTHING
-from rtee.sample import ActuatorState as ActuatorState
-from rtee.sample import BoolArray as BoolArray
-from rtee.sample import FloatArray as FloatArray
+from rtee.sample import NOTHING, BoolArray, FloatArray
 
 FORMER_NAMES: Mapping[str, str] = MappingProxyType(
     {

@@ -26,7 +26,8 @@ from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
 from rtee.hand.yamlfile import parse_yaml, read_emitted, read_text
 from rtee.hand.yamlwrite import emit
-from rtee.types import FloatArray, readonly
+from rtee.sample import FloatArray
+from rtee.types import readonly
 
 FILE_NAME: Final = "openings.yaml"
 """Where the tables stand in a hand's folder."""

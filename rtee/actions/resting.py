@@ -12,7 +12,7 @@ from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
 from rtee.hand.resting import APART, NEAR, OWN
 from rtee.hand.yamlwrite import rest_line
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _HERE: Final = 0.1
 """A pinch is at rest if no actuator travels farther than this share of its range to it."""

@@ -1,1 +1,1 @@
-"""Buses: ownership, deadlines, retries, reconnect, trace; and their simulated ends."""
+"""Buses: ownership, deadlines, retries, reconnection, trace; and their simulated ends."""

@@ -1,4 +1,4 @@
-"""What all buses share: owners, counters, a byte trace, one place where the link is opened."""
+"""The base class of all buses: owners, counters, a byte trace, one place that opens the link."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TraceHook = Callable[[str, str, bytes, float], None]
 
 @dataclass(slots=True)
 class Counters:
-    """What has happened on a bus since it was made.
+    """Counters of a bus since it was made.
 
     Attributes:
         transactions: Transactions begun.
@@ -102,6 +102,7 @@ class Bus(ABC):
         self._owners.discard(owner)
         if self._owners:
             return
+        # The pool then forgets the bus, too; without a pool it only closes.
         if self._on_empty is not None:
             await self._on_empty()
         else:
@@ -123,17 +124,19 @@ class Bus(ABC):
         """
         if self._connected:
             return
+        # `close` clears the cause: nothing broke.
         if not self._cause:
             raise BusClosed(self.name, "is closed")
         raise BusBroken(self.name, f"no link: {self._cause}")
 
     def acquire(self, owner: str, on_empty: Callable[[], Awaitable[None]] | None = None) -> None:
-        """Note a device as an owner; called by the pool."""
+        """Add a device as an owner; called by the pool."""
         self._owners.add(owner)
         self._on_empty = on_empty
 
     def _broke(self, cause: str) -> None:
         if self._connected:
+            # A break is noticed by several calls at once, and counts once.
             self.counters.broken += 1
         self._connected = False
         self._cause = cause or "the other end went away"

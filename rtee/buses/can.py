@@ -64,6 +64,7 @@ class CanBus(Bus):
 
         self.check()
         try:
+            # Without waiting: this runs in the event loop.
             self._bus.send(message_of(frame), timeout=0)
         except (can.CanError, OSError) as error:
             raise BusBroken(self.name, f"cannot send: {error}") from error
@@ -94,6 +95,7 @@ class CanBus(Bus):
         for attempt in range(retries + 1):
             if attempt:
                 self.counters.retries += 1
+            # What is left is divided among the attempts that are left.
             share = (end - time.monotonic()) / (retries + 1 - attempt)
             answer: asyncio.Future[CanFrame] = asyncio.get_running_loop().create_future()
             taking = self._taking(answer, accept)
@@ -109,6 +111,8 @@ class CanBus(Bus):
                 self._by_any.remove(taking)
                 self._waiting.discard(answer)
                 if answer.done() and not answer.cancelled():
+                    # Read, so that asyncio does not report an exception that nobody waited for any
+                    # more.
                     answer.exception()
         raise BusTimeout(self.name, f"no answer to frame {frame.id:#x} within {deadline:.3f} s")
 
@@ -141,16 +145,18 @@ class CanBus(Bus):
     def _on_message(self, message: Any) -> None:
         if message.is_error_frame:
             self.counters.checksum_errors += 1
+            # A controller that went bus-off sends nothing any more; only opening it again helps.
             if self.interface == "socketcan" and message.arbitration_id & _BUS_OFF:
                 self._failed("bus-off: check the wiring, the termination and the bit rate")
             return
         frame = frame_of(message, time.monotonic())
         self._count("rx", frame.data, frame.stamp, frame.id.to_bytes(4, "big"))
+        # A copy: a callback may subscribe others or remove itself.
         for callback in (*self._by_id.get(frame.id, ()), *self._by_any):
             callback(frame)
 
     def _failed(self, cause: str) -> None:
-        """Note that the bus broke; in the event loop's thread."""
+        """Handle a broken bus; called in the event loop's thread."""
         if not self._connected:
             return
         self._broke(cause)
@@ -161,7 +167,7 @@ class CanBus(Bus):
             callback()
 
     def _failed_elsewhere(self, cause: str) -> None:
-        """Note that the bus broke; from any thread."""
+        """Handle a broken bus; called from any thread."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):
                 self._loop.call_soon_threadsafe(self._failed, cause)
@@ -174,6 +180,7 @@ class CanBus(Bus):
             raise BusBroken(self.name, "there is no such adapter")
         loop = self._loop = asyncio.get_running_loop()
         try:
+            # In a thread: some interfaces talk to a device over USB while they open.
             bus = await loop.run_in_executor(None, self._opened)
         except (can.CanError, OSError, ValueError) as error:
             raise BusBroken(self.name, _reason(error)) from error
@@ -196,6 +203,8 @@ class CanBus(Bus):
                 answer.set_exception(BusBroken(self.name, "the bus was closed meanwhile"))
         if bus is None:
             return
+        # With a descriptor, the notifier is a reader of the event loop and stops at once; else it
+        # is a thread that has to be awaited.
         if bus.fileno_or_none() is not None:
             notifier.stop()
             bus.shutdown()

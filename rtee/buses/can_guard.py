@@ -1,4 +1,4 @@
-"""python-can behind rtee's buses: its messages as frames, and a bus that survives its errors."""
+"""Adapt python-can: convert its messages to frames, and guard a bus against its exceptions."""
 
 from __future__ import annotations
 
@@ -68,9 +68,12 @@ class Guarded:
             raise SystemExit  # ends a thread without a traceback
         if not self._prompt:
             self._prompt = True
+            # Here, since this is the first code that runs in the notifier's own thread.
             wake_exactly()
             ask_for_short_slices()
         if self._dead.is_set():
+            # The notifier calls again and again: without a pause, a dead bus would take a whole
+            # core.
             time.sleep(timeout or 0.0)
             return None
         try:

@@ -69,6 +69,7 @@ class CanopenBus(CanBus):
             raise BusTimeout(self.name, str(error)) from error
 
     def _notify(self, frame: CanFrame) -> None:
+        # As the package's own listener, which ignores remote frames.
         if not frame.remote:
             self.network.notify(frame.id, bytearray(frame.data), frame.stamp)
 
@@ -77,13 +78,14 @@ class CanopenBus(CanBus):
         self.network.bus = _Outlet(self)
 
     async def _close(self) -> None:
+        # First, so that a call that is still in the worker fails instead of sending.
         self.network.bus = None
         await self._worker.close()
         await super()._close()
 
 
 class _Outlet:
-    """Stands for a python-can bus in ``canopen``, which only sends by it."""
+    """Stands in for a python-can bus in ``canopen``, which only uses it to send."""
 
     def __init__(self, bus: CanopenBus) -> None:
         self._bus = bus

@@ -24,7 +24,8 @@ _LATENCY = 4.0
 busy computer. Drivers set their own."""
 
 _POLL = 0.05
-"""Longest wait for a first byte before the packet's own timeout is looked at again [s]."""
+"""Longest wait for a first byte before the packet's own timeout is checked again [s]: an abandoned
+call must not keep the thread for long."""
 
 
 class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
@@ -49,19 +50,23 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
         self.ser = serial.Serial(
             port=self.port_name, baudrate=self.baudrate, bytesize=8, timeout=0, exclusive=True
         )
+        # Only FTDI adapters have a latency timer; other ports refuse.
         with contextlib.suppress(Exception):
             self.ser.set_low_latency_mode(True)
         self.is_open = True
         self.ser.reset_input_buffer()
+        # Ten bits per byte (start, eight data, stop), in milliseconds as the SDK counts.
         self.tx_time_per_byte = 1000.0 / self.baudrate * 10.0
         return True
 
     def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
         """Return up to ``length`` bytes; waits for the first until the packet's timeout."""
+        # The SDK calls this in a tight loop until its packet is whole.
         waiting = self.ser.in_waiting
         if not waiting:
             left = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
             self.ser.timeout = min(max(left, 0.0), _POLL)
+            # Only the first byte is waited for: the others of a packet follow at once.
             data = bytes(self.ser.read(1))
             self.ser.timeout = 0
             if not data or length <= 1:

@@ -1,4 +1,4 @@
-"""The simulated ends of a pool's buses: each device's emulator, played on a real transport."""
+"""The simulated ends of a pool's buses: run each device's emulator on a real transport."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ S = TypeVar("S", bound="Simulation")
 
 
 class PlayedEnds:
-    """What is played at the far ends; a device is made once and outlives its connections.
+    """The simulated far ends of a pool; a device is made once and outlives its connections.
 
     Attributes:
         wire_time: Whether simulated lines take the time that the bytes would take.
@@ -84,6 +84,7 @@ class PlayedEnds:
         simulation: Any = self.simulations.get(key)
         if simulation is None:
             simulation = self.simulations[key] = make().start()
+        # A device that connects again must find its emulator as it left it, not a new one.
         if owner not in self.emulators:
             emulator = self.emulators[owner] = factory()
             simulation.add(emulator)

@@ -38,7 +38,7 @@ class Duplex(Enum):
 
 
 class Emulator(ABC):
-    """Plays a device: receives what comes over the wire and returns what the device would answer.
+    """Emulates a device: receives what comes over the wire and returns the device's answers.
 
     It does no I/O, has no clock and no thread: `rtee.buses.simulated` drives it over a pty, a TCP
     port or a CAN channel, tests drive it by hand. Times are CLOCK_MONOTONIC [s] or any other that

@@ -16,10 +16,11 @@ T = TypeVar("T")
 
 
 _FRAME_TIMEOUT = 2000
-"""Longest time for the frame to come round [µs]; SOEM's own default."""
+"""Longest time for the frame to go round the ring [µs]; SOEM's own default."""
 
 _OPENING, _CLOSING = 5.0, 2.0
-"""Longest time to find the slaves, and to leave them initialised [s]."""
+"""Longest time to find the slaves, and to leave them initialised [s]: each slave takes a second at
+most to change its state."""
 
 
 class State(IntEnum):
@@ -98,6 +99,7 @@ class PysoemRing(Ring):
         except ConnectionError as error:
             raise OSError(f"{error}; EtherCAT needs the right to raw sockets") from error
         self._master = master
+        # It returns the number of slaves, or -1 where no frame came back.
         if master.config_init() <= 0:
             raise OSError("no slave answers")
         found = [Slave(s.name, s.man, s.id, s.rev) for s in master.slaves]
@@ -133,6 +135,7 @@ class PysoemRing(Ring):
         reporting = sum(1 for slave in master.slaves if slave.input)
         if count < (reporting if self._state is State.SAFE_OPERATIONAL else master.expected_wkc):
             return None
+        # Copies: SOEM reuses its process image in the next cycle.
         return [bytes(slave.input) for slave in master.slaves]
 
     def read(self, position: int, index: int, subindex: int) -> bytes:
@@ -151,6 +154,7 @@ class PysoemRing(Ring):
 
     def watchdog(self, position: int, seconds: float) -> None:
         """Set the process data watchdog."""
+        # pysoem takes milliseconds.
         self._master.slaves[position].set_watchdog("processdata", seconds * 1000.0)
 
     def close(self) -> None:

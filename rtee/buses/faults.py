@@ -1,4 +1,4 @@
-"""Faults of the wire, injected on purpose."""
+"""Faults of a wire, injected on purpose."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class Faults:
-    """What goes wrong on a wire: each a probability per message and direction.
+    """Faults on a wire: each a probability per message and direction.
 
     Attributes:
         drop: The message is lost.
@@ -21,7 +21,7 @@ class Faults:
         delay_time: [s]
         split_time: [s]
         requests: Whether messages to the device suffer too, or only its answers.
-        seed: Seed of the chance.
+        seed: Seed of the random numbers.
         injected: How often each has happened.
     """
 
@@ -59,6 +59,7 @@ class Faults:
         late = self.delay_time if self._happens("delay", self.delay) else 0.0
         pieces = [(late, data)]
         if len(data) > 1 and self._happens("split", self.split):
+            # Both pieces have at least one byte.
             cut = self._random.randrange(1, len(data))
             pieces = [(late, data[:cut]), (late + self.split_time, data[cut:])]
         if self._happens("noise", self.noise):
@@ -88,4 +89,5 @@ class Faults:
         changed = bytearray(data)
         for _ in range(self._random.randint(1, 3)):
             changed[self._random.randrange(len(changed))] ^= 1 << self._random.randrange(8)
+        # Two flips of the same bit cancel out: "corrupt" must change something.
         return bytes(changed) if bytes(changed) != data else bytes([data[0] ^ 1]) + data[1:]

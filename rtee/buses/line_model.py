@@ -28,6 +28,7 @@ class _Schedule(ABC, Generic[M]):
         self.emulators = list(emulators)
         self.faults = faults or Faults()
         self.busy = 0.0
+        # Breaks ties in the heap: equal times keep their order, and messages are never compared.
         self._number = itertools.count()
         self._events: list[tuple[float, int, bool, M]] = []
         self._stepped = 0.0
@@ -49,6 +50,7 @@ class _Schedule(ABC, Generic[M]):
         out: list[M] = []
         while self._events and self._events[0][0] <= now:
             when, _, inward, message = heapq.heappop(self._events)
+            # It may put answers into the heap that are due by now, too: the loop finds them.
             if inward:
                 self._arrive(message, when)
             else:
@@ -140,6 +142,7 @@ class Wire(_Schedule[bytes]):
         """Put bytes of the host on the line; the devices receive them with the last one."""
         self.bytes_in += len(data)
         start = max(now, self._inward)
+        # Messages queue up: one begins when the one before has left the wire.
         end = self._inward = start + wire_time(len(data), self.baudrate, self.bits)
         if self.duplex is Duplex.HALF:
             self._outward = end
@@ -163,6 +166,7 @@ class Wire(_Schedule[bytes]):
 
     def _arrive(self, message: bytes, when: float) -> None:
         for emulator in self.emulators:
+            # At another rate a real UART would see framing errors, and nothing that makes sense.
             if self.spoken is None or self.spoken == emulator.baudrate:
                 self._answer(emulator, emulator.feed(message, when), when)
 
@@ -172,6 +176,7 @@ class Wire(_Schedule[bytes]):
     def _answer(self, emulator: Emulator, messages: Sequence[bytes], when: float) -> None:
         turnaround = emulator.turnaround if self.timed else 0.0
         for answer in messages:
+            # The turn-around counts as busy as well: no host can use it.
             since = max(when, self._outward)
             start = max(when + turnaround, self._outward)
             end = self._outward = start + wire_time(len(answer), self.baudrate, self.bits)

@@ -27,7 +27,8 @@ _PIECE = 4096
 """Bytes read at a time; the kernel buffers as many of a tty."""
 
 _POLL = 0.05
-"""Longest wait of the reading thread before it looks whether it has to end [s]."""
+"""Longest wait of the reading thread before it checks whether it has to end [s]: closing a port
+must not be felt."""
 
 LinkProtocol = Callable[[], asyncio.Protocol]
 
@@ -115,6 +116,7 @@ async def _opened(url: str, line: Line, timeout: float) -> Any:
         async with asyncio.timeout(timeout):
             return await asyncio.shield(opening)
     except BaseException:
+        # The thread cannot be interrupted: what it opens later must not stay open.
         opening.add_done_callback(_close_unwanted)
         raise
 
@@ -135,10 +137,12 @@ def _open_port(url: str, line: Line) -> Any:
         timeout=0,
     )
     if "://" not in url:
+        # TIOCEXCL: two masters on one line would destroy each other's answers.
         port.exclusive = True
     try:
         port.open()
     except termios.error as error:
+        # termios.error is not an OSError, and has the same arguments.
         raise OSError(*error.args) from error
     if hasattr(port, "set_low_latency_mode"):
         # Sets the latency timer of FTDI adapters to 1 ms; other ports refuse.
@@ -176,7 +180,7 @@ async def ended(transport: asyncio.Transport) -> None:
     if isinstance(transport, SerialTransport):
         await asyncio.shield(transport.given_back)
     else:
-        await asyncio.sleep(0)  # it closes its file descriptor in its next callback
+        await asyncio.sleep(0)  # its next callback closes the file descriptor
 
 
 class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
@@ -205,6 +209,8 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
             return
         if not self._write_buffer:
             try:
+                # At once: pyserial-asyncio waits for the next turn of the event loop, which takes
+                # longer than the bytes of a request.
                 data = data[os.write(self._serial.fd, data) :]
             except (BlockingIOError, InterruptedError):
                 pass
@@ -236,6 +242,7 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
             self._close(exc=OSError("the port vanished"))
 
     def _hung_up(self) -> bool:
+        # Without events to wait for, poll reports a hang-up or an error only.
         poll = select.poll()
         poll.register(self._serial.fd, 0)
         return bool(poll.poll(0))
@@ -276,8 +283,10 @@ class ThreadTransport(asyncio.Transport):
         self._port = port
         self._closing = False
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="serial-write")
+        # pyserial's RFC 2217 port cannot be interrupted: it wakes up to see whether it has to end.
         port.timeout = _POLL
         self._reader = threading.Thread(target=self._read, name="serial-read", daemon=True)
+        # As the transports of asyncio: after the constructor has returned.
         loop.call_soon(protocol.connection_made, self)
         self._reader.start()
 

@@ -56,11 +56,11 @@ class ModbusBus(SerialBus):
     the requests and decodes the answers.
 
     An RTU answer does not name the request it belongs to. So a request goes out only when the line
-    has been silent for the gap, whatever was received until then is thrown away, and an answer
+    has been silent for the gap, everything received until then is discarded, and an answer
     counts only if unit, function and length (or, of a write, address and number of
-    registers) are those of the request. What remains: the answer to a request that was given up
-    and asked again, or to an equal request before it, that comes while the next one waits. On TCP
-    the transaction number, which is another one in each attempt, excludes these, too.
+    registers) are those of the request. One case remains: the late answer to an equal request that
+    was abandoned or sent again, arriving while the next one waits. On TCP the transaction number,
+    which differs in each attempt, excludes this case, too.
 
     Attributes:
         rtu: Whether it speaks RTU.
@@ -83,6 +83,7 @@ class ModbusBus(SerialBus):
             gap: Silence kept before a request [s]; by default what the baud rate asks for.
         """
         self.rtu = not name.startswith("tcp://")
+        # Frames of RTU are told apart by silence alone; TCP frames have a length.
         usual = silence(line.baudrate, line.bits) if self.rtu else 0.0
         super().__init__(
             name, line, address=address, gap=usual if gap is None else gap, fresh=self.rtu
@@ -175,6 +176,7 @@ class ModbusBus(SerialBus):
         parser = AnswerParser(self._framer, request, head)
 
         def numbered() -> bytes:
+            # 1 to 65535, as the header has two bytes; another one in each attempt.
             self._number = self._number % 0xFFFF + 1
             return parser.request(self._number)
 

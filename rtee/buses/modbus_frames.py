@@ -1,4 +1,4 @@
-"""Modbus frames, sans-I/O: the answers a master waits for and the requests a slave hears.
+"""Modbus frames, sans-I/O: the answers a master waits for and the requests a slave receives.
 
 The master's side is pymodbus's. The slave's side, which emulated devices use, is written apart from
 it, so that the two can be tested against each other; they share the checksum alone.
@@ -34,7 +34,7 @@ def rtu_frame(unit: int, pdu: bytes) -> bytes:
 
 
 class AnswerParser:
-    """Finds the answer to one request in what a line or connection brings.
+    """Finds the answer to one request in the bytes of a line or connection.
 
     pymodbus's framers expect a frame at the beginning of what they are given, and wait for the rest
     of whatever looks like one. So they are given only what begins as the answer to this request,
@@ -51,7 +51,9 @@ class AnswerParser:
         self._framer = framer
         self._request = request
         function = bytes([request.function_code])
+        # A write is answered by its address and number; a read by a number of bytes, then these.
         size = 5 if request.function_code == WRITE_MANY else 2 + head[0]
+        # An exception repeats the function with its highest bit set, and adds a code.
         self._pdus = ((function + head, size), (bytes([request.function_code | 0x80]), 2))
         self._openings: tuple[bytes, ...] = ()
         self._failed = 0
@@ -77,7 +79,9 @@ class AnswerParser:
         unit = self._request.dev_id
         if isinstance(self._framer, FramerSocket):
             self._openings = tuple(
-                struct.pack(">HHHB", number, 0, size + 1, unit) + pdu for pdu, size in self._pdus
+                # The MBAP header: transaction, protocol 0, length of what follows, unit.
+                struct.pack(">HHHB", number, 0, size + 1, unit) + pdu
+                for pdu, size in self._pdus
             )
         else:
             self._openings = tuple(bytes([unit]) + pdu for pdu, _ in self._pdus)
@@ -94,6 +98,7 @@ class AnswerParser:
                 if answer is not None:
                     self._buffer = b""
                     return [answer]
+                # Looked like an answer, but was not one: the real one may begin inside.
                 start = self._buffer.find(opening, start + 1)
         self._buffer = self._buffer[-_MOST:]
         return []
@@ -124,7 +129,7 @@ class RtuRequests:
     """Cuts the requests to one slave out of a line's bytes; frames for others are skipped.
 
     Attributes:
-        unit: The slave; broadcasts (0) are answered by no one, but obeyed.
+        unit: The slave; broadcasts (0) are obeyed, but not answered.
         errors: Bytes skipped because they belong to no frame of this slave.
     """
 
@@ -150,6 +155,7 @@ class RtuRequests:
 
     def _next(self) -> Request | None:
         data = self._buffer
+        # A request may begin anywhere after garbage; the checksum decides.
         for start in range(len(data) - 3):
             if data[start] not in (self.unit, 0):
                 continue

@@ -102,6 +102,7 @@ class ModbusEmulator(Emulator):
                 continue
             self.requests = [*self.requests[1 - _KEPT :], request.pdu]
             pdu = self._handle(request, now)
+            # Broadcasts on a line are obeyed in silence; on TCP, unit 0 means the device itself.
             if pdu is not None and (request.unit or self.framing == "tcp"):
                 answers.append(request.answer(pdu))
         return answers
@@ -135,6 +136,7 @@ class ModbusEmulator(Emulator):
             source, count, address, many, size = struct.unpack_from(">HHHHB", data)
         except struct.error:
             raise Refused(ILLEGAL_VALUE) from None
+        # Function 23 writes before it reads (section 6.17).
         self.write(address, _values(data[9:], many, size), now)
         return self._read(function, source, count, now)
 

@@ -9,7 +9,7 @@ F = TypeVar("F")
 
 
 class Parser(Protocol[F]):
-    """Cuts a stream of bytes into frames; does no I/O and never raises on what it is fed.
+    """Cuts a stream of bytes into frames; does no I/O and never raises, whatever the bytes.
 
     Its buffer is bounded by the longest frame of its protocol, and after garbage it finds the next
     good frame without losing it.
@@ -35,7 +35,7 @@ class FramedParser(ABC, Generic[F]):
     A bad frame costs no other.
 
     Attributes:
-        HEADER: What every frame begins with.
+        HEADER: The first bytes of every frame.
         HEAD: Bytes that contain the length.
         PIECE: Most bytes examined at once: the longest frame.
         LIMIT: Most bytes kept.
@@ -78,6 +78,7 @@ class FramedParser(ABC, Generic[F]):
             if frame is not None:
                 return [frame]
         frames: list[F] = []
+        # In pieces, so that a flood of garbage cannot make the buffer grow.
         for start in range(0, len(data), self.PIECE):
             self._buffer += data[start : start + self.PIECE]
             self._scan(frames)
@@ -85,6 +86,7 @@ class FramedParser(ABC, Generic[F]):
 
     def _only(self, data: bytes) -> F | None:
         """Return the frame that ``data`` is, whole and nothing else, as most answers are."""
+        # `_length` reads the buffer; this is emptied again at once.
         self._buffer += data
         length = self._length(0) if len(data) >= self.HEAD else 0
         self._buffer.clear()
@@ -101,6 +103,7 @@ class FramedParser(ABC, Generic[F]):
             start = buffer.find(header)
             if start < 0:
                 sizes = range(len(header) - 1, 0, -1)
+                # The beginning of a header at the very end may be completed by the next bytes.
                 keep = next((k for k in sizes if buffer.endswith(header[:k])), 0)
                 del buffer[: len(buffer) - keep]
                 return
@@ -118,6 +121,7 @@ class FramedParser(ABC, Generic[F]):
             frame = self._tried(0, length)
             if frame is None:
                 self.errors += 1
+                # One byte, not the whole frame: a good one may begin inside a bad one.
                 del buffer[:1]
             else:
                 frames.append(frame)

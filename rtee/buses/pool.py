@@ -27,7 +27,7 @@ C = TypeVar("C", bound="CanBus")
 
 
 class BusPool:
-    """Hands out buses; two devices that name the same address share one.
+    """Provides buses; devices that name the same address share one.
 
     A driver whose device is emulated passes the factory of its emulator; the pool then plays it on
     a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to that instead
@@ -123,6 +123,7 @@ class BusPool:
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
+        # An emulated line without wire time has no frames to tell apart by silence.
         gap = None if emulator is None or self.wire_time else 0.0
         return await self._on_line(ModbusBus, url, line, owner, emulator, gap=gap)
 
@@ -253,6 +254,7 @@ class BusPool:
     ) -> B:
         while (entry := self._buses.get(key)) is not None and not entry[0].owners:
             await entry[0].close()  # its last owner detaches: then its port is free
+            # Another device may have taken the address while this one waited for the closing.
             if self._buses.get(key) is entry:
                 del self._buses[key]
         if entry is None:
@@ -272,6 +274,7 @@ class BusPool:
         found.acquire(owner, forget)
         try:
             await found.connect()
+        # A cancellation, too, must not leave an owner behind.
         except BaseException:
             await found.detach(owner)
             raise
@@ -303,6 +306,8 @@ class BusPool:
     ) -> C:
         simulation = None
         if emulator is not None:
+            # python-can's virtual channels belong to the process: another pool must not hear this
+            # one.
             interface, channel = "virtual", f"emulated-{channel}-{id(self):x}"
             simulation = self._ends.can(channel, owner, bitrate, emulator)
         return await self._acquire(

@@ -1,4 +1,4 @@
-"""Retrying what a busy computer may let time out once."""
+"""Retry calls that may time out on a busy computer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PAUSE = 0.01
 
 
 async def patiently(call: Callable[[], Awaitable[T]], times: int = 8) -> T:
-    """Call a function that may time out on a busy computer, and again if it did.
+    """Call a function that may time out on a busy computer, and call it again if it did.
 
     Args:
         call: What to call.

@@ -96,8 +96,10 @@ class SerialBus(Bus):
             BusClosed: if the bus is closed.
         """
         end = time.monotonic() + deadline
+        # The parser outlives the transaction: only its new errors are of this one.
         errors = parser.errors
         received = 0
+        # A free lock is taken without a timeout context, which costs more than the lock.
         if self._lock.locked():
             await self._wait_for_line(deadline)
         else:
@@ -114,12 +116,14 @@ class SerialBus(Bus):
                 if share <= 0.0:
                     break
                 try:
+                    # A future, not a coroutine: one turn of the event loop less in every exchange.
                     frame = await self._ask(request, parser, share, accept)
                 finally:
                     self._asked()
                 if frame is not _NOTHING:
                     return cast("F", frame)
                 counters.timeouts += 1
+            # Something came, but nothing valid: that is another fault than silence.
             received = counters.bytes_received - before
         finally:
             counters.checksum_errors += parser.errors - errors
@@ -211,6 +215,7 @@ class SerialBus(Bus):
             raise BusBroken(self.name, "no link")
         self._count("tx", data, time.monotonic())
         self._transport.write(data)
+        # After writing: the gap counts from the last byte, as far as this side knows it.
         self._last = time.monotonic()
 
     def _received(self, data: bytes) -> None:
@@ -228,6 +233,7 @@ class SerialBus(Bus):
                 self._answer.set_result(frame)
 
     def _lost(self, protocol: asyncio.Protocol, error: Exception | None) -> None:
+        # A late report of a link that was replaced meanwhile.
         if protocol is not self._protocol:
             return
         self._broke(str(error) if error else "")
@@ -242,6 +248,7 @@ class SerialBus(Bus):
             lambda: _Protocol(self._received, self._lost),
             name=self.name,
         )
+        # A TCP bridge may accept and hang up before this code runs again.
         if transport.is_closing():
             raise BusBroken(self.name, "the other end hung up at once")
         self._transport, self._protocol = transport, protocol
@@ -263,6 +270,7 @@ class _Protocol(asyncio.Protocol):
         received: Callable[[bytes], None],
         lost: Callable[[asyncio.Protocol, Exception | None], None],
     ) -> None:
+        # The bus's own method in place of one that would only call it: it runs for every piece.
         self.data_received = received  # type: ignore[method-assign,assignment]
         self._end = lost
 

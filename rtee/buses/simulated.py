@@ -1,4 +1,4 @@
-"""Simulated ends of buses that play emulated devices: what all have in common, and byte lines.
+"""Simulated ends of buses that run emulated devices: their base class, and byte lines.
 
 Each runs in a thread of its own, with a selector of microsecond resolution, so that a blocking
 client in the same process can talk to it too and the modelled wire time is kept.
@@ -38,6 +38,7 @@ class Simulation(ABC):
         self.emulators: list[Emulator] = []
         self._thread: threading.Thread | None = None
         self._wake_out, self._wake_in = os.pipe()
+        # The classic self-pipe: a byte in it ends the thread's wait.
         os.set_blocking(self._wake_out, False)
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._running = False
@@ -95,6 +96,7 @@ class Simulation(ABC):
 
     def call(self, function: Callable[[], Any]) -> Any:
         """Run a function between two turns of the simulation's thread and return its result."""
+        # In its own thread it would wait for itself.
         if not self._running or threading.current_thread() is self._thread:
             return function()
         done = threading.Event()
@@ -256,6 +258,7 @@ class SimulatedLine(Simulation):
         if timeout is None or not self.wire.timed:
             return select.select(files, [], [], timeout)[0]
         due = time.monotonic() + timeout
+        # Too early by the usual lateness; the rest is spun away below.
         readable = select.select(files, [], [], max(0.0, timeout - self._late))[0]
         if not readable and timeout > self._late:
             late = time.monotonic() - (due - self._late)

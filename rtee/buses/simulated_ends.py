@@ -1,4 +1,4 @@
-"""Where a host finds a simulated line: a pseudo-terminal, or a TCP port of this machine."""
+"""The host's end of a simulated line: a pseudo-terminal, or a TCP port of this machine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from pathlib import Path
 from rtee.errors import BusBroken
 
 _TCGETS2 = 0x802C542A
-"""The ioctl that reads a tty's settings with any rate; see ioctl_tty(2). termios has no name."""
+"""The ioctl that reads a tty's settings with any rate, see ioctl_tty(2); termios does not name
+it."""
 _TERMIOS2 = struct.Struct("=4I20s2I")
 """Linux's termios2: flags, control characters, speed in, speed out."""
 _PIECE = 4096
@@ -113,10 +114,11 @@ class Pty:
         try:
             while len(data) < _PIECE:
                 data += os.read(self._master, _PIECE)
-            self._changes.modify(self._master, select.EPOLLIN | select.EPOLLET)  # more to come
+            self._changes.modify(self._master, select.EPOLLIN | select.EPOLLET)  # there is more
         except BlockingIOError:
             self._deserted = False
         except OSError:
+            # EIO: no program has it open. Reported once, though the hang-up stays.
             if data or not self._deserted:
                 self._desert()
         return bytes(data)
@@ -216,8 +218,10 @@ class Tcp:
             return b""
         peer, _ = self._server.accept()
         if self._peer is not None:
+            # A second master would mix its requests with those of the first.
             peer.close()
             return b""
+        # Small answers must not wait for an acknowledgement (Nagle's algorithm).
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._peer = peer
         return None

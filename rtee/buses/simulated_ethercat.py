@@ -1,7 +1,7 @@
 """A simulated EtherCAT ring: emulated slaves at the level of process data and objects.
 
-There is no wire here: an Ethernet port cannot be simulated without privileges. So what is played is
-the interface that a master's library offers.
+There is no wire here: an Ethernet port cannot be simulated without privileges. So the simulation is
+at the interface that a master's library offers.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A simulated ZeroMQ server that plays an emulated device on three TCP ports of this machine."""
+"""A simulated ZeroMQ server that runs an emulated device on three TCP ports of this machine."""
 
 from __future__ import annotations
 
@@ -150,6 +150,7 @@ class SimulatedZmq(Simulation):
 
     def _publish(self, now: float) -> None:
         period = min((e.period for e in self.emulators if e.period), default=0.0)
+        # Waits are rounded to milliseconds: half a period tells this turn from an early one.
         if not period or now - self._stepped < period * 0.5:
             return
         self._stepped = now

@@ -1,6 +1,6 @@
 """Linux's timerfd: a timer that is a file descriptor, so an event loop can wait for it.
 
-Python has it as ``os.timerfd_create`` from 3.13 on; before, it is called in the C library. See
+Python has ``os.timerfd_create`` from 3.13 on; for older versions, this calls the C library. See
 timerfd_create(2).
 """
 
@@ -14,7 +14,7 @@ import sys
 import time
 
 _TFD_TIMER_ABSTIME = 1  # timerfd_settime: the time given is absolute (sys/timerfd.h)
-_NANOSECONDS = 1_000_000_000
+_NANOSECONDS = 1_000_000_000  # per second
 _COUNT = struct.Struct("=Q")
 _SETTING = struct.Struct("@4l")  # struct itimerspec: seconds and nanoseconds, interval and value
 

@@ -1,4 +1,4 @@
-"""Waiting for less than a millisecond in the event loop, and the time that bytes take on a wire."""
+"""Wait for less than a millisecond in the event loop, and compute the time of bytes on a wire."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from rtee.buses import timerfd
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
-_SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}
+_SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # its system call number by machine
 
 SLICE = 100_000
 """Processor time that a prompt thread asks for at a time, the shortest that Linux gives [ns]."""
@@ -27,6 +27,7 @@ def silence(baudrate: float | None, bits: float = 11.0) -> float:
     """Return the silence that ends a Modbus RTU frame [s]: 3.5 characters, at least 1.75 ms."""
     if not baudrate:
         return 0.0
+    # Above 19,200 baud the specification fixes it (Modbus over serial line 1.02, section 2.5.1.1).
     return max(0.00175, 3.5 * bits / baudrate)
 
 
@@ -34,6 +35,7 @@ def wake_exactly() -> None:
     """Make the calling thread's timers expire on time, not up to 50 µs later (Linux)."""
     libc = timerfd.libc()
     if libc is not None:
+        # 1 ns is the least; 0 would restore the default of 50 µs.
         libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
@@ -49,6 +51,7 @@ def ask_for_short_slices() -> bool:
     number, libc = _SCHED_SETATTR.get(platform.machine()), timerfd.libc()
     if number is None or libc is None:
         return False
+    # struct sched_attr: size, policy, flags, nice, priority, then runtime, deadline and period.
     attributes = struct.pack("=IIQiIQQQ", 48, os.SCHED_OTHER, 0, os.nice(0), 0, SLICE, 0, 0)
     return bool(libc.syscall(number, 0, attributes, 0) == 0)
 

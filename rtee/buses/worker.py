@@ -20,7 +20,7 @@ class Worker:
     """A thread that calls blocking functions one after the other.
 
     A call that misses its deadline keeps the thread until it returns; its result is dropped, and
-    the next call waits. So two calls never use the library at once.
+    the next call waits. So two calls never use the library at the same time.
 
     The event loop's executor would do the same, but needs twice as many turns of the loop to pass a
     result on, and this happens in every cycle.
@@ -56,6 +56,7 @@ class Worker:
         thread, self._thread = self._thread, None
         if thread is None:
             return
+        # A new queue: a thread that still hangs in a call must not take calls of the next one.
         calls, self._calls = self._calls, queue.SimpleQueue()
         with contextlib.suppress(queue.Empty):
             while call := calls.get_nowait():
@@ -73,6 +74,7 @@ def _serve(calls: queue.SimpleQueue[_Call | None]) -> None:
         result, error = None, None
         try:
             result = function()
+        # Whatever it is, it belongs to the caller: the thread has to go on.
         except BaseException as raised:
             error = raised
         with contextlib.suppress(RuntimeError):  # the event loop may be gone

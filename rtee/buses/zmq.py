@@ -1,4 +1,4 @@
-"""ZeroMQ as a bus: a server publishes states, receives commands, answers requests."""
+"""ZeroMQ as a bus: a server publishes states, receives commands and answers requests."""
 
 from __future__ import annotations
 
@@ -94,12 +94,15 @@ class ZmqBus(Bus):
         context = self._context = zmq.asyncio.Context()
         try:
             self._state = context.socket(zmq.SUB)
+            # Few: what is older than some states is of no use to anybody.
             self._state.setsockopt(zmq.RCVHWM, 16)
+            # [ms]; half of the default, so that a server that restarts is found quickly.
             self._state.setsockopt(zmq.RECONNECT_IVL, 50)
             self._state.subscribe(b"")
             self._monitor = self._state.get_monitor_socket(zmq.EVENT_DISCONNECTED)
             self._state.connect(places.state)
             self._command = context.socket(zmq.PUB)
+            # Only the newest command waits: an old one must never be obeyed after a break.
             self._command.setsockopt(zmq.CONFLATE, 1)
             self._command.connect(places.command)
             self._service = context.socket(zmq.REQ)
@@ -130,6 +133,7 @@ class ZmqBus(Bus):
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         if self._state is not None and self._monitor is not None:
+            # Before closing: the monitor's socket belongs to the state's.
             self._state.disable_monitor()
         for made in (self._monitor, self._state, self._command, self._service):
             if made is not None:

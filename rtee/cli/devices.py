@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -69,7 +70,7 @@ def doctor(
 ) -> None:
     """Check this computer and a hand's devices; each line is ok, or says what to type."""
     if files is not None:
-        from rtee.drivers.diagnosis.machine import write_files
+        from rtee.deploy.files import write_files
 
         for path in write_files(files):
             print(path)
@@ -85,6 +86,8 @@ def doctor(
         found = {"computer": check_machine()}
         if hand:
             found[_MODEL] = check_model(hand)
+        if hand and sys.platform.startswith("linux"):
+            found["computer"] += _service(hand)
         if hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated):
@@ -99,6 +102,19 @@ def doctor(
             _print(name, checks)
     wrong = any(check.verdict is Verdict.WRONG for checks in found.values() for check in checks)
     raise typer.Exit(1 if wrong else 0)
+
+
+def _service(hand: str) -> list[Check]:
+    """Return what was found about the hand's service; nothing if the hand can't be read."""
+    from rtee.deploy.check import check_service
+    from rtee.deploy.needs import Needs
+    from rtee.errors import RteeError
+    from rtee.run import RunOptions, prepare
+
+    try:
+        return check_service(Needs.of(prepare(hand, RunOptions(driver="devices")), {}))
+    except RteeError:  # the check of the model says what is wrong with it
+        return []
 
 
 def _print(name: str, checks: list[Check]) -> None:

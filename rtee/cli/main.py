@@ -48,6 +48,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("rtee.cli.devices:doctor", "Report what is wrong and what to type."),
     "locate": ("rtee.cli.devices:locate", "Twitch a hand to see which one it is."),
     "calibrate": ("rtee.cli.devices:calibrate", "Calibrate a device that has offsets."),
+    "deploy": ("rtee.cli.deploy:app", "Make a hand a service of this computer."),
     "new-driver": ("rtee.cli.new:new_driver", "Write the skeleton of a driver package."),
     # dynamics
     "try": ("rtee.cli.try_:try_", "Try an action on an object in simulation."),

@@ -1,4 +1,4 @@
-"""One motor axis as the emulators move it: first-order motion, contact, heat. No I/O, no clock."""
+"""One motor axis of the emulators: first-order motion, contact, heat. No I/O, no clock."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class Axis:
 
     @property
     def blocked(self) -> bool:
-        """Standing still short of its target, exerting effort."""
+        """Whether it is at rest short of its target, exerting effort."""
         return self.enabled and self.velocity == 0.0 and self.position != self.target
 
     def _bounds(self) -> tuple[float, float]:
@@ -167,16 +167,19 @@ class Axis:
             lower, upper = self._bounds()
             goal = min(max(self.target, lower), upper)
             error = goal - self.position
+            # The exact solution over a step: stable however long the step is.
             approach = error * -math.expm1(-dt / self.time_constant)
             limit = self.max_velocity * dt
             change = min(max(approach, -limit), limit)
             if abs(error) <= self.resolution:
+                # An exponential never arrives: within a count it has.
                 change = error
             self.position += change
             self.velocity = change / dt
         else:
             self.velocity = 0.0
         self._exert()
+        # Heating grows with the square of the effort, as losses do with the current.
         rated = self.rating if self.rating > 0.0 else 1.0
         warming = self.heating * (self.effort / rated) ** 2
         self.temperature += dt * (warming - self.cooling * (self.temperature - self.ambient))

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.object_description import ObjectDescription
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -27,7 +29,7 @@ class Driver(ABC):
         spec: The device as configured.
         buses: The buses of this process; a driver asks it for the bus it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
-        doing: What takes a while now, in words such as ``homing the thumb``; else empty; it is
+        doing: A lengthy operation under way, in words such as ``homing the thumb``; else empty;
             published while the call is under way.
         object_description: What a simulated device grasps looks like, once it is configured.
         connection: Its bus from `configure` to `close`, for drivers that have one bus.
@@ -91,6 +93,7 @@ class Driver(ABC):
 
         A device whose power cannot be switched is stopped instead.
         """
+        # The least that every device can do; a driver that can cut the power overrides this.
         await self.stop()
 
     async def recover(self) -> None:

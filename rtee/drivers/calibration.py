@@ -1,4 +1,4 @@
-"""Calibration of a device: what a driver that has something to calibrate offers."""
+"""Calibration of a device, for drivers that have something to calibrate."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Protocol, runtime_checkable
 
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError
-from rtee.types import FloatArray, readonly
+from rtee.sample import FloatArray
+from rtee.types import readonly
 
 
 @runtime_checkable

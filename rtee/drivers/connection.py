@@ -19,7 +19,7 @@ def owner_of(spec: DeviceSpec) -> str:
 
 
 class Connection(Generic[L]):
-    """Holds the bus of one device while its driver is connected, and what talks over it.
+    """Holds the bus of one device while its driver is connected, and the link that uses it.
 
     A driver makes one in its constructor, opens it in `configure`, and uses `link` everywhere else.
     `Driver.counters` and `Driver.close` use it, too.

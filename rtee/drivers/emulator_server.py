@@ -1,4 +1,4 @@
-"""Play an emulated device for other software: on a pty, a TCP port or a CAN channel."""
+"""Serve an emulated device to other software: on a pty, a TCP port or a CAN channel."""
 
 from __future__ import annotations
 
@@ -73,6 +73,7 @@ class Player:
             raise ConfigError("give one of --link, --tcp and --can")
         modbus_tcp = tcp is not None and not raw
         options: dict[str, Any] = {"emulator": dict(properties or {})}
+        # Only the scheme counts: by it an emulator of a Modbus device chooses RTU or TCP frames.
         options["port"] = "tcp://" if modbus_tcp else "/dev/emulated"
         if baudrate is not None and can is None:
             options["baudrate"] = baudrate
@@ -82,6 +83,7 @@ class Player:
         self.emulator.baudrate = rate = baudrate or self.emulator.baudrate
         self.simulation: Simulation
         if isinstance(self.emulator, Serves):
+            # The order of xbot2_zmq's own default ports.
             base = tcp or _ZMQ_PORT
             ports = Ports(state=base, command=base + 2, service=base + 1)
             self.simulation = SimulatedZmq(name=name, host=host, ports=ports)
@@ -151,6 +153,7 @@ class Player:
         return ""
 
     def _wire(self, text: str) -> Faults:
+        # A new seed for every command: trials by hand should not repeat the same losses.
         faults = Faults(seed=int(time.time()))
         for part in text.split():
             name, _, share = part.partition("=")
@@ -172,6 +175,7 @@ class Player:
 
     def _state(self) -> str:
         """Return what the device would report, and its faults."""
+        # Without traffic nothing has advanced the device since the last exchange.
         self.emulator.step(time.monotonic())
         status = getattr(self.emulator, "status", None)
         found = status() if callable(status) else None
@@ -194,6 +198,7 @@ def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:
         if can or link:
             raise ConfigError(f"'{name}' is a server on the network: give --tcp PORT, or nothing")
         return
+    # A device shows which wire it has by the handler that it overrides.
     if kind.on_frame is not Emulator.on_frame and not can:
         raise ConfigError(f"'{name}' is a device on a CAN bus: give --can CHANNEL")
     if kind.feed is not Emulator.feed and can:

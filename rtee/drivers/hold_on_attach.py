@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Sequence
 
-from rtee.types import ActuatorSpec, FloatArray, Reference
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, Reference
 
 _SAME = 0.01
 """A reference this near to the measured position asks for no motion [part of the range]."""
 _CHANGED = 1e-4
-"""One that has changed by more than this since the first one does [part of the range]."""
+"""A reference that has changed by more than this since the first one asks for motion [part of the
+range]."""
 
 
 class Attached:
@@ -52,6 +54,7 @@ class Attached:
                 continue
             asked, span = float(reference.position[i]), self._spans[i]
             changed = abs(asked - self._first.setdefault(i, asked))
+            # Written with `not`, so that a measurement that is not a number releases the actuator.
             if not abs(asked - float(measured[i])) <= _SAME * span or changed > _CHANGED * span:
                 self._left.remove(i)
         return self._left

@@ -21,12 +21,13 @@ STIFFNESS = 50.0
 """Stiffness of an object by default; see `ObjectInHand`."""
 
 WRITTEN = "0.4 (part of the way that the fingers close), 50mm (its width), or 50mm:20 (softer)"
-"""The ways to write an object, for messages."""
+"""How an object is written, for messages."""
 
 _PATTERN = re.compile(r"([0-9.eE+-]+)\s*(mm|cm|m)?\s*(?::\s*([0-9.eE+-]+))?")
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SLACK = 0.02
-"""How far fingers may be closed beyond an object that is placed [part of their way]."""
+"""How far fingers may be closed beyond an object that is placed [part of their way]: encoders and
+friction leave fingers that far from their target."""
 
 
 class Closes(Protocol):
@@ -78,11 +79,12 @@ class ObjectInHand:
 
     @classmethod
     def parse(cls, value: object) -> ObjectInHand:
-        """Read what a person wrote: ``0.4``, ``50mm``, ``0.05m``, ``50mm:20``.
+        """Read an object as text: ``0.4``, ``50mm``, ``0.05m``, ``50mm:20``.
 
         Raises:
             ConfigError: if it is none of these, or out of range.
         """
+        # YAML's `yes` would otherwise be read as the number 1.
         found = None if isinstance(value, bool) else _PATTERN.fullmatch(str(value).strip())
         try:
             size, stiffness = (math.nan, 0.0) if found is None else _numbers(found)
@@ -109,7 +111,7 @@ def _numbers(found: re.Match[str]) -> tuple[float, float]:
 
 
 class Grasps(ABC):
-    """The part of an emulator between whose fingers an object can be placed."""
+    """Part of an emulator of a device that can hold an object between its fingers."""
 
     @abstractmethod
     def closings(self) -> Sequence[Closing]:
@@ -144,11 +146,12 @@ class Grasps(ABC):
             one.motor.obstacle = VirtualObject(
                 one.opened + at * way,
                 thing.stiffness * one.effort / abs(way),
+                # Whether the motor's counts rise or fall while the fingers close.
                 math.copysign(1.0, way),
             )
 
     def remove_object(self) -> None:
-        """Take away what is between the fingers."""
+        """Remove the object from between the fingers."""
         for one in self.closings():
             one.motor.obstacle = None
 
@@ -170,11 +173,12 @@ def between_fingers(hand: str, specs: Sequence[DeviceSpec], text: str) -> tuple[
     Args:
         hand: The hand's name.
         specs: Its devices.
-        text: The object, as a person wrote it.
+        text: The object as text; see `ObjectInHand.parse`.
 
     Raises:
         ConfigError: if it cannot be read, or none of them is emulated.
     """
+    # Parsed only to refuse it here, with one message for all devices.
     ObjectInHand.parse(text)
     if not any(spec.emulated for spec in specs):
         drivers = ", ".join(sorted({spec.driver for spec in specs}))

@@ -14,7 +14,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 
 
 class DeviceOptions(BaseModel):
-    """What the options of every device have in common; unknown names are refused."""
+    """Options that every device has; unknown names are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -45,6 +45,7 @@ def _key(spec: DeviceSpec, error: ValidationError) -> str:
 
 
 def _sentence(model: type[BaseModel], spec: DeviceSpec, error: ValidationError) -> str:
+    # One error at a time: a user corrects them one by one anyway.
     first = error.errors()[0]
     name = ".".join(str(part) for part in first["loc"]) or "options"
     where = f"{spec.source}: " if spec.source else ""

@@ -1,4 +1,4 @@
-"""What an emulated device is like: a device's option ``emulator`` as the emulator's dataclass."""
+"""Properties of an emulated device: its option ``emulator``, read into the emulator's dataclass."""
 
 from __future__ import annotations
 

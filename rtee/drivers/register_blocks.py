@@ -117,10 +117,13 @@ class Blocks:
                     retries=self._retries,
                 )
             except ModbusRefusal as refusal:
+                # Exception 1: the gripper does not know the function, and never will.
                 if self._kind != "auto" or refusal.code != 1:
                     raise
                 self._kind = "separate"
             except BusTimeout:
+                # A lost frame looks the same as a gripper that ignores function 23; only repeated
+                # silence counts.
                 self._silent += 1
                 if self._kind != "auto" or self._silent < _TRIES:
                     raise
@@ -137,6 +140,7 @@ class Blocks:
 
     def fresh(self, age: float) -> tuple[tuple[int, ...], float] | None:
         """Return the kept block and its time, once; ``None`` when older than ``age`` [s]."""
+        # Handed out once: a second sense in the same cycle must read the gripper.
         cached, self._cached = self._cached, None
         if cached is None or time.monotonic() - cached[1] > age:
             return None
@@ -148,6 +152,7 @@ class Blocks:
         Args:
             sent: Registers written in one exchange.
         """
+        # Bytes between address and checksum: function, length, two for each register.
         answer = 2 + 2 * self._count
         if self.combined:
             once = self.bus.exchange_time(10 + 2 * sent, answer)
@@ -167,16 +172,19 @@ class BlocksDriver(Driver):
     def _pace(self, best: float) -> None:
         """Set the deadline of an exchange to its share of ticks, for a best rate [Hz]."""
         every = self.spec.every or math.ceil(self.spec.rate / best)
+        # One and a half of its periods leaves room for jitter; five exchanges are enough for a
+        # retry.
         usual = max(1.5 * every / self.spec.rate, 5.0 / best)
         self.connection.link.deadline = self.spec.deadline or usual
 
     def _last_read(self) -> tuple[tuple[int, ...], float] | None:
         """Return the block of the last exchange and its time [s], unless it is old or used."""
         period = (self.spec.every or 1) / self.spec.rate
+        # Two periods: older blocks belong to a cycle that was missed.
         return self.connection.link.fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
 
     async def _insist(self, registers: Sequence[int]) -> bool:
-        """Write what must arrive; return whether it did."""
+        """Write registers that must arrive; return whether they did."""
         for _ in range(_TRIES if self.connection.is_open else 0):
             with contextlib.suppress(BusError):
                 await self.connection.link.write(registers)

@@ -1,4 +1,4 @@
-"""What all of Robotiq's grippers share: options, faults, how they report contact.
+"""Common parts of all Robotiq grippers: options, faults, how they report contact.
 
 Sources: the instruction manuals of the 2F-85, 2F-140 and Hand-E, and of the 3-Finger gripper, whose
 register names (rACT, gFLT ...) are used here.
@@ -35,7 +35,7 @@ SAME = 2
 
 
 class Progress(IntEnum):
-    """How far the activation is: gSTA of the two-finger grippers, gIMC of the 3-Finger."""
+    """State of the activation: gSTA of the two-finger grippers, gIMC of the 3-Finger."""
 
     RESET = 0
     ACTIVATING = 1
@@ -49,7 +49,7 @@ class Fault:
     """A code of gFLT.
 
     Attributes:
-        name: What it is called.
+        name: Its name for messages.
         hint: What to do.
         warning: It does not stop the gripper.
         major: Only a reset with a new activation clears it.
@@ -79,7 +79,7 @@ class RobotiqOptions(DeviceOptions):
 
 @dataclass(frozen=True, slots=True)
 class RobotiqCommand(ABC):
-    """What every gripper is asked for, in the first byte of its output block.
+    """The first byte of every gripper's output block.
 
     Attributes:
         activate: rACT; clearing it resets the gripper and its faults.
@@ -98,12 +98,12 @@ class RobotiqCommand(ABC):
 
 @dataclass(frozen=True, slots=True)
 class RobotiqStatus(ABC):
-    """What every gripper says in its input block.
+    """The part that every gripper's input block has.
 
     Attributes:
         activated: gACT.
         going: gGTO; clear while stopped, activating or releasing.
-        progress: How far the activation is.
+        progress: State of the activation.
         fault: The code of gFLT, 0 for none; see the gripper's `FAULTS`.
     """
 
@@ -133,7 +133,7 @@ class Grip:
     A gripper withdraws its report of contact at every new request, and repeats it when it has found
     that the fingers do not move. While a request moves on, the report therefore comes and goes,
     although the fingers press on the object all the time. So it is kept as long as the gripper is
-    about to move on in the same direction and the fingers are where they were.
+    about to move on in the same direction and the fingers have not moved.
     """
 
     def __init__(self) -> None:
@@ -153,6 +153,7 @@ class Grip:
         if contact:
             self._side, self._position = side, position
             return True
+        # Compared with where contact was reported, so that slow motion cannot carry it along.
         if moving and side == self._side and abs(position - self._position) <= SAME:
             return True
         self._side, self._position = 0.0, math.nan

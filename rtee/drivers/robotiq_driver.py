@@ -13,6 +13,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import ClassVar, Generic, TypeVar
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.robotiq_common import (
@@ -30,13 +31,14 @@ from rtee.errors import (
     HandshakeError,
     NotConnected,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _POLL = 0.01
-"""Time between two looks at the status while the gripper moves by itself [s]."""
+"""Time between two readings of the status while the gripper moves by itself [s]."""
 
 _MISSED = 5
-"""Answers in a row that may be missing meanwhile: it may be busy, but not gone."""
+"""Answers in a row that may be missing meanwhile: the gripper may be busy; more mean it is gone."""
 
 S = TypeVar("S", bound=RobotiqStatus)
 C = TypeVar("C", bound=RobotiqCommand)
@@ -49,7 +51,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
     reference that differs from where the gripper is.
 
     Attributes:
-        MODEL: What it is called when another device answers.
+        MODEL: Its name in the message when another device answers.
         EMULATOR: The name of its emulator.
         FAULTS: Its fault codes.
         HINT: What to do about a gripper that is not activated.
@@ -86,7 +88,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
 
     @abstractmethod
     def _identity(self) -> Mapping[str, str]:
-        """Return what is known about the gripper."""
+        """Return the identity of the gripper, as shown to users."""
 
     @abstractmethod
     def _measured(self, status: S, stamp: float) -> ActuatorState:
@@ -94,11 +96,11 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
 
     @abstractmethod
     def _registers_for(self, reference: Reference) -> Sequence[int] | None:
-        """Return what to write for a reference, ``None`` while the gripper is there already."""
+        """Return the registers for a reference, ``None`` while the gripper is there already."""
 
     @abstractmethod
     def _stopping(self) -> Sequence[int]:
-        """Return what to write to stop, keeping all else."""
+        """Return the registers that stop it and change nothing else."""
 
     # --- life --------------------------------------------------------------------------------
 
@@ -176,21 +178,23 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         self._active = True
 
     async def _prepare(self, allowed: bool) -> None:
-        """Do what else is needed before it can be moved, if that is ``allowed`` to move it."""
+        """Finish the preparation of the gripper, which may move it only if ``allowed``."""
 
     async def _activate(self) -> None:
+        # A gripper that was activated already starts again only from a reset.
         await self._write(self.RESET)
         await self._until(lambda status: status.reset)
         await self._write(self.ACTIVATE)
         await self._until(lambda status: status.ready)
 
     async def _within(self, doing: str, steps: Callable[[], Awaitable[None]]) -> None:
-        """Do what moves the gripper by itself, in time; cancelling stops it."""
+        """Run steps that make the gripper move by itself, in limited time; cancelling stops it."""
         self.doing = doing
         try:
             with self.connection.link.unhurried():
                 async with asyncio.timeout(self._settings.activation_timeout):
                     await steps()
+        # A `BusTimeout` is a `TimeoutError` too, but means a lost gripper and not a slow one.
         except BusTimeout:
             raise
         except TimeoutError:
@@ -232,7 +236,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Return what the last exchange brought, or read it."""
+        """Return the state of the last exchange, or read it."""
         kept = self._last_read()
         if kept is None:
             self._status = await self._read()
@@ -271,6 +275,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
             if fault is not None and fault.major:
                 await self._clear()
         self._refuse(self._status)
+        # The user asked for recovery, which is the consent to a motion that activation may need.
         self._home_asked = True
 
     async def _clear(self) -> None:
@@ -290,6 +295,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
             raise self._fault(status.fault)
 
     def _fault(self, code: int, name: str = "") -> DeviceFault:
+        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
         self._active = False
         fault = self.FAULTS.get(code, Fault("a fault that no manual names", "recover"))
         hint = self.HINT if code == NOT_ACTIVATED else fault.hint

@@ -1,4 +1,4 @@
-"""What the emulated Robotiq grippers share: registers, activation, faults, automatic release.
+"""Common parts of the emulated Robotiq grippers: registers, activation, faults, automatic release.
 
 What no manual states is a property: how long the activation takes, for example. Illegal requests,
 like bad frames, are not answered.
@@ -27,23 +27,24 @@ from rtee.drivers.robotiq_common import (
 BLOCK = 8
 """Registers of either block that are served; published programs read six of a two-finger one."""
 
-_RELEASING, _RELEASED = 0x0B, 0x0F
+_RELEASING, _RELEASED = 0x0B, 0x0F  # gFLT: automatic release under way, completed
 _ACTIVATION_FAILED = 0x0D  # gFLT: activation fault
 
 _SELF_TEST = 800.0
-"""Way of a motor in the time of an activation, at most [counts]: there and back, and some more."""
+"""Way of a motor in the time of an activation, at most [counts]: three times its stroke, for there
+and back with a margin."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotiqProperties:
-    """What an emulated gripper is like.
+    """Properties of an emulated gripper.
 
     Attributes:
         unit: Its number on the line.
         framing: ``rtu`` or ``tcp``.
         baudrate: Bits per second.
-        activation_time: Time of the activation [s].
-        activated: It is activated at power-up, as if the host had been here before.
+        activation_time: Duration of the activation [s].
+        activated: It is activated at power-up, as after an earlier connection.
         functions: Function codes that it knows.
         haste: How much faster than the real one it moves and activates.
     """
@@ -58,7 +59,7 @@ class RobotiqProperties:
 
 
 class RobotiqEmulator(ModbusEmulator, Grasps):
-    """An emulated gripper; a model says what its registers mean and how its motors move.
+    """An emulated gripper; its subclasses define the registers and the motion of the motors.
 
     Attributes:
         CODES: The codes of gFLT by the names of the faults that can be injected.
@@ -69,7 +70,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         output: The registers that the host has written.
         activations: Activations completed since it was made.
         moves: Times a new target was set.
-        begun: The command with which that happened last.
+        begun: The command that set the last new target.
     """
 
     CODES: ClassVar[Mapping[str, int]]
@@ -150,6 +151,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         self._power_up(True)
         self._order(self._closing(force))
         for axis in self.axes:
+            # Ten seconds, longer than any closing takes.
             axis.advance(10.0)
 
     def inject(self, fault: str) -> None:
@@ -252,6 +254,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         """Let time pass up to ``now``."""
         dt = 0.0 if self._now is None else max(0.0, now - self._now) * self._made.haste
         self._now = now
+        # The first reading after a command still reports motion, as on the real gripper.
         if dt > 0.0:
             self._started = False
         if self._progress is Progress.ACTIVATING:

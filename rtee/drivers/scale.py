@@ -36,5 +36,6 @@ class LinearScale:
 
     def to_count(self, si: float) -> int:
         """Return the nearest count that the device takes for an SI value, which may be infinite."""
+        # Limited before rounding, since an infinite value cannot be rounded.
         low, high = sorted(self.ends or self.raw)
         return round(min(max(self.to_raw(si), low), high))

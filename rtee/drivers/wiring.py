@@ -1,4 +1,4 @@
-"""Options that say which servo, drive, motor or joint on the wire each actuator is."""
+"""Options that assign a servo, drive, motor or joint on the wire to each actuator."""
 
 from __future__ import annotations
 

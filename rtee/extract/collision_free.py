@@ -1,4 +1,4 @@
-"""Search for poses in which nothing else collides, neither there nor on the straight path there."""
+"""Search for poses in which nothing else collides, there or on the straight path to them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from rtee.extract.polish import polish
 from rtee.extract.resolution import COARSE, MEDIUM
 from rtee.extract.search import distinct, minima_on_line
 from rtee.hand.linalg import dot
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 _LITTLE: Final = 0.03
-"""A recalibrated step that gains less than this part of the value is the last one."""
+"""A recalibrated step that gains less than this share of the value is the last one."""
 
 _RADIUS: Final = 0.08
 """First radius of the trust region in each coordinate, as a part of an actuator's range: about as
@@ -47,10 +48,11 @@ _SAME: Final = 0.05
 """Starts that differ by less in every coordinate lead out of the same collisions."""
 
 _GOOD: Final = 0.85
-"""A clear pose of this part of the greatest depth ends the search for other ones."""
+"""A clear pose of this share of the greatest depth ends the search for other ones."""
 
 _POOL: Final = 4
-"""Starts that are kept at minima while constraints are learned."""
+"""Starts that are kept at minima while constraints are learned: each costs a descent in each
+round."""
 
 _SHORT: Final = 2e-3
 """How far before a collision a pose is put back, as a part of the path: some 0.1 mm."""
@@ -59,13 +61,14 @@ _BEFORE: Final = 1e-4
 """The same for a single actuator, whose bounds lie as near: more than rounding moves them."""
 
 _FOLLOWED: Final = 1
-"""How many clear poses' paths are checked in each round."""
+"""How many clear poses' paths are checked in each round: a path costs more than a pose."""
 
 _QUERY_BUDGET: Final = 300
-"""What one search may spend on meshes as given, in units of a query whether two touch (2 ms)."""
+"""What one search may spend on queries of original meshes, in units of a query whether two touch
+(2 ms): less than a second."""
 
 _IMPROVED: Final = 2
-"""How many of the clear poses that were found are improved."""
+"""How many of the clear poses that were found are improved: the others are seldom better then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +102,7 @@ class ClearSearch:
     Poses are improved under the constraints known so far, with an exact penalty; then the pose is
     checked exactly, and what collides there becomes a constraint, or a tighter one (see
     `Constraints`). A pose that is clear is refined: the allowances are measured there, and it moves
-    on as long as it gets better and stays clear.
+    further as long as it gets better and stays clear.
     """
 
     def __init__(
@@ -155,10 +158,12 @@ class ClearSearch:
                     free.append(y)
                     break
                 behind.append(y)
+                # The next round knows of it; meanwhile, the place just before the collision may do.
                 self._constraints.learn_path(blocked, y)
                 nearer = self._go_back(y, blocked)
                 if nearer is not None:
                     free.append(nearer)
+            # The best pose has a clear path: further rounds could only find worse ones.
             if not found or any(y is found[0] for y in free):
                 break
         return [*sorted(free, key=self._function.value), *behind]
@@ -189,9 +194,11 @@ class ClearSearch:
         found: list[FloatArray] = []
         best, enough = np.inf, _GOOD * min(map(value, pool), default=0.0)
         for number in range(attempts + self._budget.extra_attempts):
+            # Extra attempts are only for searches that have found nothing.
             if (found and number >= attempts) or self._out_of_budget:
                 break
             while self._uncalibrated:
+                # Only now: a pose found last calibrates what the next attempt may rely on.
                 self._constraints.calibrate(self._uncalibrated.pop())
             minima = self._settled(pool)
             pool = [minimum.y for minimum in sorted(minima, key=lambda m: m.value)[:_POOL]]
@@ -215,6 +222,7 @@ class ClearSearch:
     def _improved(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose near a clear one in which the tips touch."""
         better = self._improve_in_trust_region(self._improve_recalibrated(y))
+        # Links nested in each other are slow to check, so the improvement leaves them out.
         if better is y or self._checker.nested(self._function.stored(better)):
             return y
         return better if self._touches(better) else y
@@ -237,6 +245,7 @@ class ClearSearch:
         y, collided = start, list[LinkPair]()
         for _ in range(self._budget.pushes):
             u = self._function.stored(y)
+            # The cheap ones first; the costly ones only where these are clear.
             hits = self._checker.unnested(u) or self._checker.nested(u)
             collided = collided or hits
             if not hits:
@@ -268,6 +277,7 @@ class ClearSearch:
         for _ in range(0 if self._out_of_budget else self._budget.recalibrations):
             self._constraints.calibrate(y)
             step = self._descend(y, _EVALUATIONS).y - y
+            # The allowances hold near the pose: a long step may leave that neighbourhood.
             for share in (1.0, 0.5, 0.25, 0.125):
                 trial = y + share * step
                 value = self._function.value(trial)
@@ -301,6 +311,7 @@ class ClearSearch:
                 resolution=MEDIUM,
             ).y
             value = self._function.value(trial)
+            # Nothing better within reach: the model is exhausted, so look closer by.
             if value >= best - CLOSE:
                 radius *= _TIGHTER
             elif hits := self._collides(trial):
@@ -309,6 +320,7 @@ class ClearSearch:
                 concerned |= new
                 gaps += self._linear_gaps(y, new.values()) if new else []
             else:
+                # The model was right: trust it farther, and measure the gaps at the new pose.
                 y, best, radius = trial, value, radius * _WIDER
                 gaps = self._linear_gaps(y, concerned.values())
             if radius < _SMALLEST:

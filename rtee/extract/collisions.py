@@ -1,4 +1,4 @@
-"""What else collides at a posture and on the straight path to it."""
+"""Find what else collides at a posture and on the straight path to it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import norms, rotated
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 STEP: Final = 0.001
 """Between two exact checks on a path, near links move at most this far against each other [m]."""
@@ -37,14 +37,16 @@ _PLACE: Final = 2.0**-16
 moves some micrometres in it."""
 
 _FEW: Final = 12
-"""So few pairs of links are measured without comparing their spheres first, which costs as much."""
+"""Up to this many pairs of links are measured without comparing their spheres first, which costs as
+much."""
 
 _SHARE: Final = 0.8
 """Links that are near each other at rest may come to this part of their distance there: rounding
 the posture to be stored takes less than the rest of it."""
 
 REDUCED: Final = 0.25
-"""Part of their margin that links keep where no posture of a pinch allows for more."""
+"""Share of their margin that links keep where no posture of a pinch allows for more: clear still,
+but only for a model that is exact."""
 
 _PLACES: Final = 65
 """At how many intensities the clearance on a path is measured: a fingertip moves a few millimetres
@@ -68,7 +70,7 @@ class Blocked:
 
 
 class Collisions:
-    """Which links may collide at all.
+    """The links that may collide at all.
 
     Not collisions: contact of links that one moving joint joins, of links that touch at rest, and
     of pairs that the SRDF disables.
@@ -89,6 +91,7 @@ class Collisions:
         for pair in scene.pairs.values():
             a, b = pair.bodies
             adjacent = parents[a] == b or parents[b] == a
+            # Links joined by a joint overlap at it in nearly every model.
             if not adjacent and frozenset(pair.links) not in disabled:
                 candidates.append(pair)
         scene.place(scene.hand.rest)
@@ -136,6 +139,7 @@ class Collisions:
             for pair in self.checked
             if pair.actuators & moving and frozenset(pair.links) not in wanted
         ]
+        # `checked` is sorted, so the nested ones are the last in any selection from it.
         nested = sum(pair.links in self._nested for pair in pairs)
         margins = [self.margin(pair) for pair in pairs]
         return CollisionChecker(self._scene, self._motion, pairs, margins, nested)
@@ -158,13 +162,13 @@ class CollisionChecker:
         margins: Sequence[float],
         nested: int,
     ) -> None:
-        """CollisionChecker some pairs of links.
+        """Prepare checks of some pairs of links.
 
         Args:
             scene: The hand's links.
             motion: Bounds on their motion.
             pairs: The pairs.
-            margins: The distances that they are to keep [m].
+            margins: The distances that they have to keep [m].
             nested: How many of them, the last, are nested in each other.
         """
         self._scene = scene
@@ -178,7 +182,7 @@ class CollisionChecker:
         self._paths: dict[bytes, Blocked | None] = {}
 
     def margin(self, pair: LinkPair) -> float:
-        """Return the distance that two links are to keep [m]."""
+        """Return the distance that two links have to keep [m]."""
         return self._margin_of[pair.number]
 
     @cached_property
@@ -196,12 +200,14 @@ class CollisionChecker:
         """
         scene, least = self._scene, FARTHEST_CLEARANCE
         straight = self._motion.path_to(u)
+        # From the pose backwards: the least distance is usually at its end, and bounds all others.
         for t in np.linspace(1.0, 0.0, _PLACES) if path else (1.0,):
             scene.place(straight.at(float(t)))
             near = np.flatnonzero(self._known.least(scene.joints) < least)
             if len(near) > _FEW:
                 near = near[self._spheres.gaps()[near] < least]
             gaps = [scene.at_least(self.pairs[c]) for c in near]
+            # What is known here bounds the distances at the next place from below.
             self._known.learn(near, gaps, scene.joints)
             for c, gap in zip(near, gaps, strict=True):
                 # Whether meshes are that near is computed faster than how near they are.
@@ -239,6 +245,7 @@ class CollisionChecker:
         move at most 2 mm against each other, where they are near, between two checks.
         """
         key = u.tobytes()
+        # The same posture is asked for again when the evidence is measured.
         if key not in self._paths:
             self._paths[key] = self.first_on(self._motion.path_to(u), self.pairs)
         return self._paths[key]
@@ -269,6 +276,7 @@ class CollisionChecker:
             for ends, columns in parts.items():
                 for t in ends:
                     asked.setdefault(t, set()).update(columns)
+            # By places, not by pairs: placing the hand costs more than measuring a pair.
             for t, concerned in asked.items():
                 new = [c for c in concerned if t not in gaps[c]]
                 if new:
@@ -314,6 +322,7 @@ class CollisionChecker:
         before, margin = ends[0], self._margin_of[pair.number]
         for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:
             t = float(np.interp(goal, travelled, ends)) if travelled[-1] > 0.0 else ends[-1]
+            # On a lattice, so that another processor's last digits lead to the same places.
             t = min(ends[-1], round(t / _PLACE) * _PLACE)
             self._scene.place(path.at(t))
             if self._scene.nearer(pair, margin):
@@ -345,6 +354,7 @@ def first_contact(scene: Scene, pair: LinkPair, path: StraightPath, speed: float
         path: The path.
         speed: Bound on the speed of the links against each other per unit of the path [m].
     """
+    # Where the parts overlap, the gap is no longer a safe step: go on by the finest one.
     finest = max(_FINE / speed, 1.0 / _MOST) if speed > 0.0 else 1.0
     t = before = 0.0
     while True:
@@ -409,6 +419,7 @@ class Spheres:
     def gaps(self) -> FloatArray:
         """Return the least distance of every pair at the posture of the scene ``(p,)`` [m]."""
         rotations, translations = self._scene.bodies()
+        # Summed in a fixed order, as BLAS would not: the same bits on every processor.
         there = np.add.reduce(rotations[self._bodies] * self._centres[:, None, :], axis=2)
         there += translations[self._bodies]
         between = there[self._second] - there[self._first]
@@ -425,5 +436,6 @@ def _sphere(scene: Scene, shapes: tuple[int, ...]) -> tuple[FloatArray, float]:
             rotated(shape.points, shape.placement.rotation) + shape.placement.translation
         )
     points = np.concatenate(corners)
+    # Of the bounding box: not the smallest sphere, but a bound is enough.
     centre: FloatArray = (points.min(axis=0) + points.max(axis=0)) / 2.0
     return centre, float(norms(points - centre).max())

@@ -1,4 +1,4 @@
-"""What a search for clear poses has learned: links that are to stay apart, and how far."""
+"""Constraints that a search for clear poses learns: links that have to stay apart, and how far."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from rtee.extract.goals import GoalFunction
 from rtee.extract.motion import Motion, StraightPath
 from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE, MEDIUM
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 WEIGHT: Final = 5.0
-"""What a metre beyond a constraint counts first, in metres of depth: more than the goal gains by
+"""What a metre beyond a constraint counts at first, in metres of depth: more than the goal gains by
 it, so that the penalty is exact."""
 
 CLOSE: Final = 5e-5
@@ -29,12 +30,13 @@ CLOSER: Final = 1e-3
 """Between convex parts this far apart the exact gap does not matter [m]."""
 
 _SHRINK: Final = 0.2
-"""By this part of itself an allowance at which links still collided is lowered."""
+"""An allowance at which links still collided is lowered by this share of itself: enough to get out
+within a few rounds, without giving away much depth."""
 
 _STRENGTHEN: Final = 2.0
 _STRONGEST: Final = 40.0
-"""By what the weight of a constraint grows when it was broken, and the most it becomes: beyond, the
-penalty is so steep that descents end on it."""
+"""Factor by which the weight of a constraint grows when it was broken, and its upper bound: beyond,
+the penalty is so steep that descents end on it."""
 
 _COARSE: Final = 0.01
 """Precision with which the first contact on the path is sought, as an intensity: the allowance
@@ -47,7 +49,8 @@ _MARGIN: Final = 1e-4
 """How much less than at the first contact the convex parts may overlap at first [m]."""
 
 _SAMPLES: Final = 16
-"""At how many intensities beyond a collision on the path the overlap is measured."""
+"""At how many intensities beyond a collision on the path the overlap is measured: enough to find
+where it is deepest."""
 
 _STATIONS: Final = 4
 _MOST_STATIONS: Final = 8
@@ -63,13 +66,13 @@ _POSE: Final = (1.0,)
 
 @dataclass(slots=True)
 class Constraint:
-    """Two links that are to stay apart.
+    """Two links that have to stay apart.
 
     Attributes:
         pair: The links.
         times: Where on the path, as intensities; 1 is the pose itself.
         allowance: How deep their convex parts may overlap there before the links are too near [m];
-            negative where the parts are to stay apart.
+            negative where the parts have to stay apart.
         weight: Factor of the penalty.
     """
 
@@ -123,6 +126,7 @@ class Constraints:
         for c in self._known:
             overlap, margin = -self._scene.distance(c.pair), self._checker.margin(c.pair)
             if c.times == _POSE and overlap > -CLOSER - margin:
+                # What is free here in truth may be added to the overlap of the convex parts.
                 gap = self._scene.exact_distance(c.pair) - margin
                 c.allowance = max(c.allowance, COARSE.rounded_value(overlap + gap - CLOSE))
                 c.weight = WEIGHT
@@ -160,17 +164,20 @@ class Constraints:
 
     def _of(self, pair: LinkPair, *, on_path: bool = False) -> Constraint | None:
         of_pair = (c for c in self._known if c.pair is pair)
+        # At most one of each: what else is learned tightens it.
         return next((c for c in of_pair if (c.times != _POSE) is on_path), None)
 
     def _tighten(self, constraint: Constraint, overlap: float) -> None:
         """Allow less than an overlap at which the links do collide."""
         least = min(constraint.allowance, overlap)
         constraint.allowance = COARSE.rounded_value(least - max(CLOSE, _SHRINK * abs(least)))
+        # The penalty was not enough to keep the pose out, so it gets steeper, too.
         constraint.weight = min(_STRONGEST, constraint.weight * _STRENGTHEN)
 
     def _bound(self, pair: LinkPair, y: FloatArray) -> bool:
         """Bound an actuator that alone moves two links, where they first collide on its path."""
         moving = pair.actuators & self._varying
+        # Only then the collision depends on one coordinate, and a bound says all there is to say.
         if len(moving) != 1:
             return False
         (actuator,) = moving
@@ -184,6 +191,7 @@ class Constraints:
         goal[actuator] = goal[actuator] * share + rest[actuator] * (1.0 - share)
         i = self._index.index(actuator)
         limit, start = MEDIUM.snap(self._space.coordinates(goal))[i], self._space.rest[i]
+        # On the far side of rest the bound is an upper one, on the near side a lower one.
         if limit >= start and y[i] > start:
             self._high[i] = min(self._high[i], limit)
         else:

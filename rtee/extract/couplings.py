@@ -11,16 +11,16 @@ from rtee.extract.space import widened_limits
 from rtee.hand.linalg import matvec
 from rtee.hand.model import Hand
 from rtee.hand.transmission import Coupling, Linear
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _KNOTS: Final = 1025
 """Knots of a table, which agrees with smooth couplings to 1e-8 rad."""
 
 
 class Couplings:
-    """From actuator to joint positions, fast.
+    """Computes joint positions from actuator positions, fast.
 
-    Linear couplings are evaluated as they are. Non-linear ones are tabulated at 1025 knots over the
+    Linear couplings are evaluated directly. Non-linear ones are tabulated at 1025 knots over the
     widened limits and interpolated by cubic Hermite polynomials. That agrees with smooth couplings
     of real hands to 1e-8 rad, and to 3e-5 rad where they have kinks. Where an expression has no
     finite value, the nearest finite one holds.
@@ -66,23 +66,27 @@ class _Table:
         columns = []
         for coupling in couplings:
             key = (coupling.stages, low, high)
+            # Fingers of one hand usually share their couplings.
             if key not in known:
                 known[key] = _finite(_values(coupling, x))
             columns.append(known[key])
         wide = np.stack(columns, axis=1)
         self._values = wide[2:-2]
+        # Central differences of fourth order, in units of the step.
         self._slopes = (wide[:-4] - 8.0 * wide[1:-3] + 8.0 * wide[3:-1] - wide[4:]) / 12.0
 
         self._last, self._found = math.nan, (self._values[0], self._slopes[0])
 
     def at(self, x: float) -> tuple[FloatArray, FloatArray]:
         """Return the joints' positions and their derivatives; the last answer is remembered."""
+        # Position and slope are asked for one after the other, at the same place.
         if x != self._last:
             self._last, self._found = x, self._interpolate(x)
         return self._found
 
     def _interpolate(self, x: float) -> tuple[FloatArray, FloatArray]:
         place = (x - self._low) / self._step
+        # Beyond the ends, the polynomials of the last steps go on.
         i = min(max(int(place), 0), _KNOTS - 2)
         t = place - i
         s = 1.0 - t
@@ -128,5 +132,6 @@ def _finite(values: FloatArray) -> FloatArray:
     if good.all():
         return values
     x = np.arange(len(values))
+    # Expressions may have poles or roots outside of the joint's real range.
     result: FloatArray = np.interp(x, x[good], values[good])
     return result

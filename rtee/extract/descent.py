@@ -1,4 +1,4 @@
-"""Local minimisation of a piecewise smooth function in a box."""
+"""Local minimisation of a piecewise smooth function in a box, by a projected BFGS method."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.extract.resolution import COARSE, Resolution
 from rtee.hand.linalg import dot, matvec
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 Slope = Callable[[], FloatArray]
 """Returns the derivative ``(k,)`` where a function was evaluated last.
@@ -109,6 +109,7 @@ def descend(
         if found is None or value - found[1] <= resolution.value:  # stalled
             if found is not None:
                 y, value, slope = found
+            # Stalled with the identity: it is a minimum, or as good as one.
             if restarted or fresh:
                 break
             inverse, fresh, restarted = np.eye(len(y)), True, True
@@ -161,6 +162,7 @@ def _search_line(
     for count in range(_MOST_TRIALS):
         there = resolution.snap(y + t * direction)
         inside = within(there, bounds)
+        # Shorter than a unit of the lattice: nothing smaller can be tried.
         if (inside == y).all():
             return best, count
         new, rise = function(inside)
@@ -172,8 +174,10 @@ def _search_line(
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)
             projected = there.tolist() != inside.tolist()
+            # At a face of the box, the slope along the direction says nothing any more.
             if projected or dot(new_slope, direction) >= _CURVATURE * steepness:
                 return best, count + 1
             below = t
+        # Bisection once there is an upper end, doubling before: it ends on kinks, too.
         t = (below + above) / 2.0 if above < np.inf else 2.0 * t
     return best, _MOST_TRIALS

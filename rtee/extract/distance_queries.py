@@ -1,4 +1,4 @@
-"""Distances and contacts of the shapes of two links, the same whatever was measured before."""
+"""Distances and contacts of the shapes of two links, independent of earlier measurements."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pinocchio as pin
 from rtee.hand.geometry import Shape
 
 TOUCH: Final = 1e-8
-"""Surfaces closer than this touch [m]."""
+"""Surfaces closer than this touch [m]: above the rounding errors of Coal."""
 
 _POLYTOPES: Final = 1e-9
 """Precision of penetration depths of boxes, hulls and spheres [m]. With Coal's default, 1e-6, the
@@ -20,7 +20,7 @@ last digit takes one of two normals wherever their depths differ by less, and se
 they do. For cylinders, which have no end of faces, the default stays: some would not converge."""
 
 _FAILED: Final = -1e6
-"""No hand is as deep in itself [m]: Coal's result where it did not find a depth."""
+"""Coal's result is below this where it did not find a depth [m]: no hand is as deep in itself."""
 
 _CLIMBED: Final = 32
 """Coal climbs along the edges of hulls with more vertices, from where its last query ended."""
@@ -118,6 +118,7 @@ class DistanceQueries:
         Args:
             stamp: Number of the joints' placement, another one after each.
         """
+        # Asked for at one posture by the goal, the constraints and the checks: measured once.
         if stamp != self._measured:
             _place(self._robot, self._joints, self._model, self._data)
             if self._guided:
@@ -137,6 +138,7 @@ class DistanceQueries:
         """
         for k, request in enumerate(self._distances):
             precision = request.epa_tolerance
+            # Only for this query: the tolerance is set back below.
             while self.results[k].min_distance < _FAILED and request.epa_tolerance < 1.0:
                 request.epa_tolerance *= 10.0
                 pin.computeDistance(self._model, self._data, k)

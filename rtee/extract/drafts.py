@@ -1,4 +1,4 @@
-"""Drafts of convex parts for the searches: hulls with fewer vertices, and only the outer ones."""
+"""Simplify convex parts for the searches: hulls with fewer vertices, and only the outer ones."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee.hand.geometry import Shape, hull_of
 from rtee.hand.linalg import rotated
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 SLACK: Final = 1e-4
 """A draft may lie this far within a mesh's hull [m]; hands differ more from their models."""
@@ -34,7 +34,7 @@ _THICK: Final = 6.0
 get more sides."""
 
 _TURN: Final = 0.37
-"""How far that prism is turned about its axis, as a part of a side: no simple fraction, so that
+"""How far that prism is turned about its axis, as a share of a side: not a simple fraction, so that
 its faces are parallel to few others."""
 
 _ROUNDED: Final = 2e-9
@@ -103,6 +103,7 @@ def _simplified(part: coal.ConvexBase) -> Draft:
         if worst <= SLACK:
             return Draft(hull, max(0.0, worst))
         far = beyond.max(axis=0) > SLACK
+        # One for each face that is not good enough, so that few rounds are needed.
         chosen = np.unique(np.concatenate([chosen, beyond.argmax(axis=0)[far]]))
     return Draft(part, 0.0)
 
@@ -126,10 +127,12 @@ def outer(
             continue
         normals = np.array(body.normals())
         levels = _along(np.array(body.points()), normals).max(axis=0)
+        # One that was dropped already may still hold others: it lies within what is kept.
         for i in [i for i in kept if i != j]:
             shape = shapes[i]
             corners = rotated(shape.points, shape.placement.rotation) + shape.placement.translation
             local = rotated(corners - holder.translation, holder.rotation.T)
+            # All corners on the inner side of all faces: held as a whole, since both are convex.
             if (_along(local, normals) <= levels).all():
                 kept.remove(i)
     return tuple(kept)

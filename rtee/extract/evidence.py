@@ -1,4 +1,4 @@
-"""The evidence recorded of a pinch, measured at the posture as it is stored."""
+"""Measure the evidence recorded of a pinch, at the posture as it is stored."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from rtee.extract.ranking import Candidate
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import norm
 from rtee.hand.model import Finger, Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _DIGITS: Final = 9
-"""Decimals of the evidence: lengths to a nanometre, far below what models are true to."""
+"""Decimals of the evidence: lengths to a nanometre, far below the accuracy of models."""
 
 
 def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tuple[Evidence, float]:
@@ -40,6 +40,7 @@ def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tup
     near: list[LinkPair] = []
     for share, applied in ((1.0, checker), (REDUCED, checker.reduced)):
         near = applied.at(u)
+        # The first margin that is kept counts, the full one before the reduced one.
         pose = pose or (0.0 if near else share)
         if not near and applied.blocked(u) is None:
             path = share
@@ -81,6 +82,7 @@ class Inspector:
     def checker(self, fingers: Iterable[Finger], tips: Iterable[LinkPair]) -> CollisionChecker:
         """Return a checker of what some fingers move, but for pairs of tips that are to touch."""
         hand = self.scene.hand
+        # Also what these fingers share with others: it moves in the pinch, too.
         moving = {hand.actuator_index(n) for finger in fingers for n in finger.actuators}
         return self.collisions.checker(moving, [frozenset(pair.links) for pair in tips])
 
@@ -97,6 +99,7 @@ class Inspector:
         around, margin = _surroundings(scene, u, checker)
         scene.place(u)
         touching = scene.touching(tips)
+        # Tips that touch have a depth only between their convex parts.
         witness = scene.witness(tips) if touching else scene.exact_witness(tips)
         points = [scene.origin(link) for link in tips.links]
         contact_at = None
@@ -175,6 +178,7 @@ def as_posture(hand: Hand, u: FloatArray, involved: Collection[str]) -> Posture:
 
 
 def _round(value: float) -> float:
+    # Adding 0 turns -0.0 into 0.0, which files and people read more easily.
     return round(value, _DIGITS) + 0.0
 
 

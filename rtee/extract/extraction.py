@@ -1,4 +1,4 @@
-"""From a hand to all its primitive grasping actions."""
+"""Extract all primitive grasping actions of a hand."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from rtee.hand.model import Finger, Hand
 from rtee.hand.resting import closed_rest
 
 _LARGE: Final = 5.0
-"""Links of hands are smaller than this [m]."""
+"""Links of hands are smaller than this [m]; larger ones come from meshes in millimetres."""
 
 
 @dataclass(frozen=True)
 class Extraction:
-    """What was extracted from a hand.
+    """The result of an extraction.
 
     Attributes:
         primitives: The primitives, kind by kind.
@@ -69,7 +69,7 @@ def extract(
 
 
 def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[FoundPinch]:
-    """Return all pinches: first which fingers pinch at all, then how, and which others join."""
+    """Return all pinches: find which fingers pinch at all, then how, and which others join."""
     fingers = inspector.scene.hand.fingers
     tipped = [finger for finger in fingers if finger.tip]
 
@@ -81,6 +81,7 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     pairs: list[tuple[Finger, ...]] = list(combinations(tipped, 2))
     found = parallel_map(probed, pairs, jobs, progress)
     probes = {pair: probe for pair, probe in zip(pairs, found, strict=True) if probe}
+    # Only now: searches for several tips start from the pinches of two, all of which must be known.
     tight = {
         frozenset(finger.name for finger in pair): probe.explored
         for pair, probe in probes.items()

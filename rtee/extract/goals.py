@@ -1,4 +1,4 @@
-"""What a search minimises: the distance of two tips, or of more of them."""
+"""The goals that searches minimise: the distance of two tips, or of more of them."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rtee.extract.descent import Slope
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
 from rtee.extract.space import Space, rounded
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _MARGIN: Final = 2e-4
-"""By how much the convex parts of linked tips are to overlap [m], so that the tips themselves do
-meet, which lie within these."""
+"""By how much the convex parts of linked tips should overlap [m], so that the tips themselves,
+which lie within these, do meet."""
 
 _PULL: Final = 5.0
-"""How much more a gap between tips that should be linked counts than a depth: a tip rather meets
-the others than that two of them meet deeper."""
+"""How much more a gap between tips that should be linked counts than a depth: that a tip meets the
+others matters more than that two of them meet deeper."""
 
 
 class Goal(Protocol):
@@ -181,6 +181,7 @@ class MultiPinchGoal:
         """Return whether tips that take no part overlap others for the first time."""
         known = {pair.number for pair in self._touched}
         new = [pair for pair in self._bystanders if pair.number not in known]
+        # Measured only until it is known: most bystanders are never near.
         new = [pair for pair in new if self._scene.distance(pair) < 0.0]
         self._touched += new
         return bool(new)
@@ -213,6 +214,7 @@ class MultiPinchGoal:
             if gap < 0.0:
                 value -= _PULL * gap
                 terms.append((pair, -_PULL))
+        # Where the tree changes from one pair to another, the value has a kink, not a step.
         return value, lambda: scene.gradient(terms, space)
 
     def reached(self) -> bool:
@@ -247,6 +249,7 @@ def spanning_tree(
             tree.append(i)
             if len(tree) == size - 1:
                 break
+            # Relabelled in full: for a handful of tips, a union-find would be longer and no faster.
             part = [b if p == a else p for p in part]
     return tree
 

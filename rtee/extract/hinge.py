@@ -1,4 +1,4 @@
-"""Tips that are joined to each other by a joint: which part of them can show a pinch."""
+"""Tips that are joined to each other by a joint: find the part of them that can show a pinch."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ import pinocchio as pin
 from rtee.hand.geometry import Shape, hull_of
 from rtee.hand.linalg import norms, rotated
 from rtee.hand.tessellation import subdivided
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 OUTER: Final = 0.5
 """From where on a jaw counts, between the reach of its contact at rest (0) and its end (1)."""
 
 _EDGE: Final = 0.006
-"""Longest edge of the triangles along which a mesh is cut [m]."""
+"""Longest edge of the triangles along which a mesh is cut [m]: a fraction of a fingertip's
+width."""
 
 _PARTS: Final = 64
-"""Where a shape is larger than this many such edges, they are longer."""
+"""A shape is cut into at most this many edges along its longest side; edges of larger shapes are
+longer, so that the number of triangles stays bounded."""
 
 _HALVINGS: Final = 8
 """How often the range of distances from the axis is halved: to less than a millimetre."""
@@ -43,6 +45,7 @@ class ClippedShape(Shape):
             corners: The triangles that remain ``(t, 3, 3)`` in the shape's own frame [m].
         """
         points = corners.reshape(-1, 3)
+        # To 0.1 µm, so that corners shared by triangles are one.
         hull = hull_of(np.unique(np.round(points, 7), axis=0))
         exact = _mesh(corners) if whole.is_mesh else hull
         super().__init__(whole.link, whole.body, whole.of_link, exact, whole.source)
@@ -85,6 +88,7 @@ class Jaw:
         edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         near, far = np.minimum(arms[edges[:, 0]], arms[edges[:, 1]]), arms[edges].max(axis=1)
         crossing = edges[(near < limit) & (far > limit)]
+        # Where edges cross the limit, by interpolating their ends' distances.
         a, b = crossing[:, 0], crossing[:, 1]
         share = ((limit - arms[a]) / (arms[b] - arms[a]))[:, None]
         cuts = vertices[a] + share * (vertices[b] - vertices[a])
@@ -98,6 +102,7 @@ class Jaw:
         low, high = self.shape.box
         edge = max(_EDGE, float((high - low).max()) / _PARTS)
         pieces = subdivided(vertices[faces[~whole]], edge)
+        # Whole triangles on the outer side, so what is left has no slivers at the cut.
         kept = pieces[(self.arms(pieces) > limit).all(axis=1)]
         return np.concatenate([vertices[faces[whole]], kept])
 

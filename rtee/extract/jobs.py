@@ -1,4 +1,4 @@
-"""Doing independent searches in several processes."""
+"""Run independent searches in several processes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PR_SET_PDEATHSIG: Final = 1
 """Linux: the signal that a process gets when its parent ends (prctl(2))."""
 
 _work: tuple[Callable[[Any], Any], Sequence[Any]]
-"""In a process of the pool: what to do, inherited by the fork."""
+"""In a process of the pool: the function and its arguments, inherited by the fork."""
 
 
 def processors() -> int:
@@ -36,12 +36,12 @@ def processors() -> int:
 def parallel_map(
     function: Callable[[Task], Result], tasks: Sequence[Task], jobs: int, progress: Progress
 ) -> list[Result]:
-    """Return what a function makes of all tasks, in their order.
+    """Return the results of a function for all tasks, in their order.
 
-    The tasks are done by ``jobs`` processes. These are forked, so that they share what the function
-    refers to, meshes and all, without copies. Where that cannot be done safely, on other systems
-    than Linux or beside other threads, all is done in this process; the results are the same. So
-    are they when another process dies: what is not handed over then is done here.
+    ``jobs`` processes do the tasks. They are forked, so that they share what the function refers
+    to, meshes and all, without copies. Where forking is not safe, on other systems than Linux or
+    beside other threads, this process does all the work; the results are the same. They are also
+    the same when a process dies: this process then does what is missing.
 
     Args:
         function: A function without side effects that matter.
@@ -52,6 +52,7 @@ def parallel_map(
     total, jobs = len(tasks), min(jobs, len(tasks))
     done: dict[int, Result] = {}
     if jobs > 1 and sys.platform.startswith("linux") and threading.active_count() == 1:
+        # Processes of the caller are not to be killed below.
         others = set(active_children())
         work = (os.getpid(), function, tasks)
         with ProcessPoolExecutor(jobs, get_context("fork"), _begin, work) as pool:
@@ -63,6 +64,7 @@ def parallel_map(
                         progress(len(done), total)
             except BaseException:
                 for process in set(active_children()) - others:
+                    # Interrupted: waiting for searches of a minute would look like hanging.
                     process.kill()
                 raise
     for number in range(total):

@@ -1,4 +1,4 @@
-"""The primitives that follow from what moves what: Trig, TipFlex, FingFlex and single joints."""
+"""Find the primitives that follow from kinematics alone: Trig, TipFlex, FingFlex, single joints."""
 
 from __future__ import annotations
 
@@ -57,6 +57,7 @@ def _flex(hand: Hand, kind: PrimitiveKind, finger: str, actuators: tuple[str, ..
 
 def _single_joint(hand: Hand, actuator: int) -> Primitive:
     spec = hand.actuators[actuator]
+    # The bound that is farther from rest first: that one closes the hand.
     bounds = sorted((spec.upper, spec.lower), key=lambda bound: bound != spec.farthest)
     postures = tuple(_posture(hand, {spec.name: bound}) for bound in bounds)
     return Primitive(

@@ -1,4 +1,4 @@
-"""How far links can move against each other on a straight path of the actuators."""
+"""Bounds on the motion of links against each other on a straight path of the actuators."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import dot, matmul, matvec, norm, norms, rotated
-from rtee.types import FloatArray, JointKind, from_rest
+from rtee.sample import FloatArray
+from rtee.types import JointKind, from_rest
 
 _STATIONS: Final = 33
 """At how many places of a path non-linear couplings are evaluated; between two of them those of
 hands are nearly linear."""
 
 _SAFETY: Final = 1.5
-"""Factor on the steepest slope found there, which may be steeper in between."""
+"""Factor on the steepest slope found there: it may be steeper in between."""
 
 _NEAR: Final = 0.005
 """How near points must be for their motion to count [m]: farther ones cannot touch between two
@@ -78,6 +79,7 @@ class Motion:
             q = hand.transmission.joints(
                 np.array([from_rest(hand.rest, goal, t) for t in stations])
             )
+            # Joints that follow non-linearly move unevenly: the steepest part bounds all.
             travel = _SAFETY * np.abs(np.diff(q, axis=0)).max(axis=0) * (_STATIONS - 1)
         return StraightPath(hand.rest, goal, travel)
 
@@ -147,6 +149,7 @@ class Motion:
         lower, upper = one.box
         lower, upper = np.maximum(lower, centres - halves), np.minimum(upper, centres + halves)
         near = (lower < upper).all(axis=1)
+        # The usual case: these two shapes never come near each other.
         if not near.any():
             return 0.0
         corners = np.where(_UPPER, upper[:, None], lower[:, None])
@@ -171,6 +174,8 @@ class Motion:
                     joint = scene.hand.joints[body - 1]
                     lever = 1.0 if joint.kind is JointKind.PRISMATIC else reach
                     levers[body - 1] = max(levers[body - 1], lever)
+                # Seen from the next joint towards the base, everything is farther away by this
+                # link.
                 reach += self._length[body]
                 body = scene.kinematics.model.parents[body]
         return levers

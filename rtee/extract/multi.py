@@ -1,4 +1,4 @@
-"""MultiPinchTight: three fingertips or more that touch together, linked by contacts."""
+"""Find MultiPinchTight: three fingertips or more that touch together, linked by contacts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rtee.extract.ranking import Candidate, FoundPinch, Rank, ranked
 from rtee.extract.search import FEW, MANY, SEVERAL, Block, Minima, minima
 from rtee.extract.space import Space, make_space, real_limits
 from rtee.hand.model import Finger, Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _MOST_TREES: Final = 4
 """From how many spanning trees starts are combined; the hands in ``config/`` have no more."""
@@ -29,7 +29,7 @@ _BUDGET: Final = SearchBudget(
 """For several tips, which leave rest so far that more starts find nothing better."""
 
 Pinches = Mapping[frozenset[str], FloatArray]
-"""Of the fingers that pinch tightly, two by two, the deepest posture ``(n,)``."""
+"""The deepest posture ``(n,)`` of each two fingers that pinch tightly."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,7 @@ class MultiSearch:
         goal = MultiPinchGoal(scene, len(self.fingers), edges, self._bystanders(moving))
         found = self._minima(goal, space, edges)
         function = GoalFunction(scene, goal, space)
+        # The deepest first; most of the others are never looked at.
         touching = next(touching_postures(function, (m.y for m in found.polished)), None)
         if touching is None:
             return None
@@ -88,6 +89,7 @@ class MultiSearch:
             found = minima(GoalFunction(scene, goal, space), warm, effort, blocks)
             learned = False
             for minimum in (*found.explored, *found.polished):
+                # Ends of descents are where bystanders matter; on the way there they may overlap.
                 scene.place(space.posture(minimum.y))
                 learned |= goal.learn_bystanders()
             if not learned:

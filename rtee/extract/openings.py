@@ -1,4 +1,4 @@
-"""The openings of a hand's actions: how far opposing fingertips are apart on the way from rest.
+"""Compute the openings of actions: the distance of opposing fingertips on the way from rest.
 
 Distances are those of the geometry as given, measured by Coal. Levers follow from the Jacobians of
 the tips' nearest points and the transmission: the opening loses ``-dw/du`` per unit of an actuator,
@@ -23,7 +23,8 @@ from rtee.extract.jobs import Progress
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.linalg import dot, matmul, matvec, norm, norms, vecmat
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, from_rest, readonly
+from rtee.sample import FloatArray
+from rtee.types import from_rest, readonly
 
 ERROR: Final = 2e-5
 """With one actuator, the table is made finer until interpolating is off by less than this [m]: a
@@ -33,10 +34,10 @@ ERROR_OF_FINGERS: Final = 1e-4
 """The same for several actuators [m], whose errors alone move a fingertip by more."""
 
 _FIRST: Final = 17
-"""Points of the first, even table."""
+"""Points of the first, even table: enough not to miss where tips approach and part again."""
 
 _FINEST: Final = 1.0 / 2048
-"""Points are not put nearer to each other than this intensity."""
+"""Points are never nearer to each other than this intensity, whatever the error there."""
 
 _CLOSES: Final = 2e-3
 """Tips that come nearer to each other by less than this do not oppose each other [m]."""
@@ -63,7 +64,7 @@ _ROUNDS: Final = 30
 of a symmetric gripper."""
 
 _WORTH: Final = 0.005
-"""A part of the way that is left out is told from this size on."""
+"""A part of the way that is left out is reported if it is larger than this."""
 
 _FLAT: Final = 1e-12
 """Squared sine of the angle below which three points are on a line."""
@@ -74,7 +75,7 @@ _STILL: Final = 1e-9
 
 @dataclass(frozen=True)
 class _Gap:
-    """Two surfaces: their distance [m], nearest points and the unit normal from first to second."""
+    """The gap of two surfaces: distance [m], nearest points and unit normal, first to second."""
 
     distance: float
     first: FloatArray
@@ -84,7 +85,7 @@ class _Gap:
 
 @dataclass(frozen=True)
 class _Sample:
-    """What was found at one intensity."""
+    """The opening at one intensity: width [m], levers and the worst angle of a tip [rad]."""
 
     width: float
     lever: FloatArray
@@ -208,11 +209,13 @@ class _Way:
         if distance > _TOUCH:
             between = points[1] - points[0]
             self._normals[first, second] = between / norm(between)
+        # Tips that touch keep the normal from just before: between equal points there is none.
         normal = self._normals.get((first, second), np.zeros(3))
         return _Gap(distance, *points, normal)
 
     def from_point(self, finger: str, centre: FloatArray) -> tuple[float, FloatArray]:
         """Return how far a tip is from a point [m], and its point that is nearest to that."""
+        # Coal measures no points, but spheres of next to no radius.
         point, at = coal.Sphere(_TOUCH), coal.Transform3s(np.eye(3), centre)
         best, nearest = math.inf, centre
         for shape in self._parts[finger]:
@@ -284,6 +287,7 @@ def _two_sides(
                 if other not in side:
                     side[other] = 1 - side[finger]
                     waiting.append(other)
+                # An odd cycle: these fingers cannot be divided into two sides.
                 elif side[other] == side[finger]:
                     return ()
     return tuple(tuple(f for f in fingers if side[f] == k) for k in (0, 1)) if fingers else ()
@@ -297,7 +301,7 @@ class _Table:
         self._known: dict[float, _Sample] = {}
 
     def at(self, intensity: float) -> _Sample:
-        """Return what is found at an intensity."""
+        """Return the sample at an intensity."""
         if intensity not in self._known:
             self._way.go(intensity)
             found = self._around() if len(self._sides) > 2 else self._between()
@@ -313,6 +317,7 @@ class _Table:
         falling = _falling([self._known[s].width for s in grid])
         part = [grid[i] for i in falling]
         rows = [self._known[s] for s in part]
+        # What is left of the way hardly closes: not an action that grips.
         if len(rows) < 2 or rows[0].width - rows[-1].width < _CLOSES:
             return None
         action = self._way.action
@@ -343,7 +348,7 @@ class _Table:
                 waiting += [(low, middle), (middle, high)]
 
     def _between(self) -> _Sample:
-        """Return what is found between two sides."""
+        """Return the sample of two sides."""
         way, (one, other) = self._way, self._sides
         gaps = {(a, b): way.gap(a, b) for a in one for b in other}
         lever = np.zeros(len(way.actuators))
@@ -358,12 +363,13 @@ class _Table:
                     (near.first, near.normal) if k == 0 else (near.second, -near.normal)
                 )
                 moved = way.jacobian(finger, point)
+                # The tips of a side press together: each carries its share.
                 lever += vecmat(towards, moved) / len(side)
                 angle = max(angle, _angle(matvec(moved, way.direction), towards))
         return _Sample(min(gap.distance for gap in gaps.values()), lever, angle)
 
     def _around(self) -> _Sample:
-        """Return what is found around a middle."""
+        """Return the sample of tips around a middle."""
         way, fingers = self._way, [side[0] for side in self._sides]
         gap = way.gap(fingers[0], fingers[1])
         centre = (gap.first + gap.second) / 2.0

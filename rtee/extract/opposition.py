@@ -1,4 +1,4 @@
-"""How well the forces of two tips oppose each other at a pinch."""
+"""Rate how well the forces of two tips oppose each other at a pinch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rtee.actions.types import Opposition
 from rtee.extract.pairs import LinkPair, Witness
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import dot, matvec, norm
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 FRICTION: Final = 0.5
 """Coefficient of friction: rubber on most surfaces has more, bare plastic less."""
@@ -22,16 +22,16 @@ BALL: Final = 0.005
 """Radius of the small ball [m]: what two fingertips can hold and most hands can close on."""
 
 _STILL: Final = 1e-3
-"""A tip that moves less than this part of the other one does not move."""
+"""A tip that moves less than this share of the other one counts as still."""
 
 _TOUCH: Final = 1e-6
-"""A gap that counts as touching [m]."""
+"""A gap that counts as touching [m]: far below the ball's radius, above rounding errors."""
 
 _NO_SPEED: Final = 1e-9
 """Speeds per unit of the path that are rounding errors [m]."""
 
 _FAR: Final = 1.0
-"""How far a tip is drawn back or on to meet the ball [m]: beyond every hand."""
+"""How far a tip is drawn back or moved on to meet the ball [m]: larger than any hand."""
 
 
 def opposition(
@@ -70,6 +70,7 @@ def opposition(
         return None
     for i in (0, 1):
         if speeds[i] < _STILL * speeds[1 - i]:
+            # Seen from a still tip, it is the other one that comes.
             closing[i] = -closing[1 - i]
     lines = [v / norm(v) for v in closing]
     outward = (witness.normal, -witness.normal)
@@ -95,6 +96,7 @@ def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: floa
     line = contacts[1] - contacts[0]
     if norm(line) < 1e-12:
         return False
+    # The half angle of the cone of friction.
     half = math.atan(friction)
     inward = [centre - contact for contact in contacts]
     return _angle(line, inward[0]) <= half and _angle(-line, inward[1]) <= half
@@ -105,6 +107,7 @@ def _meet(
 ) -> FloatArray | None:
     """Return where a tip that closes along a line first touches the ball, on the ball [m]."""
     ball = coal.Sphere(BALL)
+    # The ball moves instead of the tip: the scene stays where it is placed.
     gap, towards = _gap(scene, shapes, ball, centre)
     if gap > 0.0:
         # Conservative advancement: moving by the gap never passes the first contact.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""PinchTight and PinchLoose: two fingertips that touch, or come as close as they can."""
+"""Find PinchTight and PinchLoose: two fingertips that touch, or come as close as they can."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rtee.extract.resolution import FINE
 from rtee.extract.search import minima
 from rtee.extract.space import Space, make_space, real_limits, widened_limits
 from rtee.hand.model import Finger
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _TRIED: Final = 4
 """From how many minima contact of the geometry as given is sought; the others are shallower."""
@@ -26,7 +26,8 @@ _EVALUATIONS: Final = 40
 """Most evaluations of such a descent, each of which measures meshes."""
 
 _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
-"""How many postures are measured, and kept where they are distinct."""
+"""How many postures are measured and, where distinct, kept, by rank: the deepest is soon found, the
+best opposed may be any of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,7 @@ class PinchSearch:
     def probe(self) -> PinchProbe | None:
         """Return whether the fingers pinch and how, before anything else is considered."""
         pinch, space = self._pinch, self._pinch.space
+        # Tips that touch everywhere, such as those of one rigid part, do not pinch.
         if pinch.touching(space.posture(space.rest)) and not self._can_separate():
             return None
         found = minima(pinch)
@@ -101,7 +103,10 @@ class PinchSearch:
                 clear = clear_postures(
                     self._pinch, inspector.motion, applied, probe.minima, SearchBudget()
                 )
+                # One place is kept for the deepest posture, clear or not.
                 candidates += candidates_of(clear[: most - 1])
+                # With full margins; the reduced ones are only for pinches that leave no other
+                # choice.
                 if any(candidate.margin for candidate in candidates):
                     break
         candidates += candidates_of(probe.postures[1 : most + 1 - len(candidates)])
@@ -120,6 +125,7 @@ class PinchSearch:
         limits = widened_limits(self._hand)
         wide = make_space(self._hand, sorted(self._tips.actuators), limits)
         function = GoalFunction(self._scene, self._pinch.goal, wide)
+        # Overlap of the convex parts is necessary for contact, and cheap to measure.
         deep = [m.y for m in minima(function).polished if m.value <= 0.0]
         return bool(self._contacts(function, deep))
 

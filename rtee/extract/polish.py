@@ -1,4 +1,4 @@
-"""The end of a descent, on a kink: a proximal bundle method."""
+"""Finish a descent on a kink, by a proximal bundle method."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from rtee.extract.descent import Bounds, Minimum, Objective, within
 from rtee.extract.resolution import FINE, Resolution
 from rtee.hand.linalg import dot, matmul, matvec, vecmat
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _FIRST_STEP: Final = 0.3
 """Length of the first step in the steepest coordinate, as a part of an actuator's range."""
@@ -114,6 +114,8 @@ def polish(
         if new <= value - _SERIOUS * predicted:
             # As good as predicted: the model may be trusted farther.
             reach *= 2.0 if new <= value - 0.5 * predicted else 1.0
+            # A serious step: the model moves its centre; otherwise it only gets better at the old
+            # one.
             y, value = there, new
         # The new piece says nothing about the function at y: the step was too long.
         elif value - new - dot(new_slope, y - there) > 2.0 * predicted:
@@ -138,6 +140,7 @@ def _model_step(
     weights, side = guess
     held = side != 0.0
     fixed = np.where(held, np.where(side < 0.0, low, high) - y, 0.0)
+    # Solve for the free coordinates, hold what would leave the box, free what pulls back; repeat.
     for _ in range(_SWEEPS * len(y)):
         some = bool(held.any())
         free = np.where(held, 0.0, slopes) if some else slopes
@@ -178,6 +181,7 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
         weights = [0.0] * count
         weights[offsets.index(min(offsets))] = total = 1.0
     face = {i: weight / total for i, weight in enumerate(weights) if weight}
+    # Pieces may be linearly dependent: a little on the diagonal keeps the system definite.
     ridge = _ROUNDING * (1.0 + max(rows[i][i] for i in range(count)))
     for _ in range(4 * count):
         face = _on_face(rows, offsets, ridge, face)
@@ -190,6 +194,7 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
         entering = gradient.index(least)
         if entering in face or least > level - _ROUNDING * (1.0 + abs(level)):
             break
+        # The steepest one enters: with few pieces, the simplest rule is fast enough.
         face[entering] = 0.0
     x = np.zeros(count)
     x[list(face)] = list(face.values())

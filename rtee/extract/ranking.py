@@ -1,4 +1,4 @@
-"""Which posture of a pinch comes first."""
+"""Rank the postures of a pinch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from rtee.actions.types import Evidence, PrimitiveKind
 from rtee.extract.space import real_limits
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 Rank = Literal["depth", "opposition"]
 
@@ -20,7 +20,7 @@ _SAME: Final = 0.02
 """Postures that differ by less in every actuator, as a part of its range, are one."""
 
 _AS_GOOD: Final = 0.01
-"""But only if their depths or distances differ by no more than this part."""
+"""They are one only if their depths or distances differ by no more than this share, too."""
 
 _DIGITS: Final = 5
 """Decimals to which depths are compared: 10 µm, less than hands differ from their models."""
@@ -96,6 +96,7 @@ def _alike(one: Candidate, other: Candidate, extent: FloatArray) -> bool:
 
 def _key(candidate: Candidate, rank: Rank) -> tuple[float, ...]:
     evidence = candidate.evidence
+    # False sorts before True, and larger margins first.
     head = (-candidate.margin, not evidence.clear)
     opposed = evidence.opposition
     opposition = (

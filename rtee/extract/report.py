@@ -1,6 +1,6 @@
-"""The report: one HTML file with everything that was found, and a picture of every action.
+"""The report: one HTML file with all results, and a picture of every action.
 
-It needs nothing beside it. What it looks like is in ``report.html.jinja``.
+It is self-contained. Its layout is in ``report.html.jinja``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ from rtee.hand.names import common_prefix
 from rtee.hand.urdf import UrdfMimic
 from rtee.render.hand import SIZE, HandRenderer
 from rtee.render.image import Contact
-from rtee.types import ActuatorSpec, FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -178,10 +179,12 @@ def make_report(
     rest = _View(hand.rest, hand.finger_names)
 
     def shoot(view: _View) -> Shot:
+        # By identity: the rest posture gets one plain picture, at the top of the page.
         if view is rest:
             return Shot(renderer.picture(hand.rest, file_format="WEBP"))
         return _shot(renderer, view)
 
+    # Before any page is written: pictures take most of the time, and all processors.
     shots = parallel_map(
         shoot, [rest, *every], jobs or processors(), progress or (lambda done, total: None)
     )
@@ -268,6 +271,7 @@ def _timed(hand: Hand, action: Timed) -> _Plan:
     u = np.array(hand.rest)
     views = []
     for i, step in enumerate(action.steps, 1):
+        # Each view keeps its own posture: the next step starts from this one.
         u = u.copy()
         for name in step.posture.involved:
             u[hand.actuator_index(name)] = step.posture.position[name]
@@ -294,9 +298,11 @@ def _load_template() -> Template:
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATE.parent),
+        # Names come from files: they are text, never markup.
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
+        # A misspelt name in the template is an error, not an empty place in the report.
         undefined=StrictUndefined,
     )
     environment.filters |= {

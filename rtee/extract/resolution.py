@@ -1,7 +1,7 @@
-"""How finely a search resolves coordinates, values and slopes.
+"""The resolution of a search in coordinates, values and slopes.
 
-What the searches minimise has kinks, and a descent ends on one: which of two faces is measured
-there, and with it every later step, would be decided by the last digit. So a search has a
+The functions that searches minimise have kinks, and a descent ends on one: the last digit would
+decide which of two faces is measured there, and with it every later step. So a search has a
 resolution: it stays on the points of a lattice, and rounds what it measures there. Another
 processor's last digits, or a joint origin that is off by a nanometre, are far below the resolution
 and lead to the same points, except where a number lies within that nanometre of a rounding
@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _GOLDEN: Final = (5.0**0.5 - 1.0) / 2.0
 """The golden section, whose multiples modulo 1 are the most evenly spread ones."""
@@ -38,6 +38,7 @@ class Resolution:
 
     def snap(self, y: FloatArray) -> FloatArray:
         """Return the point of the lattice next to coordinates ``(k,)``."""
+        # All factors are powers of two: scaling by them is exact.
         shift, unit = _shifts(len(y)), self.coordinate
         point: FloatArray = (np.rint(y * (1.0 / unit) - shift) + shift) * unit
         return point

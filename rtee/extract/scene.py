@@ -22,10 +22,11 @@ from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.linalg import matmul, matvec, norm, vecmat
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import JointKind
 
 _BATCH: Final = 3
-"""From this many derivatives on it is faster to add them up before the last products."""
+"""From this many derivatives on, adding them up before the last products is faster."""
 
 _MOST_STACKS: Final = 1024
 """Sets of pairs whose `LinkPair.moved_by` are kept stacked; a search has some dozens."""
@@ -132,6 +133,7 @@ class Scene:
 
     def _clipped(self, pair: LinkPair) -> LinkPair | None:
         moving = max(pair.bodies)
+        # The jaws of a slide have no axis to measure distances from.
         if self.hand.joints[moving - 1].kind is JointKind.PRISMATIC:
             return None
         placement = self._data.oMi[moving]
@@ -168,6 +170,7 @@ class Scene:
         """
         self.joints = self.couplings.joints(u)
         pin.forwardKinematics(self._model, self._data, self.joints)
+        # Everything that was measured before belongs to an older stamp.
         self._stamp += 1
         self._at = u
 
@@ -271,12 +274,14 @@ class Scene:
             pin.computeJointJacobians(self._model, self._data)
             if not self.couplings.linear:
                 self._slope = self.couplings.slope(self._at)
+            # Computed once for each posture, and only if a derivative is asked for.
             self._jacobian_stamp = self._stamp
             self._joints = self._data.J.reshape(6, -1)
         return self._joints
 
     def _levers(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return how the coordinates move the joints between two links ``(m, k)``."""
+        # Constant for linear couplings, so computed once for each pair and space.
         key = (pair.number, pair.turned)
         known = space.levers.get(key)
         if known is None or not self.couplings.linear:
@@ -293,6 +298,7 @@ class Scene:
     def witness(self, pair: LinkPair) -> Witness:
         """Return where two links' convex parts are closest or deepest in each other."""
         queries = self._queries(pair, self._convex)
+        # Evidence must not depend on what was measured before: new queries have no memory.
         if queries.remembers:
             queries = self._undrafted(pair, convex=True)
         return _witness(pair, queries, self._stamp)
@@ -355,6 +361,7 @@ class Scene:
         """
         i, j = couple
         a, b = self.shapes[i], self.shapes[j]
+        # A convex primitive is its own convex part.
         if not (a.is_mesh or b.is_mesh):  # both exact already; Coal's yes-or-no query misses some
             return True
         self.query_cost += _COLLIDE

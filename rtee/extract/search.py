@@ -1,4 +1,4 @@
-"""All local minima of a signed distance that are worth knowing."""
+"""Find all local minima of a signed distance that are worth knowing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.extract.polish import polish
 from rtee.extract.resolution import COARSE, FINE, MEDIUM
 from rtee.extract.space import Space
 from rtee.hand.halton import halton
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,12 +126,14 @@ def minima(
         first += [descend(function, y, evaluations=effort.quick) for y in best]
     if effort.places:
         new = moved_blocks(distinct(first)[0], blocks, effort.places)
+        # One evaluation each, to choose which ones are worth a descent.
         best = _best(function, new, effort.moved)
         first += [descend(function, y, evaluations=effort.quick) for y in best]
     deep = distinct(first)[: effort.kept]
     done = [_polished(function, m, effort.polish) for m in deep]
     deepest = min(done, key=lambda m: m.value)
     for _ in range(effort.again):
+        # It ended by itself: a minimum, which another polish would not change.
         if deepest.evaluations < effort.polish:
             break
         before, deepest = deepest, _polished(function, deepest, effort.polish)
@@ -139,6 +141,7 @@ def minima(
         if before.value - deepest.value < _LITTLE * abs(deepest.value):
             break
     deepest = min(done, key=lambda m: m.value)
+    # The last steps on the full parts: drafts are up to 0.1 mm thinner.
     with function.fine():
         done.append(polish(function, deepest.y, evaluations=_LAST, resolution=FINE))
     return Minima(distinct([*done, *first]), distinct(first))
@@ -156,6 +159,7 @@ def _screened(function: GoalFunction, effort: SearchEffort) -> list[FloatArray]:
 
 def _best(function: GoalFunction, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
     """Return those points at which the function is least, the best first."""
+    # Rounded and sorted stably: the order must not depend on last digits.
     values = [COARSE.rounded_value(function.value(y)) for y in points]
     return [points[i] for i in np.argsort(values, kind="stable")[:count]]
 
@@ -243,6 +247,7 @@ def minima_on_line(function: GoalFunction, low: float = 0.0, high: float = 1.0) 
     for i, here in enumerate(values):
         left = values[i - 1] if i else np.inf
         right = values[i + 1] if i + 1 < _LINE else np.inf
+        # "<" on one side only: of equal neighbours, the first one counts once.
         if here < left and here <= right:
             a, b = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, _LINE - 1)])
             found.append(_golden(function, (a, b), float(grid[i]), here))

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import JointKind
 
 DECIMALS: Final = 6
 """Postures are stored rounded to a millionth of a radian or metre."""
@@ -96,8 +97,10 @@ def make_space(
 
 def rounded(hand: Hand, u: FloatArray) -> FloatArray:
     """Return a posture as it is stored: rounded, but never out of the limits."""
+    # Adding 0 turns -0.0 into 0.0.
     result = np.round(u, DECIMALS) + 0.0
     for i, spec in enumerate(hand.actuators):
+        # An actuator at rest stays exactly there, even if its rest has more decimals.
         if u[i] == spec.rest:
             result[i] = spec.rest
         result[i] = min(max(result[i], spec.lower), spec.upper)

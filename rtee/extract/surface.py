@@ -1,4 +1,4 @@
-"""Whether one shape lies within another one's surface."""
+"""Decide whether one shape lies within another one's surface."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtee.hand.geometry import Shape
 from rtee.hand.linalg import matvec, norms
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _sum = np.add.reduce
 
@@ -29,6 +29,7 @@ def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
     start = inner.exact.vertices()[0] if inner.is_mesh else np.zeros(3)
     point = inner_in_outer.act(np.asarray(start))
     low, high = outer.box
+    # Cheap tests first: the box, then the faces of the hull; the winding number is exact.
     if (point < low).any() or (point > high).any():
         return False
     normals, levels = outer.faces

@@ -13,7 +13,7 @@ from rtee.gui.shapes import LinkTriangles
 from rtee.hand.frames import quaternion, turn
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Urdf, UrdfGeometry, UrdfJoint
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _UNSEEN = 1e-4
 """Motion of a joint that cannot be seen on the screen [rad | m], and so is not sent."""

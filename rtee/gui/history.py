@@ -9,8 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from rtee.messages.state import State
-from rtee.sample import MEASURED
-from rtee.types import FloatArray
+from rtee.sample import MEASURED, FloatArray
 
 QUANTITIES: Final = tuple(MEASURED)
 """Quantities measured per actuator; ``reference`` positions come in addition."""

@@ -14,7 +14,7 @@ from rtee.hand.model import Hand
 from rtee.log import Recording, Span, read
 from rtee.messages.state import ACTUATOR_COLUMNS, State
 from rtee.object_description import ObjectDescription
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _OUTCOMES = {"reached": "#009e73", "grasped": "#009e73", "aborted": "#d55e00"}
 _OTHER = "#e69f00"

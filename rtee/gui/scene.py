@@ -23,7 +23,7 @@ from rtee.gui.seen import ObjectView
 from rtee.gui.shapes import link_triangles
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
 """A point [m] and a unit normal in the base frame."""

@@ -17,7 +17,7 @@ from rtee.object_description import (
     ObjectPart,
     contact_rows,
 )
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _UNSEEN: Final = 1e-4
 """Motion of the object that cannot be seen on the screen [m, or parts of a turn]."""

@@ -38,7 +38,8 @@ from rtee.messages.state import State
 from rtee.object_description import OBJECT_POSE, ObjectDescription
 from rtee.planning.result import GraspPlan
 from rtee.remote.client import RemoteHand
-from rtee.types import Event, FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import Event, from_rest
 
 _STATE_RATE = 100.0
 """States received per second [Hz]: enough for smooth lines in the plots."""

@@ -1,4 +1,4 @@
-"""Which actuators swing a finger sideways instead of bending it."""
+"""Find the actuators that swing a finger sideways instead of bending it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
-from rtee.types import ActuatorSpec, FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 _PARALLEL: Final = 0.9
 """Least cosine of the angle of axes that count as parallel: 26 degrees."""
@@ -21,12 +22,12 @@ _MIDDLE: Final = 0.2
 """Rest is in the middle of a range within this share of it to either side."""
 
 _ACTUATORS: Final = 2
-"""Actuators with parallel axes that bend the finger, at the least. With a single one, nothing tells
-bending from swinging."""
+"""Fewest actuators with parallel axes that bend the finger. With a single one, bending cannot be
+told from swinging."""
 
 _JOINTS: Final = 3
-"""Joints across its axis, at the least, as in fingers with three phalanges. Where a finger of two
-turns as a whole, all of it counts as bending, as the paper has it."""
+"""Fewest joints across its axis, as in fingers with three phalanges. Where a finger with two turns
+as a whole, all of its motion counts as bending, as in the paper."""
 
 
 def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
@@ -42,6 +43,7 @@ def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
     axes: dict[str, FloatArray] = {}
     for name in finger.own:
         axis = turning[:, hand.actuator_index(name)]
+        # Zero for what shifts the tip without turning it, such as a slide.
         length = float(np.linalg.norm(axis))
         if hand.actuator(name).kind is not JointKind.PRISMATIC and length > 0.0:
             axes[name] = axis / length
@@ -66,6 +68,7 @@ def _bending(hand: Hand, axes: dict[str, FloatArray]) -> tuple[str, ...]:
         tuple(name for name, axis in axes.items() if abs(float(axis @ axes[first])) >= _PARALLEL)
         for first in axes
     ]
+    # The largest sum of ranges, not the largest number: an idle joint more must not decide.
     return max(groups, key=lambda group: sum(_span(hand.actuator(n)) for n in group), default=())
 
 

@@ -1,4 +1,4 @@
-"""Which pairs of links need never be checked for collision, and why."""
+"""Find the pairs of links that need never be checked for collision, and why."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import numpy as np
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.halton import halton
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 ADJACENT: Final = "adjacent"
 ALWAYS: Final = "touching at every configuration"
 AT_REST: Final = "touching at rest"
 
 _CONFIGURATIONS: Final = 64
-"""Postures compared before two links count as touching at every one."""
+"""Postures compared before two links count as touching at every one: a link pair that comes apart
+anywhere does so in a good part of its range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
 
     Adjacent links are joined by one moving joint. The others are compared on the exact geometry at
     rest, and those that touch there at configurations spread evenly over the actuators' limits.
-    Two fingertips are no such pair unless they are adjacent: their contact is a pinch.
+    Two fingertips are such a pair only if they are adjacent: otherwise their contact is a pinch.
 
     Raises:
         ModelError: A mesh cannot be read.
@@ -54,11 +55,14 @@ def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
     pairs = []
     for links in combinations(dict.fromkeys(shape.link for shape in geometry.shapes), 2):
         first, second = (kinematics.body(link) for link in links)
+        # Links of one rigid body never move against each other.
         if first == second:
             continue
         if parents[first] == second or parents[second] == first:
             pairs.append(AllowedCollision(*links, ADJACENT))
         elif not tips.issuperset(links) and geometry.touching(links, at_rest):
+            # Only those that touch at rest are compared further: each posture costs a query of
+            # meshes.
             always = all(geometry.touching(links, kinematics.placements(u)) for u in spread)
             pairs.append(AllowedCollision(*links, ALWAYS if always else AT_REST))
     return tuple(pairs)

@@ -1,4 +1,4 @@
-"""What a URDF cannot say for sure: joints that may have no motor, actuators that carry the hand."""
+"""Find what a URDF leaves open: joints that may have no motor, actuators that carry the hand."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtee.hand.xmlfile import Element, read_xml
 from rtee.types import JointKind
 
 _SPRUNG: Final = re.compile(r"spring|passive|complian|elastic|flexure|underactuated", re.IGNORECASE)
-"""What people call joints without a motor."""
+"""Words in the usual names of joints without a motor."""
 
 _SPRINGS: Final = ("springStiffness", "springReference", "spring_stiffness", "spring_reference")
 """Elements and attributes that describe a spring to a simulator."""
@@ -33,7 +33,7 @@ class Candidate:
 
     Attributes:
         joint: Its name.
-        why: What speaks for it, in words that go on from the joint's name.
+        why: The evidence for it, in words that continue after the joint's name.
         likely: Whether that is hard to explain otherwise.
     """
 
@@ -56,10 +56,12 @@ def passive_candidates(hand: Hand) -> tuple[Candidate, ...]:
     Raises:
         ModelError: Its URDF cannot be read again.
     """
+    # Read again: the model keeps only what kinematics needs.
     root = read_xml(hand.urdf.path, "URDF")[0]
     reasons: dict[str, str] = {}
     for found in (_springs(hand, root), _idle(hand), _undriven(hand, root), _pulled(hand)):
         for joint, why in found.items():
+            # The first reason counts: they are in the order of how much they say.
             reasons.setdefault(joint, why)
     likely = [Candidate(joint, why, True) for joint, why in reasons.items()]
     possible = [
@@ -114,6 +116,7 @@ def _undriven(hand: Hand, root: Element) -> dict[str, str]:
         for joint in element.all("joint")
     }
     left = [name for name in hand.actuator_names if name not in driven]
+    # Many URDFs have no transmissions at all, which says nothing.
     if len(left) == len(hand.actuators):
         return {}
     return dict.fromkeys(left, "has no <transmission>, as others have")
@@ -201,4 +204,5 @@ def carriers(hand: Hand) -> tuple[str, ...]:
             if index is not None:
                 moved.setdefault(index, set()).add(name)
     found = [hand.actuators[index].name for index in sorted(moved) if moved[index] <= common]
+    # A hand whose every actuator carries all fingers has no wrist, but a single finger's motion.
     return tuple(found) if len(found) < len(moved) else ()

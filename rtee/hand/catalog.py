@@ -1,4 +1,4 @@
-"""Which hands there are, where, and whether their files have changed."""
+"""Find the hands, their folders, and whether their files have changed."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     found: dict[Path, Path] = {}
     for folder in candidates:
         if os.path.isdir(folder):  # unlike Path.is_dir, also beside folders that may not be read
+            # Resolved: the same folder may be named twice, as by a link.
             found.setdefault(folder.resolve(), folder)
     return list(found.values())
 
@@ -49,6 +50,7 @@ def hands(extra: Sequence[Path | str] = ()) -> dict[str, Path]:
     """Return the folders of all hands by name, sorted by name."""
     found: dict[str, Path] = {}
     for name, folder in _all(config_dirs(extra)):
+        # The first one counts: folders come in the order of precedence.
         found.setdefault(name, folder)
     return dict(sorted(found.items()))
 
@@ -89,5 +91,6 @@ def fingerprint(folder: Path) -> str:
     digest = hashlib.sha256()
     files = [*folder.glob("*.urdf"), *folder.glob("*.srdf"), *folder.glob("hand.yaml")]
     for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
+        # With the names, so that moving a file is a change, too.
         digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]

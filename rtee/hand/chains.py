@@ -1,4 +1,4 @@
-"""Which chains of a hand are fingers, as its SRDF says; the SRDF is checked against the URDF."""
+"""Read the fingers of a hand from its SRDF, and check the SRDF against the URDF."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ class Chain:
 
     def tip(self, urdf: Urdf) -> str | None:
         """Return the last link with collision geometry below the base, if there is one."""
+        # The base is the palm, for all but a finger of a single link.
         below = reversed(self.links[1:] or self.links)
         return next((link for link in below if urdf.links[link].collisions), None)
 
@@ -99,6 +100,7 @@ def _check_passive(srdf: Srdf, urdf: Urdf) -> list[str]:
             raise UnknownJoint(name, tuple(urdf.joints), path=srdf.path, line=line)
         if not joint.moving:
             notes.append(f"passive joint '{name}' (line {line} of the SRDF) is fixed")
+        # Its position is determined by the joint it follows, which is more than passive says.
         elif joint.mimic is not None:
             notes.append(f"joint '{name}' is both mimic and passive; it is taken as a mimic")
     return notes
@@ -145,6 +147,7 @@ def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
             return group, f"group '{group.name}'"
     if not collections:
         return None, ""
+    # Without a hint by name, the group with most members is likelier to be all fingers.
     named = [group for group in collections if "finger" in group.name.lower()]
     group = max(named or collections, key=lambda g: len(g.subgroups))
     return group, f"group '{group.name}'"
@@ -152,6 +155,7 @@ def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
 
 def _members(srdf: Srdf, group: SrdfGroup, above: tuple[str, ...]) -> Iterator[SrdfGroup]:
     """Yield the groups without subgroups inside a group, each once and in order."""
+    # Checked on the way down, or groups that contain each other would never end.
     if group.name in above:
         raise ModelError(f"group '{group.name}' contains itself", path=srdf.path, line=group.line)
     for name in group.subgroups:
@@ -181,9 +185,11 @@ def _as_path(links: set[str], urdf: Urdf) -> tuple[str, ...] | None:
     """Return the path from the first to the last of some links if they all lie on one."""
     if not links:
         return None
+    # Sorted, so that equally deep links give the same result on every run.
     deepest = max(sorted(links), key=lambda link: len(urdf.path_to(link)))
     path = (urdf.root, *(joint.child for joint in urdf.path_to(deepest)))
     if not links <= set(path):
         return None
     first = min(path.index(link) for link in links)
+    # With the link above the first one, which is the base of the chain.
     return path[max(first - 1, 0) :]

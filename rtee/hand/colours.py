@@ -36,5 +36,6 @@ def finger_of_link(hand: Hand) -> dict[str, str]:
             if len(names) == 1:
                 found[joint.child] = next(iter(names))
         elif joint.parent in found:
+            # Joints are in the order of the tree, so the parent is known by now.
             found[joint.child] = found[joint.parent]
     return found

@@ -95,7 +95,7 @@ class HandConfig(BaseModel):
     limits: LimitsSection = LimitsSection()
     """Limits that tighten or complete the URDF's."""
     dynamics: DynamicsSection = DynamicsSection()
-    """What the actuators are like inside: gains, inertia, friction, how joints follow them; for
+    """Dynamics of the actuators: gains, inertia, friction, how joints follow them; for
     the simulation, and for planners that ask for the hand's description."""
     tip_friction: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default={})
     """Coefficient of friction of the fingertips' surfaces by finger, ``defaults``: of all others;
@@ -185,6 +185,7 @@ def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError
     )
     value = repr(error["input"])[:80]
     match error["type"]:
+        # Older files: the answer is what to change, not that the key is unknown.
         case "extra_forbidden" | "unexpected_keyword_argument" if location[-1] in FORMER_NAMES:
             return document.error(location, f"is called '{FORMER_NAMES[str(location[-1])]}' now")
         case "literal_error" if str(error["input"]) in FORMER_NAMES:
@@ -212,6 +213,7 @@ def _keys(location: Sequence[str | int]) -> list[str]:
     for part in location:
         fields = _fields(kind)
         named = ActuatorDynamics if kind is DynamicsSection else ActuatorLimits
+        # Keys of mappings are names, whose values are sections: of actuators, or of devices.
         kind = fields.get(str(part), named) if fields else typing.get_args(kind)[-1]
     return list(_fields(kind))
 

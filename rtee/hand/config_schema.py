@@ -1,8 +1,8 @@
 """The sections of ``hand.yaml``: their settings, with defaults, bounds and what they mean.
 
-They are plain dataclasses, which the loop, the recorder and the server are given as they are.
-`rtee.hand.config` checks with pydantic what is read from a file; the bounds are written so that it
-knows them, and nothing here imports it: loops run without.
+They are plain dataclasses, which the loop, the recorder and the server use directly.
+`rtee.hand.config` checks with pydantic what is read from a file. The bounds are annotations that
+pydantic understands, and nothing here imports it: loops run without it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Fraction = Annotated[float, Interval(ge=0, le=1)]
 
 
 class Section:
-    """A part of hand.yaml: unknown keys and numbers that are none are refused."""
+    """A part of hand.yaml: unknown keys, and numbers that are NaN or infinite, are refused."""
 
     __slots__ = ()
     __pydantic_config__: ClassVar[dict[str, Any]] = {
@@ -45,12 +45,13 @@ class Section:
 
 
 class _Converted:
-    """Has pydantic convert what YAML cannot express, though it is strict about all the rest.
+    """Makes pydantic convert what YAML cannot express, though it is strict about all the rest.
 
     A mapping becomes a section, a list a tuple, and a text a path.
     """
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        # Only this level: what is inside keeps being strict.
         return {**handler(source), "strict": False}
 
 
@@ -62,6 +63,7 @@ class Word(StrEnum):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Callable[[Any], Any]) -> Any:
+        # As a schema of literals, so that errors list the words and the JSON schema has them.
         words = {"type": "literal", "expected": [word.value for word in cls]}
         made = {"type": "no-info", "function": cls}
         return {"type": "function-after", "schema": words, "function": made}
@@ -77,7 +79,7 @@ class ProfileKind(Word):
 
 
 class Behaviour(Word):
-    """What the hand does when nobody drives it any more."""
+    """What the hand does when it is no longer driven."""
 
     HOLD = "hold"
     """Keep the measured posture, powered."""
@@ -126,7 +128,7 @@ class Following(Word):
 
 @dataclass(frozen=True, slots=True)
 class ActuatorDynamics(Section):
-    """What an actuator is like inside, where that is known; the simulation derives the rest."""
+    """Dynamics of an actuator, as far as known; the simulation derives the rest."""
 
     kp: Positive | None = None
     """Position gain of its servo [N·m/rad | N/m]."""

@@ -1,4 +1,4 @@
-"""The fingers of a hand with their actuators: those its SRDF names, or else found from its tree."""
+"""Make the fingers of a hand with their actuators: from its SRDF, or else from its tree."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.hand.urdf import Urdf
 WORDS: Final = ("thumb", "index", "middle", "ring", "little", "pinky")
 
 PREFIXES: Final = {"th": "thumb", "ff": "index", "mf": "middle", "rf": "ring", "lf": "little"}
-"""What names of links and joints begin with where they do not spell a finger out."""
+"""Beginnings of names of links and joints that do not spell a finger out."""
 
 _PREFIX: Final = re.compile(
     rf"(?<![a-z0-9])({'|'.join(PREFIXES)})(?=[^a-z]|$|tip|distal|middle|proximal|knuckle|metacarpal"
@@ -105,6 +105,8 @@ def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]
         if actuator == joint.name:
             place[actuator] = position
         elif actuator is not None:
+            # The first joint that follows it: an actuator in the forearm has no place of its own
+            # here.
             place.setdefault(actuator, position)
     return tuple(sorted(place, key=place.__getitem__))
 
@@ -158,6 +160,7 @@ def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
             continue
         body = _body(link, urdf, moved)
         if body is not None:
+            # Of ends on one rigid body, the one that most joints carry is the tip.
             bodies[body] = _farther(bodies.get(body), link, urdf)
     order = list(urdf.joint_to)
     return sorted(bodies.values(), key=order.index)
@@ -183,12 +186,13 @@ def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
             continue
         way = (urdf.root, *(joint.child for joint in urdf.path_to(other)))
         common = sum(1 for a, b in zip(path, way, strict=False) if a == b)
+        # The last common link is the base from which both branch off.
         shared = max(shared, common - 1)
     return path[shared:]
 
 
 def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
-    """Name fingers by what people call them in links and joints, or by what distinguishes the ends.
+    """Name fingers after words in their links and joints, or by what distinguishes their ends.
 
     People write the usual word (``index``), the prefix of the Shadow Hand (``ff``), or a number
     (``finger_1``, ``f1``). These count only where every finger has one, and each another one.
@@ -234,6 +238,7 @@ def _distinct_parts(names: Sequence[str]) -> Iterable[str]:
     tail = shared_length([part[head:][::-1] for part in parts])
     for name, part in zip(names, parts, strict=True):
         kept = "_".join(part[head : len(part) - tail])
+        # A bare number would not be a name for people.
         yield kept if kept and not kept.isdigit() else f"finger_{kept}" if kept else name
 
 
@@ -242,5 +247,6 @@ def _unique(names: Sequence[str]) -> list[str]:
     unique = []
     for name in names:
         seen[name] = seen.get(name, 0) + 1
+        # Numbered from the second on: the first keeps its plain name.
         unique.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
     return unique

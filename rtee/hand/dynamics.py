@@ -1,4 +1,4 @@
-"""The actuators' dynamics as configured, completed, with the joints that follow by springs."""
+"""Complete the configured dynamics of actuators, with the joints that follow by springs."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def make_dynamics(
     """Return the dynamics of every actuator, with the names of the joints on springs.
 
     Args:
-        given: What the configuration says of some actuators.
-        defaults: What it says of all, where they say nothing else.
+        given: The configuration of some actuators.
+        defaults: That of all others, and of what these leave out.
         actuators: The hand's actuators, in order.
         urdf: Its URDF.
         transmission: What follows what.
         refuse: Makes the error for a value of the configuration, from its place and a message.
 
     Raises:
-        UserError: Something is said of an actuator, or a joint, that there is not.
+        UserError: The configuration names an actuator or a joint that does not exist.
     """
     for name in given:
         if name not in actuators:
@@ -49,6 +49,8 @@ def make_dynamics(
             chosen = {
                 joint: 1.0
                 for joint in follow
+                # An actuator's own joint without a shape behind it is only a motor: nothing yields
+                # there.
                 if joint != name or _carries_shape(urdf, urdf.joints[joint].child)
             }
         for place, pattern in enumerate(patterns or ()):
@@ -60,6 +62,7 @@ def make_dynamics(
             chosen |= dict.fromkeys(matching, (dynamics.shares or {}).get(pattern, 1.0))
         if dynamics.coupling in (None, Following.RIGID):
             chosen = {}
+        # In the hand's order, whatever the order of the patterns.
         chosen = {joint: chosen[joint] for joint in follow if joint in chosen}
         shares = chosen if dynamics.shares is not None else None
         found[name] = replace(dynamics, joints=tuple(chosen), shares=shares)

@@ -1,4 +1,4 @@
-"""The meshes of a hand as data, to be embedded where the files themselves are not available."""
+"""Read the meshes of a hand as data, to embed them where the files are not available."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MEDIA_TYPES: Final[Mapping[str, str]] = {
     ".glb": "model/gltf-binary",
     ".gltf": "model/gltf+json",
 }
-"""Ending of a mesh's file to its media type, by which viewers tell what is in a data URL."""
+"""Ending of a mesh's file to its media type, by which viewers know the format of a data URL."""
 
 _MESH = re.compile(r"""(<(?:\w+:)?mesh\b[^<>]*?\bfilename\s*=\s*)(["'])(.*?)\2""", re.DOTALL)
 
@@ -122,6 +122,7 @@ def embed_meshes(hand: Hand, largest: int = LARGEST) -> EmbeddedMeshes:
 
 def _shapes(urdf: Urdf) -> Iterator[UrdfGeometry]:
     links = urdf.links.values()
+    # Visual meshes first: if there is not room for all, pictures matter more to viewers.
     for shapes in (*(link.visuals for link in links), *(link.collisions for link in links)):
         yield from (shape for shape in shapes if shape.kind == "mesh")
 
@@ -150,4 +151,5 @@ def with_mesh_addresses(text: str, addresses: Mapping[str, str]) -> str:
         new = addresses.get(html.unescape(match[3]).strip())
         return match[0] if new is None else f'{match[1]}"{html.escape(new)}"'
 
+    # On the text, so that everything else stays as it was written, comments included.
     return _MESH.sub(replaced, text)

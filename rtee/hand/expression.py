@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rtee.errors import ExpressionError
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 MAX_LENGTH: Final = 4000
 """Longest text [characters]; the longest of a hand in ``config/`` has 180."""
@@ -129,6 +129,7 @@ def _as_python(text: str) -> str:
         number, name, symbol = match.groups(default="")
         token, column = match[match.lastindex or 0], match.start(match.lastindex or 0)
         if previous in _CALLED:
+            # A function needs its argument at once.
             fits = symbol == "("
         elif value_follows:
             fits = symbol in ("", "+", "-", "(")
@@ -146,6 +147,7 @@ def _as_python(text: str) -> str:
             raise ExpressionError(
                 f"unknown '{name[:40]}' at column {column + 1}; there are x, {known}", column=column
             )
+        # "1e999" is a valid token; every value made from it would be infinite or NaN.
         if number and math.isinf(float(number)):
             raise ExpressionError(
                 f"the number '{number[:20]}' at column {column + 1} is too large", column=column
@@ -155,6 +157,7 @@ def _as_python(text: str) -> str:
         elif symbol == ")":
             opened.pop()
         previous, value_follows = token, symbol not in ("", ")")
+        # As floats: Python's integers have no bounds, and a power of them could take for ever.
         words.append(repr(float(number)) if number else token.replace("^", "**"))
     if not words:
         raise ExpressionError("the expression is empty")
@@ -314,6 +317,7 @@ def _sum(parts: list[_Node]) -> _Node:
             for power, factor in terms.items():
                 total[power] = total.get(power, 0.0) + factor
         return _polynomial(total)
+    # fsum rounds once: the order of the terms does not matter.
     return _combined(parts, math.fsum, lambda _, da: math.fsum(da))
 
 
@@ -357,6 +361,7 @@ def _power_slope(a: list[float], da: list[float]) -> float:
 
 
 def _constant_power(base: _Node, power: float) -> _Node:
+    # Powers of x itself become coefficients; all other powers are evaluated.
     if base.terms == {1: 1.0} and power.is_integer() and 0 <= power <= MAX_POWER:
         return _polynomial({int(power): 1.0})
 
@@ -375,6 +380,7 @@ def _choice(choose: Callable[[Any], Any], parts: list[_Node]) -> _Node:
     """Return the least or greatest part, with its derivative."""
 
     def slope(a: list[float], da: list[float]) -> float:
+        # min and max compare the values first; of equal ones, the derivatives decide.
         chosen: Dual = choose(zip(a, da, strict=True))
         return chosen[1]
 

@@ -1,4 +1,4 @@
-"""Reading and writing files: whole or not at all, and every failure one sentence."""
+"""Read and write files: completely or not at all, with every failure as one sentence."""
 
 from __future__ import annotations
 
@@ -42,10 +42,12 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
         for target, data in files.items():
             content = data.encode() if isinstance(data, str) else data
             place = _place_of(target)
+            # In the same folder: renaming is atomic only within one file system.
             descriptor, staged[place] = tempfile.mkstemp(
                 dir=place.parent, prefix=f".{place.name[:40]}.", suffix=".tmp"
             )
             with os.fdopen(descriptor, "wb") as file:
+                # mkstemp makes files that only their owner can read.
                 os.fchmod(file.fileno(), _mode_of(place))
                 file.write(content)
                 file.flush()
@@ -55,6 +57,7 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
         for target in list(staged):
             os.replace(staged[target], target)
             del staged[target]
+        # A renamed file survives a power cut only once its folder is on the disk.
         for folder in folders:
             _sync_folder(folder)
     except (OSError, ValueError) as error:
@@ -82,6 +85,7 @@ def check_writable(path: Path | str, *, folder: bool = False) -> None:
     try:
         if not folder:
             there = _place_of(target).parent
+        # Trying says more than asking: rights, a full disk and a read-only mount.
         with tempfile.TemporaryFile(dir=there):
             pass
     except (OSError, ValueError) as error:
@@ -187,6 +191,7 @@ def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None
     file = Path(path)
     try:
         with file.open("rb") as stream:
+            # One byte more than allowed shows that the file is larger, without reading all of it.
             data = stream.read(MAX_SIZE + 1)
     except FileNotFoundError:
         raise raised(f"{what} does not exist", path=file) from None
@@ -225,6 +230,7 @@ def _mode_of(target: Path) -> int:
     try:
         return target.stat().st_mode & 0o777
     except OSError:
+        # The mask can only be read by setting it; it is set back at once.
         mask = os.umask(0)
         os.umask(mask)
         return 0o666 & ~mask

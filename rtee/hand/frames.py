@@ -10,7 +10,7 @@ import numpy as np
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple
 from rtee.object_description import BASE_POSE, OBJECT_POSE
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 def rotation(axis: Sequence[float], angle: float) -> FloatArray:
@@ -73,6 +73,7 @@ def pose_matrix(pose: FloatArray) -> FloatArray:
 def seen_from(base: FloatArray, pose: FloatArray) -> FloatArray:
     """Return a pose in the frame of another one; each as position and quaternion ``(7,)``."""
     w, x, y, z = base[3:] / np.linalg.norm(base[3:])
+    # The matrix of multiplying from the left by the conjugate of `base`.
     back = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
     position = pose_matrix(base)[:3, :3].T @ (pose[:3] - base[:3])
     return np.concatenate((position, back @ pose[3:]))
@@ -127,11 +128,13 @@ def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatAr
         row, turning = rows[joint.name], joint.kind != "prismatic"
         axis = np.array(joint.axis, dtype=np.float64)
         axes.append((row, pose[:3, :3] @ axis, pose[:3, 3].copy(), turning))
+        # After noting the axis: the joint turns about it, wherever it is turned to.
         pose = pose @ joint_motion(joint.kind, joint.axis, float(q[row]))
     jacobian = np.zeros((6, len(hand.actuators)))
     for row, axis, where, turning in axes:
         column = np.zeros(6)
         if turning:
+            # The lever from the axis to the link, at its final position.
             column[:3], column[3:] = np.cross(axis, pose[:3, 3] - where), axis
         else:
             column[:3] = axis

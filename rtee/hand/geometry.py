@@ -22,13 +22,13 @@ from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
 from rtee.hand.urdfread import FARTHEST
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _FLAT: Final = 1e-4
-"""A mesh flatter than this part of its extent has no proper convex hull and is thickened."""
+"""A mesh flatter than this share of its extent has no proper convex hull and is thickened."""
 
 _THICKNESS: Final = 1e-5
-"""Half the thickness that a flat mesh gets [m]."""
+"""Half the thickness that a flat mesh gets [m]: far below the accuracy of models."""
 
 
 def _settle_boxes() -> None:
@@ -72,6 +72,7 @@ class Shape:
         self.in_link = pose(source.xyz, source.rpy)
         self.placement = of_link * self.in_link
         self.exact = exact
+        # Coal does not do so by itself for primitives.
         self.exact.computeLocalAABB()
         self.source = source
 
@@ -190,6 +191,7 @@ class HandGeometry:
             The distance [m], and a point ``(3,)`` [m] in the frame of the poses.
         """
         request = coal.DistanceRequest()
+        # Asks for the depth, as a negative distance, where parts overlap.
         request.enable_signed_distance = True
         best, middle = np.inf, np.zeros(3)
         for first, second in self._couples(links):
@@ -300,6 +302,7 @@ def _identity(path: Path) -> object:
 def _of_link(
     link: UrdfLink, meshes: _Meshes, *, visual: bool
 ) -> list[tuple[UrdfGeometry, coal.CollisionGeometry]]:
+    # A picture with collision shapes is better than none; an extraction must not do the same.
     if visual and link.visuals:
         try:
             return [(source, _exact(source, meshes)) for source in link.visuals]
@@ -322,6 +325,7 @@ def hull_of(points: FloatArray) -> coal.ConvexBase:
     """Return the convex hull of points ``(k, 3)`` [m]; flat ones are first thickened by 10 µm."""
     if not _is_flat(points):
         return coal.Convex.convexHull(_vector(points), True, "Qt")
+    # Each point becomes a tiny cube, whose hull is never flat.
     corners = np.array(np.meshgrid(*[(-_THICKNESS, _THICKNESS)] * 3)).T.reshape(-1, 1, 3)
     return coal.Convex.convexHull(_vector((corners + points).reshape(-1, 3)), True, "Qt")
 
@@ -338,6 +342,7 @@ def _hull(mesh: coal.BVHModelBase) -> coal.ConvexBase:
 def _is_flat(points: FloatArray) -> bool:
     if len(points) < 4:
         return True
+    # The variances along the principal axes: a plane has none along its normal.
     spread = np.linalg.eigvalsh(np.cov(points.T))
     return bool(spread[0] <= _FLAT**2 * spread[-1])
 

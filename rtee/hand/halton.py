@@ -1,4 +1,4 @@
-"""Points spread evenly over a cube."""
+"""Points spread evenly over a cube, by the Halton sequence."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 @lru_cache(maxsize=32)
@@ -27,6 +27,7 @@ def halton(size: int, count: int) -> FloatArray:
             rest //= base
             weight /= base
         points[:, column] = value
+    # The result is cached: nobody may change it for the others.
     points.flags.writeable = False
     return points
 

@@ -1,7 +1,7 @@
-"""Where the hand's links are: forward kinematics with Pinocchio.
+"""Forward kinematics of a hand with Pinocchio.
 
-The searches of the extraction need it by the million. `rtee.hand.frames` does without Pinocchio,
-for everything that looks at a posture now and then.
+The searches of the extraction evaluate it millions of times. `rtee.hand.frames` works without
+Pinocchio, for everything that looks at a posture now and then.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pinocchio as pin
 from rtee.errors import ModelError, UnknownLink
 from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple, UrdfJoint
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 class Kinematics:
@@ -44,6 +44,8 @@ class Kinematics:
             placement = placement * pose(joint.xyz, joint.rpy)
             if joint.moving:
                 added = self.model.addJoint(parent, _joint_model(joint), placement, joint.name)
+                # Pinocchio numbers joints as they are added; arrays of joints rely on the same
+                # order.
                 if added != index[joint.name] + 1:
                     raise ModelError(
                         f"joint '{joint.name}' is not in the order of the tree",
@@ -119,4 +121,5 @@ def _joint_model(joint: UrdfJoint) -> pin.JointModel:
     axis = np.array(joint.axis)
     if joint.kind == "prismatic":
         return pin.JointModelPrismaticUnaligned(axis)
+    # Pinocchio's own continuous joint has two numbers, cosine and sine.
     return pin.JointModelRevoluteUnaligned(axis)

@@ -1,4 +1,4 @@
-"""Limits and rest positions of actuators: the URDF's, tightened by a configuration."""
+"""Limits and rest positions of actuators: from the URDF, tightened by a configuration."""
 
 from __future__ import annotations
 
@@ -20,11 +20,14 @@ REST_STATES: Final = ("rest", "open", "home")
 """Names of SRDF group states taken for the rest posture; the first one found counts."""
 
 ACCELERATION_TIME: Final = 0.1
-"""Time in which an actuator reaches its velocity limit [s], where no acceleration is configured."""
+"""Time in which an actuator reaches its velocity limit [s], where no acceleration is configured:
+quick, yet gentle enough for the gears of small hands."""
 
 JERK_TIME: Final = 0.05
-"""Time in which it reaches its acceleration limit [s], where no jerk is configured."""
+"""Time in which it reaches its acceleration limit [s], where no jerk is configured: half of the
+above, so that a motion has no jolts."""
 
+# By the kind of joint [rad/s | m/s]: slow enough to watch, and to stop by hand.
 _ASSUMED_VELOCITY: Final = {
     JointKind.REVOLUTE: 1.0,
     JointKind.CONTINUOUS: 1.0,
@@ -43,8 +46,8 @@ class Overrides:
         rest: Rest positions by actuator [rad | m].
         limits: Limits by actuator.
         default_limits: Limits of actuators that have none of their own there.
-        dynamics: What the actuators are like inside, by actuator.
-        default_dynamics: What holds for all actuators where they say nothing else.
+        dynamics: Dynamics by actuator.
+        default_dynamics: Dynamics of all actuators, where they say nothing else.
         tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
         clearance: Distance that clear poses keep from other links [m].
         payload: Largest mass that it may hold [kg].
@@ -108,6 +111,7 @@ def actuator_spec(
     velocity, effort = reader.tighter("velocity"), reader.tighter("effort")
     notes = []
     if velocity <= 0:
+        # 0 means "not given" in a URDF; a limiter needs a number, and a slow one is safe.
         velocity = _ASSUMED_VELOCITY[JointKind(joint.kind)]
         notes.append(f"actuator '{joint.name}' has no velocity limit; {velocity:g} is assumed")
     acceleration = reader.configured("acceleration") or velocity / ACCELERATION_TIME
@@ -127,6 +131,7 @@ def actuator_spec(
         velocity=velocity,
         acceleration=acceleration,
         jerk=reader.configured("jerk") or acceleration / JERK_TIME,
+        # 0 means "not given", as above; without a limit the device's own one holds.
         effort=effort if effort > 0 else math.inf,
         rest=rest,
     )
@@ -176,6 +181,7 @@ class _Reader:
         """Return the velocity or effort limit; 0 where neither URDF nor configuration has one."""
         model: float = getattr(self.joint, key)
         own: float | None = getattr(self.own, key)
+        # Only an actuator's own value is refused; a default for all is simply lowered.
         if own is not None and 0 < model < own:
             raise self.error(
                 ("limits", self.joint.name, key),
@@ -194,6 +200,7 @@ class _Reader:
         if value is None or lower <= value <= upper:
             return value
         message = f"rest position {value:g} lies outside the limits {lower:g} … {upper:g}"
+        # The SRDF is wrong and not hand.yaml, so the error names the model's file.
         if configured is None:
             message = f"actuator '{name}': the SRDF's {message}"
             raise ModelError(message, path=self.urdf.path, line=self.joint.line)
@@ -220,6 +227,7 @@ def standing_position(
         rest = _Reader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)
         if rest is not None:
             return rest
+    # Without a motor it is wherever springs and weight put it; rest is the best guess.
     return clamped(state.get(joint.name, 0.0), joint.lower, joint.upper)
 
 
@@ -252,6 +260,7 @@ def images_outside(
             continue
         spec = specs[coupling.actuator]
         image = [coupling.value(q) for q in sample(spec.lower, spec.upper)]
+        # A thousandth of the range: what rounded numbers in a URDF differ by.
         slack = 1e-3 * (joint.upper - joint.lower)
         if min(image) < joint.lower - slack or max(image) > joint.upper + slack:
             notes.append(

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _sum = np.add.reduce
 

@@ -1,4 +1,4 @@
-"""Loading a hand: from a URDF with or without an SRDF, or from its folder in ``config/``."""
+"""Load a hand: from a URDF with or without an SRDF, or from its folder in ``config/``."""
 
 from __future__ import annotations
 
@@ -65,6 +65,7 @@ def load_model(
     if actuators is not None:
         settled = {*actuators, *passive, *(semantics.passive if semantics else ())}
         free = (j.name for j in model.joints.values() if j.moving and j.mimic is None)
+        # A recording knows its actuators: whatever else moves was ignored when it was made.
         ignore = [*ignore, *(name for name in free if name not in settled)]
     overrides = Overrides(
         name=name,
@@ -98,6 +99,7 @@ def load_configured(
 
     folder, file = hand_folder(name_or_path, config_dirs=config_dirs)
     config, document = read_document(file)
+    # Found by its folder's name, so recordings and network keys must use the same one.
     if not _is_path(name_or_path) and config.name != folder.name:
         raise document.error(
             ("name",), f"'{config.name}' should be the name of its folder, '{folder.name}'"
@@ -154,6 +156,7 @@ def _beside(folder: Path, name: str, key: str, document: YamlDocument) -> Path:
     try:
         if (folder / name).is_file():
             return folder / name
+    # A name may be too long for the file system, or hold a null character.
     except (OSError, ValueError):
         pass
     raise document.error((key,), f"the file '{name[:200]}' does not exist beside {FILE_NAME}")
@@ -185,7 +188,7 @@ def _check_devices(hand: Hand, config: HandConfig, document: YamlDocument) -> No
 
 
 def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
-    """Make a hand from what was read.
+    """Build a hand from its description files and overrides.
 
     Raises:
         ModelError: The files do not describe a hand.
@@ -197,6 +200,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     }
     roles = {joint.name: _role(joint, passive) for joint in urdf.joints.values() if joint.moving}
     _check_ignored(roles, overrides, urdf)
+    # After the check: only actuators can be ignored.
     roles |= dict.fromkeys(overrides.ignore, JointRole.IGNORED)
     joints = tuple(_joint(urdf.joints[name], role) for name, role in roles.items())
     driven = [joint.name for joint in joints if joint.role is JointRole.ACTUATOR]
@@ -215,6 +219,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         spec, assumed = actuator_spec(urdf.joints[name], urdf, state, overrides)
         specs.append(spec)
         notes += assumed
+    # Passive joints need a position, too: the transmission maps to all moving joints.
     standing = {
         joint.name: standing_position(urdf.joints[joint.name], urdf, state, overrides)
         for joint in joints
@@ -222,6 +227,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     }
     transmission = make_transmission(urdf, driven, standing)
     notes += images_outside(joints, specs, transmission)
+    # Fingers are known by what moves them, so the transmission comes first.
     moves = {joint.name: transmission.moves(i) for i, joint in enumerate(joints)}
     fingers, found = make_fingers(
         urdf, srdf, {joint: driven[i] for joint, i in moves.items() if i is not None}
@@ -231,6 +237,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         base=urdf.root,
         joints=joints,
         actuators=tuple(
+            # A finger without a tip cannot touch anything, so no action is about it.
             replace(s, fingers=tuple(f.name for f in fingers if f.tip and s.name in f.actuators))
             for s in specs
         ),
@@ -303,6 +310,7 @@ def _check_actuators(actuators: list[str], overrides: Overrides, urdf: Urdf) -> 
             ignored = name in overrides.ignore
             if name in actuators or (ignored and section == "rest"):
                 continue
+            # Without a hand.yaml there is no line to point at.
             if overrides.error is None:
                 raise UnknownActuator(name, actuators, path=urdf.path)
             hint = "the actuator is ignored" if ignored else "unknown actuator; "

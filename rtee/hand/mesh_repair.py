@@ -1,9 +1,9 @@
-"""Meshes of several parts, whose triangles Coal's loader mixes up.
+"""Repair meshes of several parts, whose triangles Coal's loader mixes up.
 
-A file may hold several surfaces, one per material. The loader puts the corners of all of them one
-after the other, but numbers the triangles of each from its own first corner on, so that those of
-the later ones join corners of the first one and the later corners stay unused. The parts are
-separated again here: each begins with a triangle of its corners 0, 1 and 2.
+A file may hold several surfaces, one per material. The loader concatenates the corners of all of
+them, but numbers the triangles of each from its own first corner on, so that those of the later
+surfaces join corners of the first one and the later corners stay unused. This module separates the
+parts again: each begins with a triangle of its corners 0, 1 and 2.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _FEWEST: Final = 3
-"""Fewest corners of a part."""
+"""Fewest corners of a part: those of one triangle."""
 
 _MOST: Final = 12
 """Most places considered where a part may begin; beyond, the search would take too long."""
@@ -46,6 +46,8 @@ def repaired(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelB
     if apart is None:
         return mesh
     with NamedTemporaryFile(suffix=".stl") as file:
+        # Through a file: Coal's Python bindings build a mesh with these volumes only when they load
+        # it.
         file.write(_stl(corners[apart]))
         file.flush()
         return loader.load(file.name, np.ones(3))
@@ -63,6 +65,7 @@ def split_parts(faces: Faces, corners: int) -> Faces | None:
     if not places or len(places) > _MOST:
         return None
     best: tuple[int, Faces] | None = None
+    # Many parts first: with fewer, corners of different parts would be joined.
     for count in range(len(places), 0, -1):
         for cuts in combinations(places, count):
             parts = np.split(faces, cuts)

@@ -1,4 +1,4 @@
-"""Where a mesh named in a URDF lies on this machine."""
+"""Find the file of a mesh named in a URDF, and check its content."""
 
 from __future__ import annotations
 
@@ -66,6 +66,7 @@ def resolve_mesh(
 def _in_packages(address: str, folder: Path, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
     """Yield where a file of a package may lie, the most specific place first."""
     package, _, rest = address.partition("/")
+    # The URDF usually lies in the package that it names, or beside it.
     roots = [folder, *folder.parents, *(Path(p).absolute() for p in package_dirs)]
     roots += [Path(p) for p in _variable("ROS_PACKAGE_PATH")]
     for root in roots:
@@ -123,12 +124,14 @@ def why_no_mesh(data: bytes, suffix: str) -> str | None:
     if suffix == ".dae":
         if b"<COLLADA" not in data:
             return "it is no COLLADA file"
+        # Entities may expand without bound when the loader parses the file.
         if b"<!ENTITY" in data:
             return "it declares XML entities, which are refused"
     return None
 
 
 def _why_no_stl(data: bytes) -> str | None:
+    # Binary files may begin with "solid", too; the first facet of a text comes soon.
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2000]:
         return None
     if len(data) < 84:

@@ -1,4 +1,4 @@
-"""The hand as data: fingers, actuators, joints and what moves what."""
+"""The hand as data: fingers, actuators, joints, and which moves which."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.transmission import Transmission
 from rtee.hand.urdf import Urdf
-from rtee.types import ActuatorSpec, FloatArray, JointKind, readonly
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind, readonly
 
 CLEARANCE: Final = 0.001
-"""Real hands differ from their models by about a millimetre [m]."""
+"""Default distance that clear poses keep from other links [m]: real hands differ from their models
+by about a millimetre."""
 
 
 class JointRole(StrEnum):
-    """What a moving joint is to the hand."""
+    """The role of a moving joint in the hand."""
 
     ACTUATOR = "actuator"
     MIMIC = "mimic"
@@ -96,7 +98,7 @@ class Hand:
         package_dirs: Where ``package://`` is looked up.
         description: Its name for people.
         clearance: Distance that clear poses and their ways keep from all other links [m].
-        dynamics: What the actuators are like inside, by name; nothing of one that is missing.
+        dynamics: Dynamics of the actuators, by name; nothing is known of one that is missing.
         payload: Largest mass that it may hold [kg]; infinite where that is not known.
         openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
         tip_friction: Coefficient of friction of the fingertips, by finger, where it is known.

@@ -14,7 +14,7 @@ MAX_LENGTH: Final = 100
 """Longest name [characters]: with an ending it fits into a file name of any file system."""
 
 _WORTH: Final = 5
-"""A beginning shorter than this is not worth leaving out."""
+"""A beginning with fewer characters than this is not worth leaving out."""
 
 _ALLOWED = re.compile(r"[A-Za-z0-9_\-.]+\Z")
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_\-.]+")
@@ -48,12 +48,14 @@ def check_name(
 def safe_name(text: str, default: str = "hand") -> str:
     """Return ``text`` made into a valid name, or ``default`` when nothing of it is left."""
     name = _FORBIDDEN.sub("_", text).strip("_.")[:MAX_LENGTH]
+    # Repeatedly: three dots become two, which are refused as well.
     while ".." in name:
         name = name.replace("..", ".")
     return name or default
 
 
 def _why_not(name: str) -> str | None:
+    # Nearly all names: the other checks are for the rest.
     if name.isalnum() and name.isascii() and len(name) <= MAX_LENGTH:
         return None
     if not name:

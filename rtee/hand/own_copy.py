@@ -1,8 +1,8 @@
-"""The user's own copy of a hand that must not be changed where it is.
+"""Make the user's own copy of a hand that must not be changed in its place.
 
-What came with rtee stays as it was installed, and a folder may be write-protected. Before such a
-hand is changed (an action, its primitives or results of trials are stored), it is copied to a
-folder in which hands are looked up earlier: the copy is the hand of that name from then on.
+Hands that came with rtee stay as they were installed, and a folder may be write-protected. Before
+such a hand is changed (an action, its primitives or results of trials are stored), it is copied to
+a folder in which hands are looked up earlier: from then on, the copy is the hand of that name.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ def is_own(folder: Path) -> bool:
     real = folder.resolve()
     if real.is_relative_to(SHIPPED):
         return False
+    # A single protected folder inside would make a later change fail halfway.
     inside = (place for place in real.rglob("*") if place.is_dir())
     return all(os.access(place, os.W_OK | os.X_OK) for place in (real, *inside))
 
@@ -141,11 +142,13 @@ def _fill(folder: Path, copy: Path, name: str) -> None:
     ignored = ["__pycache__", ".*", *([] if config.name == name else [TRIALS])]
     shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(*ignored), dirs_exist_ok=True)
     for place in (copy, *copy.rglob("*")):
+        # copytree keeps the permissions: a read-only original would give a read-only copy.
         place.chmod(stat.S_IMODE(place.stat().st_mode) | stat.S_IWUSR)
     if config.name != name:
         file = copy / FILE_NAME
         text = read_bytes(file, FILE_NAME).decode("utf-8")
         write_atomically(file, _NAME.sub(lambda found: found[1] + name, text, count=1))
+    # Loaded before it gets its place: what cannot be loaded is never the hand of that name.
     made = load_configured(copy)[1]
     if made.name != name:
         raise ConfigError(f"the name cannot be set to '{name}'; do it by hand", path=folder)

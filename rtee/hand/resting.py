@@ -1,4 +1,4 @@
-"""Rest postures that are a pinch, as of grippers whose zero is closed, and better ones."""
+"""Detect rest postures that are a pinch, as of grippers with a closed zero; find better ones."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ import numpy as np
 
 from rtee.hand.model import Hand
 from rtee.hand.yamlwrite import rest_line
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 if TYPE_CHECKING:
     from rtee.hand.geometry import HandGeometry
 
 NEAR: Final = 0.002
-"""Tips nearer than this nearly touch [m]: each may be a millimetre off its model."""
+"""Tips nearer than this nearly touch [m]: each may be a millimetre away from its model."""
 
 _STEP: Final = 0.05
-"""Share of the way to a limit by which is tried whether an actuator moves the tips apart."""
+"""Share of the way to a limit for testing whether an actuator moves the tips apart: small, since
+the direction may change on the way."""
 
 APART: Final = 0.5
 """Least part of the motion of one tip past the other that widens the gap where they are opposed;
@@ -94,11 +95,13 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
     hand = geometry.hand
     gaps = search.gaps(hand.rest, pairs)
     openings = search.gaps(u, pairs)
+    # No better posture was found: a hand that stays closed there means to.
     if min(openings) <= NEAR or sum(openings) <= sum(gaps):
         return None
     rest = {
         spec.name: float(value)
         for spec, value in zip(hand.actuators, u, strict=True)
+        # Only what differs from the default has to be in hand.yaml.
         if value != spec.rest or spec.rest != min(max(0.0, spec.lower), spec.upper)
     }
     names = tuple((hand.fingers[i].name, hand.fingers[j].name) for i, j in pairs)
@@ -159,6 +162,7 @@ class _Search:
         tips = self._tips(pair)
         (first, reach), (second, other) = (self._ball(tip, poses) for tip in tips)
         between = float(np.linalg.norm(first - second)) - reach - other
+        # The balls first: distances of meshes are only measured where they may be small.
         return between <= NEAR and self._geometry.closest(tips, poses, convex=False)[0] <= NEAR
 
     def _ball(self, tip: str, poses: Mapping[str, FloatArray]) -> tuple[FloatArray, float]:

@@ -1,4 +1,4 @@
-"""Making the folder of a new hand: hand.yaml, URDF, SRDF and meshes, all or nothing."""
+"""Make the folder of a new hand: hand.yaml, URDF, SRDF and meshes, all or nothing."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
 
 
 Ask = Callable[[str, bool], bool]
-"""Asks a question that is answered by yes or no, with the answer that is likelier."""
+"""Asks a yes-or-no question; the second argument is the likelier answer."""
 
 
 @dataclass(frozen=True)
 class NewHand:
-    """What was made.
+    """The new hand.
 
     Attributes:
         folder: The hand's folder.
@@ -96,6 +96,7 @@ def make_hand(
         )
     with new_tree(target) as folder:
         notes += _fill(folder, settled, srdf)
+        # Before the folder gets its name: what cannot be loaded must not stay.
         load_hand(folder)
         write_atomically(target.parent / SCHEMA_FILE, schema_text())
     reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
@@ -109,7 +110,7 @@ class _Settled:
     Attributes:
         hand: The hand.
         pairs: Pairs of links that need not be checked for collision.
-        ignored: Actuators that are to be ignored.
+        ignored: Actuators to ignore.
         rest: Rest positions for hand.yaml [rad | m].
         notes: What was noticed and chosen, one sentence each.
     """
@@ -126,8 +127,8 @@ def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _S
 
     Args:
         load: Loads the hand, with what was settled so far.
-        searched: The fingers are to be found in the tree; no joint is known to be passive.
-        ask: Asks, if somebody answers.
+        searched: Whether the fingers are found in the tree; no joint is known to be passive then.
+        ask: Asks the user, if there is one.
     """
     hand: Hand = load()
     chosen: dict[str, Any] = {}
@@ -137,11 +138,13 @@ def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _S
         if passive:
             chosen["passive"] = passive
             hand = load(**chosen)
+    # After the passive joints: one without a motor must not be asked about as a wrist.
     ignored, said = _ignored(hand, ask)
     notes += said
     if ignored:
         chosen["ignore"] = ignored
         hand = load(**chosen)
+    # For the posture at rest, so they are found once more where that changes below.
     pairs = allowed_collisions(hand)
     fingers, left_out = without_linkages(hand, pairs) if searched else (hand.fingers, [])
     hand = replace(hand, fingers=fingers)
@@ -160,7 +163,7 @@ def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _S
 
 
 def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
-    """Return the joints without a motor as somebody says, and what may be one if nobody does."""
+    """Return the joints without a motor as the user says, or notes on those that may have none."""
     candidates = passive_candidates(hand)
     if ask is not None:
         chosen = tuple(
@@ -248,6 +251,7 @@ def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]
         srdf_text = format_srdf(hand, pairs, with_rest=not settled.rest)
     else:
         srdf_text = _utf8(read_xml(srdf, "SRDF")[1])
+        # An SRDF that lists pairs was made with care; pairs are added only where it has none.
         if not read_srdf(srdf).disabled:
             srdf_text = with_disabled(srdf_text, pairs)
     write_atomically(folder / f"{hand.name}.srdf", srdf_text)
@@ -279,6 +283,7 @@ def _with_local_meshes(hand: Hand, folder: Path) -> tuple[str, list[str]]:
 def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
     """Return every mesh once: its address, its line, and whether it is collision geometry."""
     found: dict[str, tuple[str, int, bool]] = {}
+    # Collision meshes first: a mesh that serves for both must not be missing.
     for needed in (True, False):
         for link in urdf.links.values():
             for shape in link.collisions if needed else link.visuals:
@@ -290,6 +295,7 @@ def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
 def _copy(source: Path, uri: str, folder: Path, taken: set[str]) -> str:
     """Copy a mesh; return its path relative to the folder."""
     place = _place(uri, source)
+    # Two packages may have meshes of the same name.
     if place in taken:
         stem = PurePosixPath(place)
         numbered = (str(stem.with_stem(f"{stem.stem}_{i}")) for i in range(2, len(taken) + 3))
@@ -308,6 +314,7 @@ def _place(uri: str, source: Path) -> str:
     else:
         parts = uri.split("/")[:-1]
     parts = [part for part in parts if part not in ("", ".")]
+    # An address may come from anywhere: it must not lead out of the hand's folder.
     if ".." in parts or not parts:
         parts = ["meshes"]
     return "/".join([*(safe_name(part, "x") for part in parts), safe_name(source.name, "mesh")])
@@ -325,7 +332,7 @@ def _hand_yaml(settled: _Settled) -> str:
 """
     if settled.ignored:
         chosen += f"""
-# These move all fingers as one body, as a wrist does; they stand fixed and take no part.
+# These move all fingers as one body, as a wrist does; they stay fixed and take no part.
 {ignore_line(settled.ignored)}
 """
     return f"""{SCHEMA_LINE}name: {hand.name}

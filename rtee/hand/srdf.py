@@ -108,6 +108,7 @@ def read_srdf(path: Path | str) -> Srdf:
     root, _ = read_xml(path, "SRDF")
     if root.tag != "robot":
         raise root.error(f"is <{root.tag}>, not an SRDF, whose root element is <robot>")
+    # A URDF given as SRDF would be read as one without any group.
     joint = next(root.all("joint"), None)
     if joint is not None:
         raise joint.error("a joint is defined here, as in a URDF; an SRDF only names joints")

@@ -1,4 +1,4 @@
-"""Writing what was found in a hand as an SRDF, made to be read and edited."""
+"""Write the fingers found in a hand as an SRDF, made to be read and edited."""
 
 from __future__ import annotations
 
@@ -56,6 +56,7 @@ def disabled_lines(pairs: Sequence[AllowedCollision]) -> list[str]:
 
 def with_disabled(srdf: str, pairs: Sequence[AllowedCollision]) -> str:
     """Return an SRDF's text with the pairs added before its end."""
+    # As text, so that a file of the user keeps its comments and layout.
     head, end, tail = srdf.rpartition("</robot>")
     if not end or not pairs:
         return srdf
@@ -63,6 +64,7 @@ def with_disabled(srdf: str, pairs: Sequence[AllowedCollision]) -> str:
 
 
 def _group(finger: Finger) -> list[str]:
+    # XML comments must not contain two hyphens in a row.
     reason = escape(finger.reason).replace("--", "- -")
     return [
         f"  <!-- {reason} -->",

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 Triangles = tuple[FloatArray, NDArray[np.int64]]
 """Vertices ``(v, 3)`` [m] and faces ``(f, 3)``, counter-clockwise seen from outside."""

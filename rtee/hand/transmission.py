@@ -1,4 +1,4 @@
-"""From actuator positions to joint positions: mimic joints, chains of them, non-linear ones.
+"""Map actuator positions to joint positions: mimic joints, chains of them, non-linear ones.
 
 Every moving joint follows at most one actuator, directly or through a chain of mimics. Its
 position is the composition of that chain: ``multiplier · q + offset`` at a linear coupling, an
@@ -16,13 +16,15 @@ import numpy as np
 
 from rtee.errors import ExpressionError, ModelError, UnknownJoint
 from rtee.hand.urdf import Urdf, UrdfJoint, UrdfMimic
-from rtee.types import FloatArray, readonly
+from rtee.sample import FloatArray
+from rtee.types import readonly
 
 if TYPE_CHECKING:
     from rtee.hand.expression import Expression
 
 _SAMPLES: Final = 65
-"""At how many positions of an actuator a coupling is checked."""
+"""At how many positions of an actuator a coupling is checked: enough to meet a pole or a root of a
+usual formula."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +57,10 @@ class Coupling:
         """Return the coupling of a joint that follows this one by ``stage``."""
         last = self.stages[-1]
         if isinstance(stage, Linear) and isinstance(last, Linear):
+            # One stage: long chains of mimics cost no more than a single one.
             merged = Linear(stage.factor * last.factor, stage.factor * last.offset + stage.offset)
             return Coupling(self.actuator, (*self.stages[:-1], merged))
+        # The identity that every actuator begins with; dropping it saves one stage.
         if last == Linear() and len(self.stages) == 1:
             return Coupling(self.actuator, (stage,))
         return Coupling(self.actuator, (*self.stages, stage))
@@ -80,6 +84,7 @@ class Coupling:
 
 
 def _value(coupling: Coupling, q: float) -> float:
+    # An expression may raise for NaN instead of passing it on.
     return coupling.value(q) if math.isfinite(q) else math.nan
 
 
@@ -115,6 +120,7 @@ class Transmission:
             offset[row] = stage.offset
             if coupling.actuator is not None:
                 matrix[row, coupling.actuator] = stage.factor
+        # Shared by all callers; a change in place would move every later joint.
         matrix.flags.writeable = False
         self.matrix: FloatArray = matrix
         self.offset = readonly(offset)
@@ -242,6 +248,7 @@ def _resolve(urdf: Urdf, joint: UrdfJoint, known: dict[str, Coupling]) -> None:
     """Add the coupling of a joint, after those of the joints it follows."""
     chain: list[tuple[UrdfJoint, UrdfMimic]] = []
     on_chain: set[str] = set()
+    # Up to a joint that is known; then down again, so that a file's order does not matter.
     while joint.name not in known:
         mimic = joint.mimic
         if mimic is None:
@@ -261,6 +268,7 @@ def _resolve(urdf: Urdf, joint: UrdfJoint, known: dict[str, Coupling]) -> None:
     coupling = known[joint.name]
     for follower, mimic in reversed(chain):
         coupling = coupling.then(_stage(urdf, follower, mimic))
+        # What follows a joint at rest is at rest, too, wherever its formula puts it.
         if coupling.actuator is None:
             coupling = Coupling(None, (Linear(0.0, coupling.value(0.0)),))
         known[follower.name] = coupling

@@ -1,4 +1,4 @@
-"""Reading a URDF: every mistake in it is one sentence with its line."""
+"""Read a URDF: every mistake in it is reported as one sentence with its line."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ FARTHEST: Final = 1e3
 micrometres."""
 
 MOST: Final = 1e6
-"""Limits, angles [rad | m] and factors beyond this are refused, too."""
+"""Limits, angles [rad | m] and factors beyond this are refused, too: a slip of the decimal point,
+or degrees, would pass unseen otherwise."""
 
 _NO_AXIS: Final = 1e-9
-"""An axis shorter than this has no direction."""
+"""An axis shorter than this has no direction: rounding errors would decide about it."""
 
 _ZERO: Final[Triple] = (0.0, 0.0, 0.0)
 _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
@@ -66,6 +67,7 @@ def _check_root(root: Element) -> None:
         other = {"sdf": "an SDF", "mujoco": "a MuJoCo model", "COLLADA": "a COLLADA mesh"}
         what = other.get(root.tag, f"<{root.tag}>")
         raise root.error(f"is {what}, not a URDF, whose root element is <robot>")
+    # A frequent mistake, which would otherwise show as a URDF without links.
     macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
     if macro is not None:
         raise macro.error("is a xacro file; expand it first: xacro FILE > hand.urdf")
@@ -210,6 +212,7 @@ def _joint(element: Element, links: Mapping[str, UrdfLink]) -> UrdfJoint:
 
 def _kind(element: Element, name: str) -> UrdfJointKind:
     kind = element.required("type")
+    # Compared one by one, so that the type checker sees the literal.
     for known in _KINDS:
         if kind == known:
             return known
@@ -236,6 +239,7 @@ def _axis(element: Element, name: str) -> Triple:
     norm = math.hypot(x, y, z)
     if norm < _NO_AXIS:
         raise axis.error(f"the axis of joint '{name}' is zero")
+    # URDFs are written with rounded axes; the kinematics need unit vectors.
     return x / norm, y / norm, z / norm
 
 
@@ -250,6 +254,7 @@ def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, fl
     if velocity < 0 or effort < 0:
         raise limit.error(f"joint '{name}' has a negative velocity or effort limit")
     if kind == "continuous":
+        # A continuous joint has no position limits, though some files give them.
         return -math.inf, math.inf, velocity, effort
     if kind == "fixed":
         return 0.0, 0.0, velocity, effort
@@ -267,6 +272,7 @@ def _mimic(element: Element) -> UrdfMimic | None:
         of=mimic.required("joint"),
         multiplier=mimic.number("multiplier", 1.0, most=MOST),
         offset=mimic.number("offset", 0.0, most=MOST),
+        # An extension of URDF for non-linear couplings, as in HERI II's description.
         expression=mimic.attributes.get("nlFunPos"),
         line=mimic.line,
     )
@@ -312,6 +318,7 @@ def _in_tree_order(
     base: str, below: Mapping[str, list[UrdfJoint] | tuple[UrdfJoint, ...]]
 ) -> dict[str, UrdfJoint]:
     ordered: dict[str, UrdfJoint] = {}
+    # A stack instead of recursion: files may be nested deeper than Python's.
     pending = list(reversed(below[base]))
     while pending:
         joint = pending.pop()

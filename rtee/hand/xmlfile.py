@@ -1,4 +1,4 @@
-"""XML as a plain tree that knows its lines. Document types and entities are refused."""
+"""Read XML as a plain tree that knows its lines. Document types and entities are refused."""
 
 from __future__ import annotations
 
@@ -126,6 +126,7 @@ class _Builder:
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         element = Element(tag, attributes, self.parser.CurrentLineNumber, self.path)
+        # Before the tree is that deep: later steps may recurse over it.
         if len(self.open) >= MAX_DEPTH:
             raise element.error(f"elements are nested deeper than {MAX_DEPTH}")
         if self.open:
@@ -170,6 +171,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.said
+    # Entities may expand to gigabytes ("billion laughs"), or read other files.
     parser.StartDoctypeDeclHandler = builder.refuse
     parser.EntityDeclHandler = builder.refuse
     try:
@@ -178,6 +180,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
         text = expat.ErrorString(error.code)
         raise ModelError(f"{what} is not XML: {text}", path=file, line=error.lineno) from None
     except (LookupError, ValueError) as error:
+        # The builder's own errors pass through the parser, and already say what is wrong.
         if isinstance(error, ModelError):
             raise
         raise ModelError(f"{what} is not XML: {error}", path=file) from None
@@ -190,4 +193,5 @@ def _text(data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
+        # The parser has accepted another encoding; this one never fails, and keeps ASCII.
         return data.decode("latin-1")

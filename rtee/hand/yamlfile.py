@@ -1,4 +1,4 @@
-"""Reading YAML as plain data, with the line of every mistake."""
+"""Read YAML as plain data, with the line of every mistake."""
 
 from __future__ import annotations
 
@@ -52,6 +52,7 @@ class YamlDocument:
 
     def line(self, location: Location) -> int | None:
         """Return the line of a location, or of what encloses it."""
+        # A missing key has no line: that of its section comes nearest.
         for end in range(len(location), -1, -1):
             line = self.lines.get(location[:end])
             if line is not None:
@@ -152,10 +153,11 @@ def yaml_reader(*, keep_comments: bool = False) -> Any:
 def too_deep(text: str) -> int | None:
     """Return the line from which on a text opens too many brackets, which take long to parse.
 
-    Brackets in quotes and comments count, too; nobody leaves so many of them open there.
+    Brackets in quotes and comments count, too; no real file leaves that many open there.
     """
     depth = 0
     for number, row in enumerate(text.splitlines(), 1):
+        # Counted without parsing: the parser itself is what deep nesting makes slow.
         depth += row.count("[") + row.count("{") - row.count("]") - row.count("}")
         if depth > _DEEPEST:
             return number
@@ -195,6 +197,7 @@ def _composed(text: str, path: Path, what: str, raised: type[UserError], *, fore
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     rows = enumerate(text.splitlines(), 1)
+    # ruamel.yaml reports a tab as something else, some lines later.
     tab = next((n for n, row in rows if "\t" in row[: len(row) - len(row.lstrip())]), None)
     tabbed = raised("a tab in the indentation; use blanks", path=path, line=tab)
     if tab is not None and not foreign:
@@ -209,6 +212,7 @@ def _composed(text: str, path: Path, what: str, raised: type[UserError], *, fore
             raise tabbed from None
         mark = error.problem_mark or error.context_mark
         problem = str(error.problem or error.context)
+        # ruamel.yaml splits one sentence into context and problem.
         if problem.startswith("but "):
             problem = f"{error.context}, {problem}"
         raise raised(
@@ -242,6 +246,7 @@ def read_emitted(text: str) -> dict[str, Any] | None:
     starts only when its actions are read. It need not judge the text: what it makes of any text is
     right if `emit` writes the same text for it.
     """
+    # `emit` escapes all others, so such a text is not its own.
     if not text.isascii() or not text.replace("\n", "").isprintable():
         return None
     lines = text.split("\n")
@@ -267,6 +272,7 @@ def read_emitted(text: str) -> dict[str, Any] | None:
                 at.pop(column + 2, None)
             else:
                 at[column][key] = json.loads(_TOKEN.sub(_as_json, value))
+        # The proof: only a text that `emit` would write counts as read.
         same = root and emit(root) == "\n".join(lines[body:])
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
         return None
@@ -294,10 +300,12 @@ class _Reader:
 
     def value(self, node: Any, location: Location) -> Any:
         line = node.start_mark.line + 1
+        # The key's line is set before and comes first: it is where a user looks.
         self.lines.setdefault(location, line)
         if (id(node) in self.seen or node.anchor) and not self.foreign:
             raise self._error(line, "anchors and aliases are refused; write the value out")
         if id(node) not in self.seen:
+            # An alias inside its own value would be read without end.
             self.seen[id(node)] = _UNDER_WAY
             self.seen[id(node)] = self._read(node, location, line)
         elif self.seen[id(node)] is _UNDER_WAY:
@@ -333,6 +341,7 @@ class _Reader:
 
     def _scalar(self, kind: str, text: str, line: int) -> Any:
         match kind:
+            # A date stays text: hand.yaml has none, and other programs' files are only shown.
             case "str" | "timestamp":
                 return text
             case "null":
@@ -349,6 +358,7 @@ class _Reader:
     def _integer(self, text: str, line: int) -> int:
         try:
             digits = text.replace("_", "")
+            # Base 0 would refuse leading zeros, which YAML 1.2 allows.
             return int(digits, 0 if digits.lstrip("+-")[:2].lower() in ("0x", "0o", "0b") else 10)
         except ValueError:
             raise self._error(line, f"'{text[:40]}' is not a number") from None

@@ -1,4 +1,4 @@
-"""Writing YAML: the same data give the same text."""
+"""Write YAML: the same data give the same text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 DECIMALS: Final = 9
-"""Decimals of stored numbers: a nanometre, a nanoradian."""
+"""Decimals of stored numbers: a nanometre or a nanoradian, far below the accuracy of any hand."""
 
 _PLAIN: Final = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
 _RESERVED: Final = frozenset(
@@ -46,10 +46,13 @@ def _emit_string(value: str) -> str:
 
 
 def _emit_number(value: float) -> str:
+    # NaN and infinities differ from themselves in this way.
     if value - value != 0.0:
         raise TypeError("cannot write a number that is not finite")
+    # Adding 0 turns -0.0 into 0.0.
     text = repr(round(float(value), DECIMALS) + 0.0)
     if "e" in text and "." not in text:
+        # YAML 1.1 readers take "1e-09" for a text.
         text = text.replace("e", ".0e")
     return text
 

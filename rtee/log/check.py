@@ -21,8 +21,8 @@ from rtee.log.recording import Entry, Recording
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
 from rtee.loop.plan import Plan
-from rtee.sample import Measurements, measured_arrays
-from rtee.types import FloatArray, Result, readonly
+from rtee.sample import FloatArray, Measurements, measured_arrays
+from rtee.types import Result, readonly
 
 _QUANTITIES = ("position", "velocity", "effort")
 
@@ -50,7 +50,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What comparing the references gave.
+    """The result of comparing the references.
 
     Attributes:
         ticks: Ticks compared.
@@ -89,6 +89,7 @@ def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
         text = recording.urdf or _attached(recording, ".urdf")
         if not text:
             raise LogError("holds no URDF", path=recording.paths[0])
+        # The model is loaded from files, as for a run: no second way to make one.
         urdf.write_text(text)
         srdf: Path | None = None
         attached = _attached(recording, ".srdf")
@@ -173,8 +174,8 @@ def _replayable(recording: Recording) -> Replayable:
 def _measured(recording: Recording) -> Iterator[Measured]:
     """Yield what the controller was given at every tick.
 
-    It is one object, as it is live: what steers the controller before its step finds the
-    measurements of the same tick in it.
+    It yields one object, as the live loop uses: commands that the controller gets before its
+    step find the measurements of the same tick in it.
     """
     states = recording.actuator_states
     measured = Measured((), (), (), (), ())
@@ -217,8 +218,11 @@ def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | Co
     def due(tick: int, stamp: float) -> Iterator[Plan | CommandRecord]:
         while waiting and waiting[0].stamp <= stamp:
             what = waiting[0].value
+            # A command that came between two ticks has the stamp of the one before, but took effect
+            # later.
             if isinstance(what, CommandRecord) and what.tick > tick:
                 break
+            # Removed only afterwards: `due` is a generator, and its caller may stop in the middle.
             yield what
             waiting.popleft()
 
@@ -253,6 +257,7 @@ def _compared(
         different=sum(int(each.sum()) for each in unequal.values()),
         largest=float(largest),
         first=first,
+        # The end of the loop may have given one more result, after the last recorded tick.
         results=results == recorded[: len(results)] and len(recorded) - len(results) <= 1,
         missing=int(states.tick[-1] - states.tick[0]) + 1 - len(states),
     )
@@ -260,6 +265,7 @@ def _compared(
 
 def _unequal(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
     """Return where two arrays differ in a bit; a ``NaN`` equals itself."""
+    # As integers: -0.0 and 0.0 differ, NaN does not.
     different: NDArray[np.bool_] = np.ascontiguousarray(first).view(np.uint64) != second.view(
         np.uint64
     )

@@ -156,6 +156,7 @@ class ChunkBuilder:
     def _append(self, data: bytes | bytearray) -> None:
         begin, room = self._size, self._room
         self._size = end = begin + len(data)
+        # Grown by what is missing: the next chunk finds room that is large enough.
         if end > len(room):
             room += bytes(end)
         room[begin:end] = data
@@ -172,7 +173,10 @@ class ChunkBuilder:
             times = _array(self._block_times)
             offsets = _array(self._block_offsets)
             for channel, begin in self._block:
+                # A block has the same layout each time, so a channel's index is that of the blocks,
+                # shifted.
                 entries[channel] = (times, offsets + np.uint64(begin))
+        # Views, not copies; both are released before the buffer may grow again.
         with memoryview(self._room) as room, room[: self._size] as data:
             self._clear()
             return pack(data, entries, self._compressor)

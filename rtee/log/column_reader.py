@@ -1,4 +1,4 @@
-"""Reading many messages of one layout at once into arrays."""
+"""Read many messages of one layout into arrays at once."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LENGTH = struct.Struct("<Q")
 _AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
 _SEQUENCE = 11  # offset of the sequence number in a record: opcode, length, channel
 _LOG_TIME = 15  # offset of the log time, behind the sequence number
-_LEAST_ROOM = 16  # rows for which columns are made at least: fewer would be grown at once
+_LEAST_ROOM = 16  # rows that columns have room for at least: fewer would soon be grown
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]
@@ -35,6 +35,7 @@ def walk(data: bytes) -> dict[int, list[int]]:
         opcode, length, channel = struct.unpack_from("<BQH", data, position)
         if position + 9 + length > len(data):
             break
+        # 5: a message (MCAP specification, "Opcodes").
         if opcode == 5 and length >= _AFTER_LENGTH:
             found.setdefault(channel, []).append(position)
         position += 9 + length
@@ -43,6 +44,7 @@ def walk(data: bytes) -> dict[int, list[int]]:
 
 def gather(data: Bytes, starts: Offsets, size: int) -> Bytes:
     """Return ``size`` bytes from each start ``(k, size)``; all must be within the data."""
+    # Overlapping windows over the same memory: one indexing copies all messages at once.
     windows = np.lib.stride_tricks.as_strided(
         data, shape=(max(0, data.size - size + 1), size), strides=(1, 1), writeable=False
     )
@@ -74,6 +76,7 @@ def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
     if starts.min() < 0 or starts.max() + MESSAGE.size > data.size:
         return False
     heads = gather(data, starts, 11)
+    # The index comes from a file: what it says is checked before it is used as an offset.
     if not (heads[:, 0] == 5).all():
         return False
     if not (np.ascontiguousarray(heads[:, 9:11]).view("<u2") == channel).all():
@@ -94,6 +97,7 @@ def starts_of(
         if index is None:
             continue
         try:
+            # Behind channel (2 bytes) and size (4): pairs of log time and offset.
             entries = np.frombuffer(index.read(stream)[6:], dtype="<u8").reshape(-1, 2)
         except (DamagedRecordError, ValueError):
             return None
@@ -152,6 +156,8 @@ class Rows:
                 return
         rows = gather(data, starts + MESSAGE.size, self._first.size)
         same = np.ones(len(rows), dtype=bool)
+        # What lies between the arrays (names, lengths) must be as in the first message, or the
+        # columns would mean something else.
         for begin, end in self._constant:
             same &= (rows[:, begin:end] == self._first[begin:end]).all(axis=1)
         if not same.all():

@@ -1,4 +1,4 @@
-"""Plain dataclasses as JSON and back, every number exact."""
+"""Convert plain dataclasses to JSON and back; every number stays exact."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, float):
+        # JSON has no infinities; float() reads "inf" back.
         return value if math.isfinite(value) else repr(value)
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
@@ -40,7 +41,7 @@ def from_json(text: str | bytes, kind: type[T]) -> T:
     """Return the dataclass of a kind that `to_json` wrote.
 
     Raises:
-        LogError: if it is no such thing.
+        LogError: if the text does not fit the kind.
     """
     try:
         made = _made(json.loads(text), kind)
@@ -62,6 +63,7 @@ def _made(value: Any, kind: Any) -> Any:
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
         known = {field.name for field in dataclasses.fields(kind)}
+        # Older recordings use former names; fields that no longer exist are dropped.
         present = {key if key in known else FORMER_NAMES.get(key, key): value[key] for key in value}
         return typing.cast("Any", kind)(
             **{key: _made(item, hints[key]) for key, item in present.items() if key in known}

@@ -1,4 +1,4 @@
-"""Exporting recordings to CSV, Parquet and NumPy files."""
+"""Export recordings to CSV, Parquet and NumPy files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ROWS = 10_000  # rows converted to Python numbers at a time: some megabytes
 
 
 class Format(StrEnum):
-    """What can be exported to."""
+    """Formats of exported files."""
 
     CSV = "csv"
     PARQUET = "parquet"
@@ -31,7 +31,7 @@ class Format(StrEnum):
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path``, which it replaces once it is written whole.
+    """Yield a temporary path beside ``path``, which replaces it once it is written completely.
 
     Raises:
         LogError: if it cannot be written; nothing of it is left then.
@@ -42,6 +42,7 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary = Path(folder, path.name)
             yield temporary
             with temporary.open("rb") as stream:
+                # Before the rename: after a power cut, the name must not lead to an empty file.
                 os.fsync(stream.fileno())
             os.replace(temporary, path)
     except OSError as error:
@@ -75,6 +76,7 @@ def export(
         _write_npz(output, found)
         return [output]
     if kind is Format.PARQUET:
+        # Asked for now, before the first file is written, so that a missing extra leaves nothing.
         _parquet()
     written = []
     for name, table in found.items():

@@ -1,4 +1,4 @@
-"""What a plot of a recording shows, whatever draws it: panels, lines, spans, marks."""
+"""The content of a plot of a recording, for any renderer: panels, lines, spans, marks."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from rtee.errors import LogError
 from rtee.log.labels import Band, Label, bands_of, labels_of
 from rtee.log.recording import JointSeries, Recording
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 MOST_POINTS = 4000
-"""Points of a line; more are thinned out so that every peak stays."""
+"""Points of a line; more are thinned out so that every peak stays: twice a screen's pixels."""
 
 COLOURS = (
     "#1f77b4",
@@ -29,7 +29,7 @@ COLOURS = (
     "#7f7f7f",
     "#bcbd22",
 )
-TOLD = frozenset(
+DRAWN = frozenset(
     {
         "mark",
         "grasp_lost",
@@ -123,8 +123,10 @@ def thinned(
     """Return at most ``most`` points of a line: the lowest and the highest of every stretch."""
     if len(t) <= most:
         return t, values
+    # Rounded up, two points for each stretch: never more than `most`.
     stretch = -(-2 * len(t) // most)
     count = len(t) // stretch
+    # argmin and argmax would return a NaN's place: infinities never win against a number.
     whole = np.where(np.isnan(values), np.inf, values)[: count * stretch].reshape(count, stretch)
     low = whole.argmin(axis=1)
     high = np.where(np.isinf(whole), -np.inf, whole).argmax(axis=1)
@@ -144,7 +146,7 @@ def figure(
     end: float | None = None,
     fingers: dict[str, tuple[str, ...]] | None = None,
 ) -> Figure:
-    """Return what a plot of a recording shows.
+    """Return the plot of a recording.
 
     Args:
         recording: The recording.
@@ -174,6 +176,7 @@ def figure(
         positions: list[Line] = []
         forces: list[Line] = []
         for name in names:
+            # By its place among all chosen ones, so that its colour is the same in every row.
             colour = COLOURS[chosen.index(name) % len(COLOURS)]
             column = states.index(name)
             positions += _position_lines(recording, name, colour, begin, until)
@@ -185,7 +188,7 @@ def figure(
     marks = [
         (entry.t, entry.value.text if entry.value.kind == "mark" else entry.value.kind)
         for entry in recording.events
-        if entry.value.kind in TOLD and begin <= entry.t <= until
+        if entry.value.kind in DRAWN and begin <= entry.t <= until
     ]
     return Figure(
         title=_title(recording),
@@ -219,6 +222,7 @@ def _groups(
         own = [name for name in names if owners[name] == [finger]]
         if own:
             groups[finger] = own
+    # An actuator of several fingers would otherwise be drawn once in each of them.
     shared = [name for name in names if len(owners[name]) != 1]
     if shared:
         groups["several fingers"] = shared
@@ -244,8 +248,9 @@ def _position_lines(
 
 
 def _efforts(recording: Recording, within: NDArray[np.bool_]) -> tuple[FloatArray | None, str]:
-    """Return what the right column shows: efforts, or currents where only those are measured."""
+    """Return the right column: efforts, or currents where only those are measured."""
     states = recording.actuator_states
+    # A device may measure neither, or currents without a known torque constant.
     if not np.isnan(states.effort[within]).all():
         return states.effort, "effort [N·m | N]"
     if not np.isnan(states.current[within]).all():

@@ -1,4 +1,4 @@
-"""What a file holds, found by walking over it once without decompressing anything."""
+"""Index the content of a file by walking over it once, without decompressing anything."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ class ChunkPlace:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What a file holds.
+    """The content of a file.
 
     Attributes:
         path: The file.
         size: Its size [bytes].
         library: What wrote it.
         finished: It has been closed; otherwise it is being written, or its writer was killed.
-        good: Up to here it is sound [bytes].
+        good: It is intact up to here [bytes].
         metadata: Records of metadata by name.
         attachments: The attachments by name.
         schemas: The schemas by identifier.
@@ -116,10 +116,10 @@ class Survey:
 
 
 def survey(path: Path | str) -> Survey:
-    """Look at what a file holds.
+    """Index the content of a file.
 
     Raises:
-        LogError: if it cannot be opened or is no MCAP file.
+        LogError: if it cannot be opened or is not an MCAP file.
     """
     path = Path(path)
     try:
@@ -154,17 +154,20 @@ class _Surveyor:
                     finished = stream.read(len(MAGIC)) == MAGIC
                 elif record.opcode == Opcode.DATA_END:
                     data = False
+                # Behind the data, a summary repeats the definitions; everything else is counted
+                # already.
                 elif data or record.opcode in _DEFINITIONS:
                     try:
                         self._take(record, stream)
                     except DamagedRecordError as error:
                         self._notes.append(str(error))
                     good = record.end if data else good
+            # Other writers put the definitions into the chunks alone.
             if not self._channels:
                 self._define_from_chunks(stream)
         if not finished:
             if self._chunks:
-                self._chunks[-1].indexes.clear()  # the index of the last chunk may be cut off
+                self._chunks[-1].indexes.clear()  # the index of the last chunk may be incomplete
             left = size - good if data else 0
             self._notes.append(
                 "the file was not closed: it is being written, or its writer was killed"
@@ -214,6 +217,7 @@ class _Surveyor:
                 head = record.read(stream, _INDEX_HEAD.size)
                 if self._chunks and len(head) == _INDEX_HEAD.size:
                     channel, _ = _INDEX_HEAD.unpack(head)
+                    # An index belongs to the chunk before it.
                     self._chunks[-1].indexes[channel] = record
             case Opcode.HEADER:
                 self._library = parsed(Header, record.read(stream)).library

@@ -8,8 +8,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from rtee.log.chunks import PackedChunk
-
-_SECOND = 1_000_000_000
+from rtee.messages.codec import SECOND
 
 
 class FlightRecorder:
@@ -36,7 +35,7 @@ class FlightRecorder:
         """Time from the first to the last message [s]."""
         if not self._chunks:
             return 0.0
-        return (self._chunks[-1].end - self._chunks[0].start) / _SECOND
+        return (self._chunks[-1].end - self._chunks[0].start) / SECOND
 
     @property
     def start(self) -> int:
@@ -47,7 +46,7 @@ class FlightRecorder:
         """Keep a chunk; forget those that are too old or too many."""
         self._chunks.append(_in_memory_of_its_own(chunk))
         self._size += chunk.size
-        oldest = chunk.end - int(self._seconds * _SECOND)
+        oldest = chunk.end - int(self._seconds * SECOND)
         while self._chunks[0].end < oldest or (self._size > self._limit and len(self._chunks) > 1):
             self._size -= self._chunks.popleft().size
 
@@ -59,7 +58,7 @@ class FlightRecorder:
 def _in_memory_of_its_own(chunk: PackedChunk) -> PackedChunk:
     """Return a chunk whose memory goes back to the system when it is forgotten.
 
-    Pieces of many sizes that live for a minute would leave holes in the process' memory for ever.
+    Pieces of many sizes that live for a minute would leave permanent holes in the process's memory.
     """
     memory = mmap.mmap(-1, chunk.size)
     memory.write(chunk.record)

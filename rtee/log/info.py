@@ -1,4 +1,4 @@
-"""What a recording holds, in short, without reading all of it."""
+"""Summarise a recording without reading all of it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from rtee.log.reader import read
 from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.recording import Recording
 from rtee.messages import topics
+from rtee.messages.codec import SECOND
 from rtee.messages.convert import LOOP_STATISTICS
 from rtee.types import LoopStatistics
 
-_SECOND = 1e9
 _STATISTICS = ("rate", "ticks", "missed", "lateness_p99", "lateness_max", "dropped")
 _FEW = (topics.GOALS, topics.PLANS, topics.RESULTS, topics.EVENTS)
 
@@ -45,7 +45,7 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """What a recording holds.
+    """Summary of a recording.
 
     Attributes:
         files: The files it consists of, with their sizes [bytes].
@@ -114,7 +114,7 @@ def iso(wall_ns: int) -> str:
     """Return a time since 1970 [ns] as ISO 8601 in UTC; empty for 0."""
     if not wall_ns:
         return ""
-    return datetime.fromtimestamp(wall_ns / _SECOND, UTC).isoformat(timespec="milliseconds")
+    return datetime.fromtimestamp(wall_ns / SECOND, UTC).isoformat(timespec="milliseconds")
 
 
 def info(paths: Sequence[Path]) -> Info:
@@ -158,7 +158,9 @@ def _statistics(file: Survey) -> LoopStatistics | None:
     if number is None:
         return None
     with file.path.open("rb") as stream:
+        # The last ones count over the whole run; nothing else of the file is decompressed.
         for place in reversed(file.chunks):
+            # Without an index (the last chunk of a killed writer), the chunk has to be looked into.
             if place.indexes and number not in place.indexes:
                 continue
             try:

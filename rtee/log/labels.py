@@ -10,7 +10,8 @@ from rtee.log.recording import Span
 SPAN_COLOURS = ("#4c78a8", "#f58518", "#54a24b", "#b279a2", "#b8860b", "#439894", "#e45756")
 MARK_COLOUR = "#444444"
 _CHARACTER = 0.0098
-"""Width of a character of a label, as a share of the left panels'."""
+"""Width of a character of a label, as a share of the left panels' width: estimated from the
+pictures."""
 _LONGEST = 40  # characters of a label; longer ones end in an ellipsis
 _LANES = 3  # rows of labels above the panels; what fits into none is not labelled
 
@@ -94,9 +95,11 @@ def labels_of(
             shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
             width = (len(shown) + 1) * _CHARACTER * duration
             at = max(start, min(t, end - width))
+            # First fit: the lowest lane that is free by then.
             lane = next((k for k, until in enumerate(free) if until <= at), len(free))
             if lane == _LANES:
                 continue
             free[lane:] = [at + width, *free[lane + 1 :]]
             yield Label(at, base + lane, shown, colour)
+        # The next kind begins above the lanes that this one took.
         base += len(free)

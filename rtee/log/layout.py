@@ -1,4 +1,4 @@
-"""What a recording consists of: its channels, and what precedes the first message."""
+"""The layout of a recording: its channels, and what precedes the first message."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rtee.messages.topics import LATCHED, ROBOT_DESCRIPTION, TF_STATIC, TYPES, U
 from rtee.types import ActuatorSpec
 
 FORMAT = "1"
-"""Version of what a recording consists of."""
+"""Version of the layout of recordings."""
 
 CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES, start=1)}
 """Name of a topic to the identifier of its channel."""
@@ -92,7 +92,7 @@ class Contents:
 
     @cached_property
     def _descriptions(self) -> Mapping[str, bytes]:
-        """The hand for viewers, by topic: with its meshes inside, and with the paths of theirs."""
+        """The hand for viewers, by topic: with embedded meshes, and with paths to the meshes."""
         text, found = self.hand.urdf.text, self.meshes.meshes
         inside = {address: url for address, mesh in found.items() if (url := mesh.data_url)}
         paths = {address: mesh.path.as_uri() for address, mesh in found.items()}
@@ -110,7 +110,7 @@ class Contents:
         }
 
     def prepare(self) -> None:
-        """Make ready what takes long, before anything runs that must not wait for it."""
+        """Prepare what takes long, before anything runs that must not wait for it."""
         _ = self._descriptions, self._files
 
     def _values(self, **more: str) -> dict[str, str]:
@@ -148,6 +148,7 @@ class Contents:
             for topic, kind in TYPES.items()
         ]
         metadata = {METADATA: self._values(**more)}
+        # Addresses of meshes are made for one machine; the attachments go with the file.
         if self.meshes.meshes:
             metadata[MESHES] = {old: mesh.name for old, mesh in self.meshes.meshes.items()}
         return Preamble(
@@ -169,6 +170,7 @@ class Contents:
 
     def description(self, wall_ns: int) -> PackedChunk:
         """Return the chunk with the robot's description, the first one of every file."""
+        # Slow, but only once a file, and most of it is meshes.
         builder = ChunkBuilder(level=9)
         for topic, data in {**self._descriptions, **self.latched}.items():
             builder.add(CHANNELS[topic], 0, wall_ns, data)

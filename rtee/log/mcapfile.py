@@ -1,8 +1,8 @@
-"""Writing an MCAP file so that at any moment everything before the last chunk can be read.
+"""Write an MCAP file so that at any moment everything before the last chunk can be read.
 
 Whatever a reader needs (metadata, attachments, schemas, channels) precedes the first chunk.
 A chunk is written whole or not at all: after a failed write the file is cut back to the end of the
-chunk before. What `mcap.writer` offers cannot do that, so the file is laid out here, with the
+chunk before. `mcap.writer` cannot do that, so this module lays out the file, with the
 records of `mcap.records`.
 """
 
@@ -61,7 +61,7 @@ class Preamble:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Have the disk know the name of a new file, too."""
+    """Flush the name of a new file to the disk, too."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -76,6 +76,7 @@ def being_written(path: Path) -> bool:
     except OSError:
         return False
     try:
+        # The recorder's lock ends with its process, however that ends; a lock file would not.
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
         return error.errno in (errno.EWOULDBLOCK, errno.EACCES)
@@ -178,11 +179,13 @@ class McapFile:
             for part in parts:
                 view = memoryview(part)
                 while view:
+                    # A write may be partial, as when the disk gets full.
                     view = view[os.write(self._descriptor, view) :]
             if self._sync:
                 os.fdatasync(self._descriptor)
         except OSError:
             with contextlib.suppress(OSError):
+                # Half a chunk would end the file for every reader, whatever came behind it.
                 os.ftruncate(self._descriptor, self._size)
             with contextlib.suppress(OSError):
                 os.lseek(self._descriptor, self._size, os.SEEK_SET)
@@ -247,6 +250,7 @@ class McapFile:
         )
 
     def _ending(self) -> bytes:
+        # 0: no checksum over the data, as each chunk has one.
         data_end = record_bytes(DataEnd(0))
         summary_start = self._size + len(data_end)
         attachments = [index for index in self._indexes if isinstance(index, AttachmentIndex)]
@@ -274,6 +278,8 @@ class McapFile:
                 )
         offset_start = summary_start + len(summary)
         summary += offsets
+        # The checksum covers the summary and the footer up to itself: opcode, length 20, two
+        # offsets.
         footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)
         footer = Footer(
             summary_start=summary_start,

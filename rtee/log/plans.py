@@ -1,16 +1,17 @@
-"""What goals come to, as messages, and back."""
+"""Convert plans of goals to messages and back."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rtee.capabilities import GripForce
 from rtee.errors import MessageError
 from rtee.loop.grip import Grip
 from rtee.loop.plan import Leg, Plan
 from rtee.messages.codec import header
 from rtee.messages.schema import message_type
-from rtee.types import Goal, GripForce
+from rtee.types import Goal
 
 _PLAN = message_type("rtee_msgs/msg/Plan")
 
@@ -65,6 +66,7 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
     def indexed(names: Sequence[str], values: Any) -> dict[int, float]:
         try:
             indices = [actuators.index(name) for name in names]
+            # Plans are recorded by name, since the order of actuators may change with the URDF.
             return dict(zip(indices, values.tolist(), strict=True))
         except ValueError as error:
             raise MessageError(f"a plan does not fit the hand: {error}") from None
@@ -87,7 +89,7 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
 
 
 _SIDES = -1
-"""Stands between the fingers of the first side and those of the others."""
+"""Separates the fingers of the first side from those of the others: no finger has this index."""
 
 
 def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
@@ -96,6 +98,7 @@ def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
     table: list[float] = []
     if sheet is not None:
         rows = zip(sheet.position or (0.0,), sheet.weakest, sheet.strongest, strict=True)
+        # One array of numbers: efforts, whether positions are given, then rows of three.
         table = [*sheet.effort, float(bool(sheet.position)), *(v for row in rows for v in row)]
     return {
         "actuator": [actuators[index] for index in grip.indices],
@@ -117,6 +120,7 @@ def _grip_of(fields: Mapping[str, Any], actuators: Sequence[str]) -> Grip:
     try:
         indices = tuple(actuators.index(name) for name in fields["actuator"])
         rows, columns = len(fields["intensity"]), len(indices)
+        # Messages have flat arrays only; the lengths of the others give its shape.
         lever = fields["lever"].reshape(rows, columns).tolist()
         fingers = fields["finger"].tolist()
         between = fingers.index(_SIDES)

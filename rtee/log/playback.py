@@ -1,4 +1,4 @@
-"""Playing a recording: its states one after the other, and its hand as a folder."""
+"""Play a recording back: its states one after the other, and its hand as a folder."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ def states(recording: Recording) -> Iterator[TickRecord]:
     rows = dict(zip(reference.wall.tolist(), range(len(reference)), strict=True))
     unknown = np.full(len(measured.names), np.nan)
     for row in range(len(measured)):
+        # Matched by time, not by row: a file may have lost some of either.
         sent = rows.get(int(measured.wall[row]))
         yield TickRecord(
             tick=int(measured.tick[row]),
@@ -71,6 +72,7 @@ def write_hand(recording: Recording, folder: Path) -> Path:
     """
     if not recording.urdf:
         raise LogError("holds no URDF", path=recording.paths[0])
+    # From the file, so it may be anything: it becomes a folder only after this check.
     name = check_name(recording.hand, "hand", path=recording.paths[0])
     home = folder.absolute() / name
     meshes = _meshes(recording, home)
@@ -106,6 +108,7 @@ def _actions(attachments: Mapping[str, bytes], home: Path) -> dict[Path, bytes]:
     found: dict[Path, bytes] = {}
     for file, data in attachments.items():
         parts = PurePosixPath(file).parts
+        # A recording may come from anywhere: a name must not lead out of the hand's folder.
         if len(parts) != 3 or parts[0] != "actions" or not parts[2].endswith(".yaml"):
             continue
         kind = check_name(parts[1], "folder of actions")

@@ -1,4 +1,4 @@
-"""Reading recordings into arrays."""
+"""Read recordings into arrays."""
 
 from __future__ import annotations
 
@@ -22,20 +22,17 @@ from rtee.log.rotation import parts_of, recordings
 from rtee.log.sink import reason
 from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
-from rtee.messages.codec import channels_of
+from rtee.messages.codec import SECOND, channels_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.state import ACTUATOR_COLUMNS
-from rtee.sample import COLUMNS
-from rtee.types import FloatArray, Goal
+from rtee.sample import COLUMNS, FloatArray
+from rtee.types import Goal
 
 T = TypeVar("T")
 
-_SECOND = 1e9
-"""Nanoseconds in a second."""
-
 _AHEAD = 4
-"""Chunks that are decompressed in advance: two are enough to keep the thread busy, and those of a
-few seconds need little memory."""
+"""Chunks that are decompressed in advance: two are enough to keep the thread busy, and chunks of
+half a second need little memory."""
 
 _TABLES = (topics.JOINT_STATES, topics.ACTUATOR_STATES, topics.REFERENCE)
 
@@ -61,7 +58,7 @@ def read(
             for viewers alone, the transforms, is not kept: it follows from the joint states.
 
     Raises:
-        LogError: if a file cannot be opened, is no MCAP file or holds no recording of a hand.
+        LogError: if a file cannot be opened, is not an MCAP file or holds no recording of a hand.
     """
     paths = paths_of(path, series=series)
     surveys = [survey(each) for each in paths]
@@ -113,6 +110,7 @@ class _Collector:
         self._notes = [f"{each.path.name}: {note}" for each in surveys for note in each.notes]
         self._rows: dict[str, column_reader.Rows] = {}
         for name in _TABLES:
+            # Known from the indexes: the arrays are made once, in their final size.
             most = sum(self._count(each, name) for each in surveys) if name in wanted else 0
             self._rows[name] = column_reader.Rows(most)
         self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
@@ -173,6 +171,7 @@ class _Collector:
     ) -> None:
         array = np.frombuffer(data, dtype=np.uint8)
         starts = column_reader.starts_of(place, stream, array, channels)
+        # Without an index that fits, every record of the chunk is walked over.
         if starts is None:
             walked = column_reader.walk(data)
             starts = {k: np.array(v, dtype=np.int64) for k, v in walked.items() if k in channels}
@@ -202,6 +201,7 @@ class _Collector:
                 self._damaged += 1
                 continue
             if kind is not ours:
+                # An older recording lacks fields: they get their default values.
                 fields = ours.completed(fields)
             self._messages[name].append((time, number, fields))
 
@@ -228,6 +228,7 @@ class _Collector:
         things = entries(topics.OBJECT, convert.OBJECT.of)
         attachments = {
             name: bytes(attachment.data)
+            # The first file's attachments win, as they are those at the recording's start.
             for each in reversed(self._surveys)
             for name, attachment in each.attachments.items()
         }
@@ -261,6 +262,7 @@ class _Collector:
             self._notes.append(f"{self._damaged} messages make no sense and are left out")
         if skipped:
             self._notes.append(f"{skipped} messages with other joints are left out")
+        # Frozen, but not handed out yet: making the entries above has added notes.
         object.__setattr__(recording, "notes", tuple(self._notes))
         return recording
 
@@ -277,7 +279,7 @@ class _Collector:
         order = column_reader.order_of(table.times)
         wall = table.times[order]
         return JointSeries(
-            t=(wall - start) / _SECOND,
+            t=(wall - start) / SECOND,
             wall=wall,
             names=table.names,
             **{key: table.column(key)[order] for key in ("position", "velocity", "effort")},
@@ -288,7 +290,7 @@ class _Collector:
         order = column_reader.order_of(table.times)
         wall = table.times[order]
         return ActuatorSeries(
-            t=(wall - start) / _SECOND,
+            t=(wall - start) / SECOND,
             wall=wall,
             names=table.names,
             tick=table.scalars("tick")[order].astype(np.int64),
@@ -305,7 +307,8 @@ class _Collector:
                 self._damaged += 1
                 continue
             stamp = float(fields.get("time", 0.0))
-            entries.append(Entry((time - start) / _SECOND, time, stamp, value, number))
+            entries.append(Entry((time - start) / SECOND, time, stamp, value, number))
+        # The sort is stable: entries of the same time keep the order of the file.
         return sorted(entries, key=lambda entry: entry.wall)
 
 
@@ -339,6 +342,7 @@ def _chunks_ahead(
                 yield first, future.result()
         finally:
             for _, future in waiting:
+                # The caller may stop in the middle: what has not begun need not be decompressed.
                 future.cancel()
 
 
@@ -351,6 +355,6 @@ def _channels_of(messages: Sequence[Message], start: int) -> dict[str, Channel]:
         except MessageError:
             continue
         for name, value in found.items():
-            times.setdefault(name, []).append((time - start) / _SECOND)
+            times.setdefault(name, []).append((time - start) / SECOND)
             values.setdefault(name, []).append(value)
     return {name: Channel(name, np.array(times[name]), tuple(values[name])) for name in times}

@@ -1,4 +1,4 @@
-"""Walking through the records of an MCAP file, whole or cut off, without believing it anything."""
+"""Walk through the records of an MCAP file, complete or truncated, without trusting any."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from rtee.log.mcapfile import MAGIC
 
 _HEAD = struct.Struct("<BQ")
 _LARGEST_CHUNK = 1 << 30
-"""Uncompressed bytes of a chunk that are believed: 1 GiB, hundreds of times what is written."""
+"""Largest uncompressed size of a chunk that is accepted [byte]: 1 GiB, hundreds of times what is
+written; a forged size must not exhaust the memory."""
 
 R = TypeVar("R", Header, Metadata, Attachment, Schema, Channel, Chunk)
 
 
 class DamagedRecordError(ValueError):
-    """A record whose content makes no sense."""
+    """A record whose content is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,7 @@ def scan(stream: BinaryIO) -> Iterator[Record]:
             return
         opcode, length = _HEAD.unpack(head)
         record = Record(opcode, position + _HEAD.size, length)
+        # 0 is no opcode: a power cut may leave zeros at the end of a file.
         if record.end > size or opcode == 0:
             return
         yield record
@@ -83,6 +85,7 @@ def parsed(kind: type[R], content: bytes) -> R:
         record: R = kind.read(ReadDataStream(BytesIO(content)))
     except (McapError, ValueError, OverflowError, struct.error, EOFError) as error:
         raise DamagedRecordError(f"damaged record: {error}") from error
+    # The checksum of a chunk does not cover attachments: they have their own.
     if isinstance(record, Attachment) and not _checked(content):
         raise DamagedRecordError(f"attachment '{record.name}' fails its checksum")
     return record
@@ -122,6 +125,7 @@ def _decompressed(chunk: Chunk) -> bytes:
         return chunk.data
     if chunk.compression == "zstd":
         try:
+            # Checked before decompressing: a small frame may expand to any size.
             if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:
                 raise DamagedRecordError("a chunk has not the size it says")
             decompressor = zstandard.ZstdDecompressor()

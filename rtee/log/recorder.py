@@ -1,4 +1,4 @@
-"""The recorder: watches the loop without ever holding it up."""
+"""The recorder: observes the loop without ever delaying it."""
 
 from __future__ import annotations
 
@@ -30,22 +30,25 @@ from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Resu
 
 log = logging.getLogger(__name__)
 
-# Pause between two items while the queue is long [s]: the loop gets the interpreter.
+# Pause between two items while the queue is long [s], in which the loop gets the interpreter.
 _YIELD: Final = 50e-6
 _LEAST_QUEUE: Final = 200  # items that the queue holds at least, at slow rates, too
 _CLOSING: Final = 10.0  # longest wait for the thread to write what is queued [s]: a slow disk
 
 _GATHER: Final = 4e-3
-"""What the loop reports is written this often [s]; to wake the thread at every tick disturbs it."""
+"""What the loop reports is written this often [s]; waking the thread at every tick would disturb
+the loop."""
 
 _LONGEST_NAP: Final = 20e-3
 """Loops of a longer period than this [s] wake the writer."""
 
 _BEHIND: Final = 1.0
-"""With more waiting than this [s], the writer does not spare the loop's ticks any more."""
+"""With more waiting than this [s], the writer no longer avoids the loop's ticks: losing records
+would be worse than a late tick."""
 
 _QUIET: Final = (0.45, 0.85)
-"""Part of the loop's period in which the writer works: the loop itself works at its beginning."""
+"""Part of the loop's period in which the writer works, as shares of it: the loop works at its
+beginning, and the last share is a margin before the next tick."""
 
 Work = TickRecord | tuple[Item, float] | Callable[[], None] | None
 
@@ -53,9 +56,9 @@ Work = TickRecord | tuple[Item, float] | Callable[[], None] | None
 class Recorder:
     """Records a hand: an observer of its loop with a writer of its own.
 
-    What the loop reports goes into a bounded queue and is written item by item by a thread that
-    wakes up by itself, between the loop's ticks, so that neither waits for the other. When the
-    queue is full, ticks are dropped and counted.
+    The loop's reports go into a bounded queue, and a thread that wakes up between the loop's ticks
+    writes them item by item, so that neither waits for the other. When the queue is full, ticks are
+    dropped and counted.
 
     Args:
         hand: The hand.
@@ -64,7 +67,7 @@ class Recorder:
         loop: The loop's settings; with them references can be recomputed from a recording.
         attachments: Files to attach by name: ``hand.yaml``, SRDF, actions; the URDF always is.
         metadata: Further metadata: name to value.
-        notify: Told of lost and resumed recording and of written flight files, as events; called
+        notify: Receives lost and resumed recording and written flight files as events; called
             in the writer's thread.
         simulated: Stamps are those of a simulation that begins now, not of
             CLOCK_MONOTONIC.
@@ -87,6 +90,7 @@ class Recorder:
         if loop is not None:
             files[REPLAY] = to_json(Replayable(loop, hand.actuators)).encode()
         more = {"decimation": str(settings.decimation), **(metadata or {})}
+        # Read now: files must not be opened once the loop runs.
         meshes = embed_meshes(hand) if settings.meshes else EmbeddedMeshes({}, {})
         for address, why in meshes.left_out.items():
             log.warning("the mesh '%s' is not in the recording: %s", address, why)
@@ -123,6 +127,7 @@ class Recorder:
                     f"no recording can be written here: {reason(error)}",
                     path=self._settings.directory,
                 ) from error
+        # A daemon: a disk that hangs must not keep the process from ending.
         self._thread = threading.Thread(target=self._run, name="rtee-recorder", daemon=True)
         self._thread.start()
 
@@ -158,6 +163,7 @@ class Recorder:
         import anyio
         import anyio.to_thread
 
+        # The run is being cancelled: what is queued has to be written all the same.
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(self.close)
 
@@ -222,6 +228,7 @@ class Recorder:
 
     def start(self) -> None:
         """Begin a new recording on the disk, unless one is being written; returns at once."""
+        # In the writer's thread, in order with the records before it.
         self._queue.put(self._writer.start)
 
     def stop(self) -> None:
@@ -234,7 +241,7 @@ class Recorder:
         self._put(Event("mark", "user", text, now), now)
 
     def fault(self, cause: str) -> None:
-        """Have the flight recorder write what it holds; returns at once."""
+        """Make the flight recorder write what it holds; returns at once."""
         self._queue.put(lambda: self._writer.fault(cause))
 
     @property

@@ -14,22 +14,12 @@ from numpy.typing import NDArray
 from rtee.commands import CommandRecord
 from rtee.errors import LogError, suggestion
 from rtee.loop.plan import Plan
+from rtee.messages.codec import SECOND
 from rtee.object_description import ObjectDescription
-from rtee.sample import Measurements
-from rtee.types import (
-    BoolArray,
-    DeviceStatus,
-    Event,
-    Feedback,
-    FloatArray,
-    Goal,
-    LoopStatistics,
-    Result,
-)
+from rtee.sample import BoolArray, FloatArray, Measurements
+from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 T = TypeVar("T")
-
-_SECOND = 1e9
 
 
 @dataclass(frozen=True)
@@ -71,12 +61,12 @@ class JointSeries:
 
 @dataclass(frozen=True)
 class ActuatorSeries(JointSeries, Measurements):
-    """What the actuators measured over time, as the loop was given it.
+    """What the actuators measured over time, as the loop received it.
 
     Attributes:
         tick: Numbers of the ticks ``(k,)``; a gap is a missed or lost tick.
         time: CLOCK_MONOTONIC of the ticks ``(k,)`` [s].
-        grasped: The devices' own word ``(k, n)``: 1 holding, 0 not, -1 none.
+        grasped: What the devices report themselves ``(k, n)``: 1 holding, 0 not, -1 nothing.
         fresh: Whether it was measured since the tick before ``(k, n)``.
     """
 
@@ -95,7 +85,7 @@ class Entry(Generic[T]):
         wall: The same since 1970 [ns].
         stamp: The same by CLOCK_MONOTONIC [s], where it is known, else 0.
         value: What.
-        sequence: Tells the order of entries of the same time, also of different topics.
+        sequence: Orders entries of the same time, also of different topics.
     """
 
     t: float
@@ -144,7 +134,8 @@ class Span:
 
 
 def outcome_of(result: Result) -> str:
-    """Return the word that says best how a goal ended."""
+    """Return the word that describes best how a goal ended."""
+    # Why it ended goes before how far it came: several may be true at once.
     for word in ("aborted", "cancelled", "preempted", "timed_out", "grasped", "reached", "stalled"):
         if getattr(result, word):
             return word
@@ -167,7 +158,7 @@ class Recording:
         actuator_states: The actuators as measured.
         reference: What was sent to the devices.
         goals: Goals that were accepted.
-        plans: What the goals come to.
+        plans: The plans made for the goals.
         commands: Calls that steered the hand otherwise.
         stream_samples: Samples of streams, as commands.
         feedback: Progress of the goals.
@@ -210,7 +201,7 @@ class Recording:
     @property
     def duration(self) -> float:
         """Time from the first to the last message [s]."""
-        return (self.end - self.start) / _SECOND
+        return (self.end - self.start) / SECOND
 
     @property
     def rate(self) -> float:
@@ -234,6 +225,7 @@ class Recording:
             feedback.setdefault(entry.value.goal_id, []).append(entry)
         spans = []
         names = {plan.value.goal.goal_id: plan.value.action for plan in self.plans}
+        # Where a result is missing: the next goal preempted this one at the latest.
         ends = [(entry.t, "unknown") for entry in self.goals[1:]] + [(self.duration, "running")]
         for goal, (after, left) in zip(self.goals, ends, strict=False):
             action = names.get(goal.value.goal_id, goal.value.action)
@@ -258,5 +250,6 @@ def _inner_spans(
         if name:
             yield Span(name, start, entry.t, "reached", goal_id)
         name, start = entry.value.inner, entry.t
+    # Only the last inner action shares the outcome of the whole; the ones before were reached.
     if name:
         yield Span(name, start, end, outcome, goal_id)

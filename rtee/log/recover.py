@@ -1,4 +1,4 @@
-"""Making a recording whole whose writer was killed."""
+"""Repair a recording whose writer was killed."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from rtee.log.file_index import ChunkPlace, Survey, survey
 from rtee.log.mcapfile import McapFile, Preamble, being_written
 from rtee.log.record_scanner import DamagedRecordError, messages_of
 from rtee.log.sink import reason
+from rtee.messages.codec import SECOND
 
-_SECOND = 1e9
 _RECORD_HEAD = 9  # bytes of a record's opcode and length
 
 
@@ -30,12 +30,12 @@ class Recovery:
     """What was recovered.
 
     Attributes:
-        path: The whole file.
-        untouched: The file was whole already.
+        path: The repaired file.
+        untouched: The file was complete already.
         chunks: Chunks recovered.
         messages: Messages recovered.
         damaged: Chunks that were damaged and left out.
-        lost_bytes: Bytes at the end that were of no use.
+        lost_bytes: Bytes at the end that could not be used.
         seconds: Time from the first to the last message [s].
     """
 
@@ -49,18 +49,18 @@ class Recovery:
 
 
 def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
-    """Make a recording whole that was never closed, or has damaged chunks.
+    """Repair a recording that was never closed or has damaged chunks.
 
-    Every sound chunk is kept with a newly made index. The whole file is written beside the old one
+    Every intact chunk is kept with a new index. The repaired file is written beside the old one
     and replaces it only when it is complete.
 
     Args:
         path: The recording.
-        output: Where to write the whole file; unless given it replaces the old one.
+        output: Where to write the repaired file; unless given it replaces the old one.
 
     Raises:
-        LogError: if the file is being written, cannot be read or is no MCAP file, or if the whole
-            one cannot be written.
+        LogError: if the file is being written, cannot be read or is not an MCAP file, or if the
+            repaired one cannot be written.
     """
     path = Path(path)
     if being_written(path):
@@ -101,7 +101,7 @@ def _report(found: Survey, path: Path, damaged: int, *, untouched: bool, lost: i
         messages=sum(chunk.count(number) for chunk in found.chunks for number in chunk.indexes),
         damaged=damaged,
         lost_bytes=lost,
-        seconds=(found.end - found.start) / _SECOND,
+        seconds=(found.end - found.start) / SECOND,
     )
 
 
@@ -124,7 +124,7 @@ def _sound(place: ChunkPlace, stream: BinaryIO) -> bool:
 
 
 def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
-    """Yield the sound chunks, each with an index made from its messages."""
+    """Yield the intact chunks, each with an index made from its messages."""
     for place in found.chunks:
         content = place.record.read(stream)
         try:
@@ -141,6 +141,7 @@ def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
         if not entries:
             continue
         index, where = index_records(entries)
+        # The chunk goes over as it is, still compressed.
         stream.seek(place.record.offset - _RECORD_HEAD)
         yield PackedChunk(
             record=stream.read(_RECORD_HEAD) + content,

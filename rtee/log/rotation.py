@@ -1,4 +1,4 @@
-"""Names of recordings, which files are recordings of a hand, and the bound on their space."""
+"""Names of recordings, the recordings of a hand, and the bound on their space."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mcap.records import Metadata
 
 from rtee.log.mcapfile import MAGIC, being_written
 from rtee.log.record_scanner import Record, parsed, scan
+from rtee.messages.codec import SECOND
 
 METADATA = "rtee"
 """Name of the metadata record that every recording of rtee carries."""
@@ -26,7 +27,7 @@ _FEW_RECORDS = 3  # records read to recognise a recording: header and metadata a
 
 def session_name(wall_ns: int) -> str:
     """Return the part of a file's name that says when its recording began, in UTC."""
-    moment = datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC)
+    moment = datetime.fromtimestamp(wall_ns // SECOND, UTC)
     return f"{moment:%Y%m%dT%H%M%S}{wall_ns // 1_000_000 % 1000:03d}Z"
 
 
@@ -137,7 +138,7 @@ class Retention:
         self._ours: dict[Path, bool] = {}
 
     def look(self, *current: Path) -> None:
-        """Look again at what is in the folder beside the files that are being written."""
+        """Look again at the files in the folder other than those that are being written."""
         self._others = sum(file.size for file in self._files(current))
 
     def _files(self, current: tuple[Path, ...]) -> list[RecordingFile]:
@@ -154,6 +155,7 @@ class Retention:
             The files removed.
         """
         removed: list[Path] = []
+        # Usually so: then the folder is not even listed.
         if self._others + size <= self._limit:
             return removed
         self.look(*current)
@@ -162,6 +164,8 @@ class Retention:
                 break
             if file.path not in self._ours:
                 self._ours[file.path] = is_ours(file.path, self._hand)
+            # By name alone it might be somebody else's file: removing needs the content's word,
+            # too.
             if not self._ours[file.path] or being_written(file.path):
                 continue
             try:

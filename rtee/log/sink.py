@@ -1,4 +1,4 @@
-"""The files on the disk: parts of a recording one after the other, failures, the bound on space."""
+"""The files on the disk: the parts of a recording, failures, and the bound on space."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from rtee.log.mcapfile import McapFile, being_written
 from rtee.log.rotation import FLIGHT, Retention, flight_path, part_path, session_name
 from rtee.log.settings import RecorderSettings
 
-_NAME_TRIES = 50  # parts that may exist already in the folder, by runs of the same millisecond
+_NAME_TRIES = 50  # names that may be taken already, by runs that began in the same millisecond
 _PARTIAL = ".partial"
-_LOOK_EVERY = 60.0  # the folder's size and free space are looked at this often [s]
+_LOOK_EVERY = 60.0  # the folder's size is checked this often [s]: others write into it seldom
 
 
 def reason(error: OSError) -> str:
-    """Return what an operating system's error says, without path and number."""
+    """Return the text of an operating system's error, without path and number."""
     return error.strerror or str(error) or type(error).__name__
 
 
@@ -36,7 +36,7 @@ class DiskSink:
         monotonic: Clock for the times of parts [s].
 
     Attributes:
-        wanted: A recording is to be written.
+        wanted: Whether a recording should be written.
         problem: Why the last chunk could not be written, empty if it could.
         written_ticks: Ticks written.
         lost_ticks: Ticks lost.
@@ -105,6 +105,7 @@ class DiskSink:
                 file = McapFile(path, preamble, sync=self._settings.sync)
             except FileExistsError:
                 if self._part == 0:
+                    # A millisecond later, the resolution of the names.
                     wall_ns += 1_000_000
                     self._session = session_name(wall_ns)
                 else:
@@ -138,12 +139,14 @@ class DiskSink:
         if not self.wanted:
             return
         try:
+            # Somebody removed it: going on would fill the disk with a file that has no name.
             if self._file is not None and not self._file.linked:
                 self._close()
             if self._file is None:
                 self._open(chunk.start)
             assert self._file is not None  # noqa: S101 - narrows the type
             if not self._file.end:
+                # With the first chunk, not when it is opened: a file without ticks stays small.
                 self._file.write(self._contents.description(chunk.start))
             self._file.write(chunk)
         except OSError as error:
@@ -169,6 +172,7 @@ class DiskSink:
         """
         settings = self._settings
         path = flight_path(settings.directory, self._contents.hand.name, session_name(wall_ns))
+        # Hidden until it is complete: a program that looks for the file finds it whole.
         partial = path.with_name(f".{path.name}{_PARTIAL}")
         preamble = self._contents.preamble(chunks[0].start, cause=cause)
         try:

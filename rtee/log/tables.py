@@ -1,4 +1,4 @@
-"""A recording as tables: columns of numbers and texts, one table per topic."""
+"""Convert a recording to tables: columns of numbers and texts, one table per topic."""
 
 from __future__ import annotations
 
@@ -45,6 +45,7 @@ def _text(value: object) -> str:
 
 
 def _column(values: Sequence[Any]) -> Column:
+    # Before int: a bool is one in Python.
     if all(isinstance(value, bool) for value in values):
         return np.array(values, dtype=bool)
     if all(isinstance(value, int) for value in values):
@@ -93,6 +94,7 @@ def _channels(recording: Recording) -> Table:
         for t, values in zip(channel.t.tolist(), channel.values, strict=True)
         for index, value in enumerate(values.tolist())
     ]
+    # Channels change at different times; a table is in the order of time.
     rows.sort(key=lambda row: row[0])
     return {
         "t": np.array([row[0] for row in rows], dtype=np.float64),
@@ -117,7 +119,7 @@ _MAKERS: Mapping[str, Callable[[Recording], Table]] = {
 }
 
 TABLES = tuple(_MAKERS)
-"""Topics that can be had as a table."""
+"""Topics that can be converted to a table."""
 
 
 def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:
@@ -128,7 +130,7 @@ def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:
         only: Topics wanted; all unless given.
 
     Raises:
-        LogError: if a topic is asked for that there is not.
+        LogError: if a topic does not exist.
     """
     for name in only:
         if name not in _MAKERS:

@@ -1,4 +1,4 @@
-"""What is known at a tick as messages: its states and reference, and the transforms of links."""
+"""Encode a tick as messages: its states and reference, and the transforms of links."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from rtee.messages.layout import (
     stamp_bytes,
 )
 from rtee.messages.state import actuator_state_pieces, actuator_state_template
-from rtee.sample import TickRecord
-from rtee.types import FloatArray
+from rtee.sample import FloatArray, TickRecord
 
 _TIMES = struct.Struct("<IQQ")
-"""End of a message record's head: sequence, log time and publish time [ns]."""
+"""The last part of a message record's head: sequence, log time and publish time [ns]."""
 
 _HEAD = MESSAGE.size - _TIMES.size
-"""What is constant of that head [bytes]."""
+"""The constant first part of that head [bytes]."""
 
 _STEPS = float(2**36)
 """Transforms are rounded to steps of 1.5e-11 [m | 1], far below what can be seen or measured: their
@@ -114,6 +113,7 @@ class TickEncoder:
             record.reference_velocity.tobytes(),
             record.reference_effort.tobytes(),
         ]
+        # One copy of everything: a tick takes some ten microseconds to encode.
         block = b"".join(self._parts)
         if len(block) != self._size:
             raise ValueError("the arrays of a tick do not fit the hand")
@@ -145,6 +145,7 @@ class LinkTransforms:
 
     def due(self, tick: int) -> bool:
         """Whether they are to be recorded at a tick; a missed tick is made up for by the next."""
+        # By turns, not by tick % every: a missed tick must not cost a whole turn.
         if not self._every or tick // self._every == self._turn:
             return False
         self._turn = tick // self._every

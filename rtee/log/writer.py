@@ -1,4 +1,4 @@
-"""The writer's side of the recorder: from what the loop reported to chunks and files."""
+"""The writer's side of the recorder: turn the loop's reports into chunks and files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rtee.log.tick_messages import LinkTransforms, TickEncoder
 from rtee.loop.grip import grip_at
 from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
-from rtee.messages.codec import Codec, channel_fields, header
+from rtee.messages.codec import SECOND, Codec, channel_fields, header
 from rtee.messages.schema import message_type
 from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
@@ -61,22 +61,20 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
 _CHANNELS = message_type("rtee_msgs/msg/Channels")
 _GRIP = message_type("rtee_msgs/msg/Grip")
 _GRIP_PERIOD = 0.02
-"""Time between recorded openings and forces [s]: grips build up in tenths of seconds."""
+"""Time between recorded openings and forces [s]: grips build up within tenths of a second."""
 
-_SECOND = 1_000_000_000
 _FLIGHT_FILES = 20  # names that are kept of files that the flight recorder wrote, newest last
 
 
 class LogWriter:
     """Encodes items, packs them into chunks in time, and hands the chunks on.
 
-    It runs in the writer's thread and has no thread of its own; nothing in it waits but for the
-    disk.
+    It runs in the recorder's thread and waits for nothing but the disk.
 
     Args:
         contents: What the recordings have in common.
         settings: How to record.
-        notify: Told of lost and resumed recording and of written flight files.
+        notify: Receives events: lost and resumed recording, written flight files.
         monotonic: Clock [s].
         wall: Clock [ns since 1970].
         simulated: What comes is stamped by a simulation, not by ``monotonic``: its first moment is
@@ -155,20 +153,20 @@ class LogWriter:
         self._stamp = stamp
         if not self._compared:
             now = stamp if self._simulated else self._monotonic()
-            self._compare(self._wall() - round(now * _SECOND))
-        return self._anchor + round(stamp * _SECOND)
+            self._compare(self._wall() - round(now * SECOND))
+        return self._anchor + round(stamp * SECOND)
 
     def _compare(self, difference: int) -> None:
-        """Take the difference of the clocks [ns]; recorded time never goes back."""
+        """Set the difference of the clocks [ns]; recorded time never goes back."""
         self._compared = True
         self._anchor = max(self._anchor, difference)
 
     def tick(self, record: TickRecord) -> None:
-        """Take what was known at a tick."""
+        """Encode what was known at a tick."""
         if self.idle or record.tick % self._settings.decimation:
             return
         if not (self._compared or self._simulated):
-            self._compare(record.wall_ns - round(record.stamp * _SECOND))
+            self._compare(record.wall_ns - round(record.stamp * SECOND))
         wall = self.wall_of(record.stamp)
         self._builder.add_block(wall, self._encoder.encode(record, wall))
         if record.channels:
@@ -182,6 +180,7 @@ class LogWriter:
     def _add_extras(self, record: TickRecord, wall: int) -> None:
         """Record those of the further channels that have changed."""
         known = self._extras
+        # By identity: arrays never change once handed out, so a change is another array.
         new = {name: each for name, each in record.channels.items() if known.get(name) is not each}
         if not new:
             return
@@ -212,7 +211,7 @@ class LogWriter:
         self._add(topics.GRIP, wall, _GRIP.encode(fields))
 
     def item(self, item: Item, stamp: float) -> None:
-        """Take anything else that came at ``stamp``, CLOCK_MONOTONIC [s]."""
+        """Encode anything else that came at ``stamp``, CLOCK_MONOTONIC [s]."""
         if isinstance(item, ObjectDescription):  # also for files that are begun later
             self._contents.latched[topics.OBJECT] = convert.OBJECT.encode(item)
         if self.idle:
@@ -238,6 +237,8 @@ class LogWriter:
     def _begun(self) -> None:
         if self._due is None:
             self._due = self._monotonic() + self._chunk_time
+            # The first chunk is shorter, by a share that depends on the name; then they keep their
+            # turns.
             self._chunk_time = self._settings.chunk_time
 
     def start(self) -> None:
@@ -258,7 +259,7 @@ class LogWriter:
         self.sink.stop()
 
     def fault(self, cause: str) -> None:
-        """Have the flight recorder write; not before what it wrote last has left its memory."""
+        """Make the flight recorder write; not before what it wrote last has left its memory."""
         if self.flight is None or self._flight_due is not None:
             return
         now = self._monotonic()
@@ -291,6 +292,7 @@ class LogWriter:
         if chunk is None:
             return
         if self.flight is not None:
+            # Before the disk, which may fail: the flight recorder must have what the file lacks.
             self.flight.add(chunk)
         before = self.sink.problem
         path = self.sink.path
@@ -308,6 +310,7 @@ class LogWriter:
     def _tell(self, kind: str, text: str) -> None:
         now = self._stamp if self._simulated else self._monotonic()
         event = Event(kind, ITSELF, text, now, "warning")
+        # Into the recording itself, too: a reader has to find the gap explained.
         wall = self.wall_of(event.stamp)
         self._add(topics.EVENTS, wall, convert.EVENT.encode(event, wall=wall))
         if self._notify is not None:

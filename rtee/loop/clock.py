@@ -12,9 +12,9 @@ from typing import Protocol
 
 from rtee.buses import timerfd
 from rtee.errors import ConfigError
-from rtee.loop.settings import MAX_RATE, MIN_RATE
+from rtee.hand.config_schema import MAX_RATE, MIN_RATE
 
-_NANOSECONDS = 1_000_000_000
+_NANOSECONDS = 1_000_000_000  # per second
 
 
 @dataclass(slots=True)
@@ -81,10 +81,13 @@ class _TickTimer(timerfd.Timer):
         """Return the tick for some expiries since the last one; all but one were missed."""
         woken, wall = time.monotonic_ns(), time.time_ns()
         if self._number < 0:
+            # Late before the first tick: the count starts here, so that nothing counts as missed.
             self._start += (passed - 1) * self._period_ns
             passed = 1
         self._number += passed
+        # From the start, not from the tick before: rounding and delays never add up to drift.
         due = self._start + self._number * self._period_ns
+        # Somebody may set the wall clock at any time: it is read once and shifted by the lateness.
         return Tick(self._number, due, woken, passed - 1, wall - (woken - due))
 
 
@@ -118,7 +121,7 @@ class Clock:
     async def drive(self, function: Callable[[Tick], None]) -> None:
         """Call a function at every tick, until cancelled or it raises.
 
-        The same as iterating, but a turn of the event loop sooner.
+        Equivalent to iterating, but the function runs one turn of the event loop sooner.
         """
         if not self.uses_timerfd:
             async with ticking(self) as ticks:
@@ -136,6 +139,7 @@ class Clock:
             try:
                 function(timer.tick(passed))
             except Exception as error:
+                # asyncio only logs what a reader callback raises; here it has to end `drive`.
                 loop.remove_reader(timer.fd)
                 if not ended.done():
                     ended.set_exception(error)
@@ -170,6 +174,7 @@ class Clock:
                     await waiter
                     waiter = None
                 passed, expired = expired, 0
+                # All expiries so far are one tick: what was missed is counted, not caught up.
                 yield timer.tick(passed)
         finally:
             loop.remove_reader(timer.fd)
@@ -181,10 +186,12 @@ class Clock:
         last = -1
         while True:
             due = start + number * self.period_ns
+            # asyncio may wake up to a millisecond early; the next turn then sleeps for the rest.
             await asyncio.sleep(max(0.0, (due - time.monotonic_ns()) * 1e-9))
             woken, wall = time.monotonic_ns(), time.time_ns()
+            # Woken a period or more too late: go on with the tick that is due now.
             number = max(number, (woken - start) // self.period_ns)
-            if last < 0:  # it starts with the first that happens
+            if last < 0:  # the first tick that happens is tick 0
                 start += number * self.period_ns
                 number = 0
             due = start + number * self.period_ns
@@ -197,8 +204,8 @@ class Clock:
 class ManualClock:
     """A clock that is moved by hand: for tests and replay, at any speed.
 
-    Iterated over, it gives ticks as fast as the loop takes them, and lets every other task run in
-    between until it waits.
+    Iterating over it gives ticks as fast as the loop takes them; in between, every other task runs
+    until it waits.
 
     Args:
         rate: Ticks per second of its own time [Hz].
@@ -235,6 +242,7 @@ class ManualClock:
     async def settle(self) -> None:
         """Let the other tasks run."""
         for _ in range(self.turns):
+            # One turn is not enough: a task that was woken may itself wake another one.
             await asyncio.sleep(0)
 
     async def drive(self, function: Callable[[Tick], None]) -> None:
@@ -258,6 +266,7 @@ async def ticking(clock: AnyClock) -> AsyncIterator[AsyncIterator[Tick]]:
     try:
         yield ticks
     finally:
+        # Left to the garbage collector, the generator would close its file in another task.
         close = getattr(ticks, "aclose", None)
         if close is not None:
             await close()

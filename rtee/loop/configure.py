@@ -1,4 +1,4 @@
-"""From hand.yaml, once read, to the loop's plain settings; imports no pydantic itself."""
+"""Turn a hand.yaml that was read into the loop's plain settings; does not import pydantic."""
 
 from __future__ import annotations
 
@@ -7,15 +7,9 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 from rtee.errors import ConfigError
-from rtee.hand.config_schema import DeviceSection
+from rtee.hand.config_schema import DeviceSection, ProfileKind, RealtimeSettings
 from rtee.hand.model import Hand
-from rtee.loop.settings import (
-    DeviceSettings,
-    LoopSettings,
-    ProfileKind,
-    RealtimeSettings,
-    usual_profile,
-)
+from rtee.loop.settings import DeviceSettings, LoopSettings, usual_profile
 from rtee.types import DeviceSpec
 
 if TYPE_CHECKING:
@@ -40,6 +34,7 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
     """
     kind = config.profile.kind
     if kind is ProfileKind.JERK_LIMITED:
+        # ruckig is optional; a recording must name the profile that really ran, for its replay.
         kind = usual_profile()
     given = {each.name: getattr(config.loop, each.name) for each in fields(config.loop)}
     return LoopSettings(
@@ -65,7 +60,7 @@ def realtime_settings(config: HandConfig, *, enabled: bool = False) -> RealtimeS
 
 @dataclass(frozen=True, slots=True)
 class DeviceChoice:
-    """What is to drive a hand.
+    """What drives a hand.
 
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
@@ -96,7 +91,7 @@ def device_settings(
         hand: The hand.
         config: Its hand.yaml.
         rate: Rate of the loop [Hz].
-        choice: What is to drive it.
+        choice: What drives it.
 
     Raises:
         ConfigError: if hand.yaml has no devices, they leave an actuator out, or options are given
@@ -111,7 +106,9 @@ def device_settings(
             )
         chosen = list(config.devices.items())
     else:
+        # One of several drivers: its own devices keep their options, stand-ins get the rest.
         chosen = [(n, d) for n, d in config.devices.items() if d.driver == driver]
+    # Drivers have different options: given to several, most would be a mistake for one of them.
     if choice.options and len(chosen) > 1:
         raise ConfigError(
             f"--option is for one device, and {hand.name} has {', '.join(n for n, _ in chosen)}; "
@@ -152,6 +149,7 @@ def _made(
     hand: Hand, name: str, device: DeviceSection, rate: float, choice: DeviceChoice
 ) -> DeviceSettings:
     names = hand.actuator_names if device.actuators == "all" else tuple(device.actuators)
+    # In the hand's order, whatever the order in hand.yaml: drivers and arrays rely on it.
     ordered = [actuator for actuator in hand.actuators if actuator.name in names]
     spec = DeviceSpec(
         name=name,

@@ -22,8 +22,8 @@ from rtee.errors import (
 )
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
-from rtee.sample import measured_arrays
-from rtee.types import ActuatorState, Lifecycle, Reference
+from rtee.sample import ActuatorState, measured_arrays
+from rtee.types import Lifecycle, Reference
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ CONNECT_WITHIN = 20.0
 """Time that connecting and identifying may take [s]; the slowest devices boot for ten."""
 
 ACTIVATE_WITHIN = 120.0
-"""Time that activation, or a request of others, may take [s]: homing takes up to a minute."""
+"""Time that activation, or another request, may take [s]: homing takes up to a minute."""
 
 CLOSE_WITHIN = 1.0
 """Time that closing may take [s]: a run ends even if a bus hangs."""
@@ -74,8 +74,9 @@ class ExchangeCounters:
     _counted: int = 0
 
     def rate(self, now: float) -> float:
-        """Return the rate of exchanges [Hz] since the last call, but over half a second or more."""
+        """Return the rate of exchanges [Hz], measured over half a second or more."""
         passed = now - self._since
+        # Over less time, a slow device's few exchanges would make the figure jump.
         if passed >= 0.5:
             self._rate = (self.exchanges - self._counted) / passed if self._since else 0.0
             self._since, self._counted = now, self.exchanges
@@ -104,7 +105,7 @@ class Connection:
         fault: The fault it reports, if any.
         rejected: Why it refused a reference, until that is read and emptied.
         tried: Set after the first attempt to connect.
-        mistake: The user's mistake that keeps it from ever connecting.
+        mistake: The user's mistake that prevents any connection.
     """
 
     def __init__(
@@ -134,8 +135,10 @@ class Connection:
         self._report = report
         self._now = now
         self._size = len(settings.spec.actuators)
+        # Only the first time: a device that comes back must not move before somebody recovers it.
         self._activate_on_connect = True
         self._backoff = BACKOFF[0]
+        # Connect at the first tick.
         self._next_at = -math.inf
         self._answered = -math.inf
         self._warned: tuple[str, ...] = ()
@@ -155,7 +158,9 @@ class Connection:
     async def exchange(self, reference: Reference | None) -> None:
         """Read the state, then send the reference if there is one; cannot raise."""
         try:
+            # Sense first: what the controller reads next must not wait for the sending.
             self.accept(await self._driver.sense())
+            # A request may have made the device inactive since the reference was handed over.
             if reference is not None and self.lifecycle is Lifecycle.ACTIVE:
                 await self._driver.move(reference)
         except Exception as error:
@@ -171,6 +176,7 @@ class Connection:
             DriverError: if it has not one value for each actuator.
         """
         n = self._size
+        # A wrong length would only show much later, as values of another actuator.
         if {*map(len, measured_arrays(state))} != {n}:
             text = f"gave a state that is not one of {n} actuators"
             raise DriverError(self._spec.name, text, hint="mend its driver")
@@ -191,11 +197,14 @@ class Connection:
         try:
             await self._configure()
             if self._activate_on_connect:
+                # Homing takes longer than connecting: it gets a limit for itself.
                 self._runner.begin(ACTIVATE_WITHIN)
                 await self._activate()
         except Exception as error:
+            # Anything else is a bug of the driver, for which the traceback matters.
             if not isinstance(error, RteeError | OSError | EOFError):
                 log.exception("the driver of device '%s' failed", self._spec.name)
+            # A device in fault answers: it keeps its link and waits to be recovered.
             if not isinstance(error, DeviceFault):
                 self.lifecycle = Lifecycle.UNCONFIGURED
             await self.failed(error)
@@ -230,8 +239,10 @@ class Connection:
         self.deadline = self._spec.deadline or max(2 * self.every / rate, LEAST_DEADLINE)
 
     async def _activate(self) -> None:
+        # No timeout here: the runner watches over the whole attempt.
         await self._driver.activate()
         self.accept(await self._driver.sense())
+        # From here on, a lost link means that the hand may have been touched meanwhile.
         self._activate_on_connect = self._settings.reconnect_active
         self.fault = None
         self.message = self.trouble = ""
@@ -260,7 +271,7 @@ class Connection:
         self._report("recovered", "is active again", "info")
 
     def deactivated(self, trouble: str) -> None:
-        """Note that the device was made inactive, and stays so until `recover`."""
+        """Note that the device was made inactive; it stays so until `recover`."""
         self.lifecycle = Lifecycle.INACTIVE
         self.trouble = trouble
         self._activate_on_connect = False
@@ -272,13 +283,16 @@ class Connection:
         match error:
             case DeviceFault():
                 self._enter_fault(error)
+            # The device is fine, only the reference is not: `Devices` starts again where it is.
             case CommandRejected():
                 self.counters.errors += 1
                 self.message = self.rejected = _words(error)
             case _ if self.lifecycle is Lifecycle.UNCONFIGURED:
                 await self._not_connected(error)
+            # These cannot pass by themselves: connect again at once, without counting to three.
             case BusBroken() | BusClosed() | NotConnected() | HandshakeError():
                 await self._lose(error)
+            # One lost answer is normal on a noisy wire.
             case RteeError() | TimeoutError():
                 await self._miss(error)
             case OSError() | EOFError():
@@ -288,6 +302,7 @@ class Connection:
                 await self._lose(error)
 
     def _enter_fault(self, fault: DeviceFault) -> None:
+        # A fault is seen at every look; one event for each is enough.
         new = self.fault is None or self.fault.name != fault.name
         self.message = _words(fault)
         self.trouble = f"it is in fault: {fault.name}"
@@ -304,6 +319,7 @@ class Connection:
         if isinstance(error, UserError):
             self.mistake = error
         self._next_at = self._now() + self._backoff
+        # Doubling: quick after a loose plug, quiet with a device that stays off.
         self._backoff = min(2 * self._backoff, BACKOFF[1])
         text = _words(error)
         if text != self.message:
@@ -316,6 +332,7 @@ class Connection:
         self.counters.errors += 1
         self.counters.in_row += 1
         self.message = _words(error)
+        # Both: at 1 kHz three misses are a hiccup, and a slow device misses one in half a second.
         if self.counters.in_row >= 3 and self._now() - self._answered >= LOST_AFTER:
             await self._lose(error)
 
@@ -327,10 +344,12 @@ class Connection:
         self.fault = None
         self._next_at = self._now() + self._backoff
         self._report("device_lost", f"is lost: {self.message}", "error")
+        # The driver starts from a closed bus next time: half-read answers are gone with it.
         await self.close()
 
     async def close(self) -> None:
         """Close the driver in bounded time; cannot raise."""
+        # Twice the time: the timeout below fires first, and its cancellation needs some, too.
         self._runner.begin(2 * CLOSE_WITHIN)
         try:
             async with asyncio.timeout(CLOSE_WITHIN):

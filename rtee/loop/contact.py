@@ -1,4 +1,4 @@
-"""Is an actuator blocked, does it hold something, has it lost it: per actuator, from its state."""
+"""Detect for each actuator, from its state, whether it is blocked, grasps or has lost its grasp."""
 
 from __future__ import annotations
 
@@ -8,30 +8,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtee.loop.settings import GraspSettings, StallSettings
+from rtee.hand.config_schema import GraspSettings, StallSettings
 from rtee.sample import FloatArray, Measurements
 from rtee.types import ActuatorSpec
 
 _LOST_AFTER = 0.05
-"""A grasp counts as lost when it looks so for this long [s]."""
+"""A grasp counts as lost when it looks lost for this long [s]: measurements are noisy, and a few
+periods of the slowest devices pass in this time."""
 
 _LOST_MOVE = 0.02
-"""… and the actuator closed further by this fraction of its range."""
+"""A grasp looks lost once the actuator has closed further by this fraction of its range, more than
+a soft object gives way."""
 
 TIP_FORCE = "contact_force"
-"""The channel of a device's state that holds the contact force on every finger of the hand, on
-whichever of its links."""
+"""The channel of a device's state with the contact force on every finger of the hand, summed over
+all of its links."""
 
 _FELT = 0.1
-"""A fingertip that touched at least this recently touches: contacts chatter [s]."""
+"""A fingertip counts as touching for this long after it was last felt [s]: contacts chatter."""
 
 _DELIVERED = 3
-"""A device has surely been sent what led at this many of its measurements: a driver measures before
-it sends, and may answer with what came back from the exchange before. The third is a margin."""
+"""A device has certainly received a reference that led at this many of its measurements: a driver
+measures before it sends, and may return what came back in the exchange before. The third is a
+margin."""
 
 _SILENCE = 3.0
-"""A measurement that comes later than this many usual intervals ends a silence: nobody knows
-whether the actuator stood still meanwhile."""
+"""A measurement that comes later than this many usual intervals ends a silence, in which the
+actuator may or may not have been at rest."""
 
 _USUAL_SHARE = 0.125
 """Weight of the newest interval in the usual one: it follows a change of rate within 8 of them."""
@@ -61,13 +64,14 @@ class Measured:
     touch: Sequence[float] = ()
 
     def update(self, sample: Measurements, before: Measurements | None = None) -> None:
-        """Take over from a sample what a controller needs of it.
+        """Copy from a sample what a controller needs.
 
         Args:
             sample: The sample.
-            before: The one before: arrays that are the same, as those of quantities that a device
-                does not measure, are not converted again.
+            before: The previous sample. Arrays that are the same object in both, such as those of
+                quantities that a device does not measure, are not converted again.
         """
+        # Lists, since indexing numpy arrays one value at a time takes several times as long.
         self.position = sample.position.tolist()
         if before is None or sample.effort is not before.effort:
             self.effort = sample.effort.tolist()
@@ -88,6 +92,7 @@ def tip_forces(measured: Sequence[FloatArray]) -> list[float]:
     together = measured[0]
     for other in measured[1:]:
         if other.shape == together.shape:
+            # `fmax` prefers a number to NaN: each device knows only the fingers it measures.
             together = np.fmax(together, other)
     return [float(force) for force in together]
 
@@ -122,16 +127,16 @@ class ContactWatch:
     """Watches the actuators of the last goal.
 
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
-    or its device says that it holds something. Time in which its device is silent does not count as
-    time at rest. A blocked one *grasps* when its effort is above a threshold, or by its
-    device's own word. Where the forces at its fingertips are measured, they decide instead: it
-    grasps with those fingers whose tips touch, and without any it does not.
+    or its device reports that it holds something. Time in which its device is silent does not count
+    as time at rest. A blocked one *grasps* when its effort is above a threshold, or when its device
+    reports a grasp. Where the forces at its fingertips are measured, they decide instead: it
+    grasps with those fingers whose tips touch, and does not grasp if no tip does.
 
-    That word doesn't count at the end of the range, where devices report the mechanical stop. It
-    counts only for the motion it belongs to: one that comes before the device can have begun this
-    motion, because it is older than the motion or about an older set-point, counts only once the
-    actuator has stalled. Where the motion leads away from what is held, nothing counts as a grasp
-    until the actuator has left it.
+    The device's report doesn't count at the end of the range, where devices report the mechanical
+    stop. It counts only for the motion it belongs to: a report from before the device can have
+    begun this motion, because it is older than the motion or about an older set-point, counts only
+    once the actuator has stalled. Where the motion leads away from what is held, nothing counts as
+    a grasp until the actuator has left it.
 
     Args:
         actuators: The hand's actuators.
@@ -178,9 +183,9 @@ class ContactWatch:
             self._watched.pop(i, None)
 
     def pin(self, i: int, stamp: float, position: float, *, grasping: bool) -> None:
-        """Note that an actuator was stopped because it touches something.
+        """Record that an actuator was stopped because it touches something.
 
-        Until `unpin` it must not be given to `update`.
+        Until `unpin` it must not be passed to `update`.
 
         Args:
             i: The actuator.
@@ -194,7 +199,7 @@ class ContactWatch:
             watched.own_word, watched.hold_position = False, position
 
     def unpin(self, i: int, stamp: float) -> None:
-        """Watch an actuator as if its motion had just begun, without a word of its device."""
+        """Watch an actuator as if its motion had just begun; what its device said is forgotten."""
         watched = self._watched.get(i)
         if watched is not None:
             watched.anchor, watched.since, watched.seen = math.nan, stamp, stamp
@@ -245,6 +250,7 @@ class ContactWatch:
         for finger, force in zip(self._fingers, touch, strict=True):
             if force >= self._grasp.touch:
                 self._felt[finger] = stamp
+            # Not NaN, so this finger is measured, even if it has never touched anything.
             elif force == force:
                 self._felt.setdefault(finger, -math.inf)
 
@@ -256,6 +262,7 @@ class ContactWatch:
     def _touch(self, i: int) -> bool | None:
         """Return whether a fingertip that an actuator moves touches; ``None``: not measured."""
         words = {self._touches(finger) for finger in self._actuators[i].fingers}
+        # One tip that is not measured may be the one that touches: that is "unknown", not "no".
         return True if True in words else None if None in words or not words else False
 
     def blocked_longer_than(self, seconds: float, stamp: float) -> list[int]:
@@ -281,6 +288,7 @@ class ContactWatch:
         """
         for i in indices:
             watched = self._watched.get(i)
+            # The same measurement again says nothing about standing still.
             if watched is None or not measured.fresh[i]:
                 continue
             position = measured.position[i]
@@ -293,11 +301,13 @@ class ContactWatch:
             watched.led = watched.led + 1 if behind else 0
             # A device that reports grasping itself does so once its target is at rest.
             arriving = word == 0 and abs(reference[i] - watched.target) > tolerance
+            # "not ... <=", since the anchor is NaN at first.
             if not abs(position - watched.anchor) <= self._slow[i] or not behind or arriving:
                 watched.anchor, watched.since = position, stamp
                 watched.blocked_at = math.nan
                 watched.grasping = False
             stalled = behind and stamp - watched.since >= self._stall.time
+            # Nearly always neither holds, and this runs for each actuator at each tick.
             away = own_word = False
             if word == 1 or self._grips[i] is not None:
                 own_word = self._own_word(i, watched, position, word, ahead, stalled)
@@ -335,6 +345,7 @@ class ContactWatch:
         effort = abs(measured.effort[i])
         word = measured.grasped[i]
         holds = own_word or (word != 0 and not away and effort >= self._grasp.effort * limit)
+        # A sensor at the tip knows better than efforts, which friction falsifies.
         touch = self._touch(i) if self._felt else None
         if touch is not None:
             holds = touch and not away
@@ -346,6 +357,7 @@ class ContactWatch:
 
     def _listen(self, i: int, watched: _Watched, position: float, stamp: float) -> None:
         """Note the time since the last measurement; silence does not count as standing still."""
+        # Everything below is about measurements that come late.
         gap, watched.seen = stamp - watched.seen, stamp
         if watched.new:
             watched.start = position
@@ -357,6 +369,7 @@ class ContactWatch:
             watched.anchor, watched.since = position, stamp
         elif gap > _SILENCE * usual:
             watched.since += gap - _SILENCE * usual
+        # One long silence must not raise what counts as usual by much.
         newest = gap if gap < 2.0 * usual else 2.0 * usual
         self._usual[i] = usual + _USUAL_SHARE * (newest - usual)
 
@@ -377,6 +390,7 @@ class ContactWatch:
 
     def _at_end(self, i: int, position: float, watched: _Watched) -> bool:
         spec = self._actuators[i]
+        # By the target, not by the direction of motion: closing always leads away from rest.
         end = spec.upper if watched.target >= spec.rest else spec.lower
         return abs(end - position) <= watched.tolerance
 
@@ -408,14 +422,17 @@ class ContactWatch:
     ) -> bool:
         if self._felt and self._touch(i) is False:
             return True
+        # The report is trusted only while the target is at rest: devices clear it when they move.
         if watched.own_word:
             return measured.grasped[i] == 0 and abs(reference - watched.target) <= watched.tolerance
         push = reference - watched.hold_position
         moved = (measured.position[i] - watched.hold_position) * (1.0 if push >= 0.0 else -1.0)
         spec = self._actuators[i]
         span = spec.upper - spec.lower
+        # Further than noise, but never more than half of what it could still close.
         enough = max(3.0 * watched.tolerance, _LOST_MOVE * span if math.isfinite(span) else 0.0)
         if moved <= min(enough, 0.5 * abs(push)) or moved <= 0.5 * watched.tolerance:
             return False
         effort = abs(measured.effort[i])
+        # Half of the threshold: what has just been found to grasp must not be lost by noise.
         return math.isnan(effort) or effort < 0.5 * self._grasp.effort * limit

@@ -1,4 +1,4 @@
-"""Everything of a tick that is pure: goals and measurements in, references and results out.
+"""The pure part of a tick: goals and measurements in, references and results out.
 
 The same code runs live, in tests at any speed and on replay: a recording of goals, commands and
 measurements gives the same references, bit for bit.
@@ -42,13 +42,14 @@ from rtee.loop.thermal_model import CurrentHeat
 from rtee.types import Event, Feedback, Result
 
 _THERMAL_EVERY = 0.1
-"""Temperatures are looked at this often [s]."""
+"""Temperatures are checked this often [s]: motors warm up over seconds."""
 
 _SETTLE = 0.1
-"""After braking, this long is given to the hand before the measured posture is held [s]."""
+"""Time the hand gets after braking before the measured posture is held [s]: servos lag behind."""
 
 _OFF = 0.01
-"""Holding, a reference further than this from the measured position is brought to it [rad | m]."""
+"""While holding, a reference further than this from the measured position moves to it [rad | m]:
+less is within the tolerance of goals, and not worth a motion."""
 
 
 @dataclass(slots=True)
@@ -57,7 +58,7 @@ class Outbox:
 
     Attributes:
         items: Feedback, results and events.
-        disable: Actuators whose device must be disabled: too hot.
+        disable: Actuators whose device must be disabled because they are too hot.
     """
 
     items: list[Feedback | Result | Event] = field(default_factory=list)
@@ -75,7 +76,7 @@ class Controller:
         settings: The loop's settings.
 
     Attributes:
-        reference_position: Positions to be sent, after the limiter [rad | m].
+        reference_position: Positions to send, after the limiter [rad | m].
         reference_velocity: Their velocities [rad/s | m/s].
         reference_effort: Effort limits to be sent [N·m | N].
         max_velocity: Velocity limits to be sent [rad/s | m/s].
@@ -167,7 +168,7 @@ class Controller:
         )
 
     def doubts(self, indices: Iterable[int]) -> str:
-        """Return in words of which of some actuators the measured position is not believed."""
+        """Return in words which of some actuators have a measured position that is not believed."""
         return "; ".join(words for i in indices if (words := self._plausible.words(i)))
 
     def accept(self, plan: Plan, stamp: float) -> None:
@@ -208,7 +209,7 @@ class Controller:
             self._limiter.seed(i, position)
 
     def apply(self, command: Command, stamp: float) -> None:
-        """Do what a command says at a time [s]; one that concerns nothing does nothing."""
+        """Apply a command at a time [s]; one that concerns nothing has no effect."""
         match command:
             case Cancel(goal_id):
                 plan = self.running
@@ -330,7 +331,7 @@ class Controller:
         stream.take(sample, positions, velocities, stamp, limiter.position, limiter.velocity)
 
     def _hand_back(self, stream: StreamPlayer) -> None:
-        """Have the actuators of a stream brake, and keep the reference that they come to."""
+        """Brake the actuators of a stream, and keep the reference at which they stop."""
         limiter = self._limiter
         self._profile.resume(
             {i: (limiter.position[i], limiter.velocity[i]) for i in stream.indices}
@@ -349,7 +350,7 @@ class Controller:
         self.outbox.items.append(Event(STREAM_ENDED, stream.name, text, stamp))
 
     def _streamed(self, stream: StreamPlayer, stamp: float) -> list[float]:
-        """Return where all actuators are to be, with those of a stream where that wants them."""
+        """Return where all actuators should be, those of a stream where the stream wants them."""
         if stream.overdue(stamp):
             self._hand_back(stream)
             stream.pause()
@@ -407,7 +408,7 @@ class Controller:
             self._report_limited(stamp)
 
     def _seed(self, stamp: float, measured: Measured) -> None:
-        """Set the reference to where actuators are that may not move, or only now may."""
+        """Set the reference of actuators that may not move, or may only now, to where they are."""
         start: dict[int, float] = {}
         allowed: list[int] = []
         for i, active in enumerate(self.active):

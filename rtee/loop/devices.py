@@ -1,4 +1,4 @@
-"""The devices of one hand: who drives which actuator, who may be moved, what all of them do."""
+"""The devices of one hand: which drives which actuator, which may be moved, and common requests."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, 
 import anyio
 import numpy as np
 
+from rtee.capabilities import GripForce
 from rtee.commands import Abort, Command, Freeze, SetAcceptsEffort, SetActive
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
@@ -18,8 +19,8 @@ from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
 from rtee.object_description import ObjectDescription
-from rtee.sample import TickRecord
-from rtee.types import Event, FloatArray, GripForce, Lifecycle, Reference, readonly
+from rtee.sample import FloatArray, TickRecord
+from rtee.types import Event, Lifecycle, Reference, readonly
 
 log = logging.getLogger(__name__)
 
@@ -27,10 +28,10 @@ CONFIRM_WITHIN = 0.15
 """Time a device has to confirm a stop [s]: several exchanges on the slowest bus."""
 
 _REPEAT_AFTER = 1.0
-"""The same refusal of a device, which may come at every tick, is one event in this time [s]."""
+"""A device may refuse references at every tick; the same refusal is one event in this time [s]."""
 
 Steer = Callable[[Command], None]
-"""Has a command done by the controller."""
+"""Passes a command to the controller."""
 
 
 class Devices:
@@ -87,7 +88,7 @@ class Devices:
         self._velocity_limits: FloatArray = np.empty(0)
         self._refusals: dict[str, float] = {}
 
-    # --- who may be moved --------------------------------------------------------------------
+    # --- which may be moved ------------------------------------------------------------------
 
     @property
     def any_active(self) -> bool:
@@ -112,26 +113,33 @@ class Devices:
     def _follow(self, device: Supervisor, steer: Steer, on_lost: Callable[[str], None]) -> None:
         names = device.actuators
         if device.active:
+            # Without a measured position there is nothing that the reference could start from.
             if self.state.known(device):
                 self._active[device.name] = True
                 accepts = "max_effort" in device.driver.capabilities.accepts
+                # Before SetActive, with which the first references go out.
                 steer(SetAcceptsEffort(dict.fromkeys(names, accepts)))
                 steer(SetActive(dict.fromkeys(names, True)))
             return
         self._active[device.name] = False
         text = f"device '{device.name}': {device.connection.trouble}"
+        # Abort while the actuators still count as active: the goal then ends with this reason.
         steer(Abort(text, names))
         steer(SetActive(dict.fromkeys(names, False)))
         if self.any_active:
+            # With no device left there is nothing that could hold, stop or open.
             on_lost(text)
 
     def _refused(self, device: Supervisor, steer: Steer) -> None:
         """Begin again where the device is, since it did not take a reference."""
+        # The device is somewhere other than the reference says: both have to meet again.
         text, device.connection.rejected = device.connection.rejected, ""
         steer(Abort(text, device.actuators))
         steer(Freeze(text, device.actuators))
         now = self._now()
         if now - self._refusals.get(text, -math.inf) >= _REPEAT_AFTER:
+            # Only the last one is kept: a text may hold a value, and a dictionary of them would
+            # grow.
             self._refusals = {text: now}
             self._on_event(Event("rejected", device.name, text, now, "warning"))
 
@@ -177,6 +185,7 @@ class Devices:
         """
         if max_velocity != self._max_velocity:
             self._max_velocity = list(max_velocity)
+            # Converted only when it changes: with every goal, not with every tick.
             self._velocity_limits = readonly(max_velocity)
         for device in self._all:
             if device.due(record.tick):
@@ -201,11 +210,11 @@ class Devices:
     async def confirm(
         self, reason: str, what: Callable[[Supervisor, float], Awaitable[bool]]
     ) -> list[tuple[str, bool]]:
-        """Have all devices do something at the same time.
+        """Make all devices do something at the same time.
 
         Args:
             reason: Why, for the log.
-            what: What a device does within a time [s]; it returns whether that was confirmed.
+            what: What a device does within a time [s]; returns whether it was confirmed.
 
         Returns:
             Every device with whether it confirmed.
@@ -214,6 +223,7 @@ class Devices:
 
         async def one(device: Supervisor) -> None:
             try:
+                # One that fails must not keep the others from stopping.
                 confirmed[device.name] = await what(device, CONFIRM_WITHIN)
             except Exception:
                 log.exception("device '%s' could not be reached: %s", device.name, reason)
@@ -236,6 +246,7 @@ class Devices:
             try:
                 await device.recover()
             except RteeError as error:
+                # Gathered, so that the task group does not cancel the others with the first error.
                 errors.append(error)
 
         async with anyio.create_task_group() as group:
@@ -261,6 +272,7 @@ class Devices:
         for gain, value in gains.items():
             if gain not in known:
                 raise ConfigError(f"unknown gain '{gain}'; {suggestion(gain, known)}")
+            # All are checked before the first is set: a mistake changes nothing.
             if not math.isfinite(value):
                 raise ConfigError(f"the gain '{gain}' must be a number, not {value:g}")
         for device in chosen:

@@ -1,4 +1,4 @@
-"""Execute one goal after the other: time and state in, set-points, feedback and results out."""
+"""Execute one goal at a time: time and state in; set-points, feedback and results out."""
 
 from __future__ import annotations
 
@@ -157,16 +157,20 @@ class Executor:
             if not reflexes.active:
                 self._contact.update(stamp, measured, reference, limits, targets)
             else:
+                # Those that a reflex has stopped would look stalled.
                 free = [i for i in targets if i not in reflexes.busy]
                 self._contact.update(stamp, measured, reference, limits, free)
                 reflexes.step(stamp, measured)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
+            # A goal must neither succeed nor stall by a position that cannot be right; one
+            # implausible step is waited out.
             elif (broken := self._plausible.broken(targets)) is not None:
                 self._profile.go({}, brake=self._moving(except_for=()))
                 self.end(stamp, measured, aborted=True, reason=self._plausible.words(broken))
                 return
         self._proceed(run, stamp, measured)
+        # The last leg is over: its result is out.
         if self._run is not run:
             return
         if stamp - run.started >= run.plan.timeout:
@@ -176,7 +180,7 @@ class Executor:
             self._report(run, stamp)
 
     def seeded(self, indices: Collection[int], stamp: float, measured: Measured) -> None:
-        """Start the leg again if the reference of its actuators was set to where the hand is."""
+        """Restart the leg if the reference of its actuators was set to where the hand is."""
         run = self._run
         if (
             run is not None
@@ -200,6 +204,7 @@ class Executor:
         run = self._run
         if run is None:
             return
+        # First, so that nothing below can end the same goal twice.
         self._run = None
         self._report(run, stamp)
         targets = run.present.targets
@@ -219,6 +224,7 @@ class Executor:
                 timed_out=timed_out,
                 aborted=aborted,
                 reason=reason,
+                # Of two units, the larger: zero only if both are.
                 error=max(self._norms(targets, measured.position)),
                 duration=stamp - run.started,
                 position=dict(
@@ -232,8 +238,8 @@ class Executor:
     def _note_touch(self, run: _Run, measured: Measured, limits: Sequence[float]) -> None:
         """Note where the actuators were when the fingertips met something.
 
-        From there on, adaptive fingers bend while the force builds up: their actuators go on, and
-        no longer tell the width of what is held.
+        From there on, adaptive fingers bend while the force builds up: their actuators move on, and
+        their positions no longer give the width of what is held.
         """
         grip = run.plan.grip
         least = self._settings.grasp.touch
@@ -283,6 +289,7 @@ class Executor:
                 run.leg += 1
                 self._wait(run, stamp)
                 self._report(run, stamp)
+                # The next leg may have no margin before it, and then begins at this very tick.
                 continue
             return
 
@@ -298,8 +305,10 @@ class Executor:
         run.angle = self._tolerance(run.plan)
         run.length = self._length_tolerance(leg.targets, run.angle)
         run.shares = self._shares(run)
+        # After `go`: what a stalled actuator did before belongs to another motion.
         self._contact.begin(leg.targets, run.shares, stamp)
         self._reflexes.begin(run.plan, run.leg, run.shares, measured)
+        # Progress is measured from here.
         run.first_error = self._norms(leg.targets, measured.position)
         self._report(run, stamp)
 
@@ -314,6 +323,7 @@ class Executor:
 
     def _judge(self, run: _Run, stamp: float, measured: Measured) -> None:
         error = self._norms(run.present.targets, measured.position)
+        # A progress bar must not go back when the hand overshoots.
         run.progress[run.leg] = max(run.progress[run.leg], self._progress(run, error))
         if self._within(run, error) and self._settled(run):
             run.reached[run.leg] = True
@@ -331,6 +341,7 @@ class Executor:
             if first > run.angle:
                 left = max(left, now / first)
         done = 1.0 - left
+        # NaN: an actuator has no measured position yet.
         return min(1.0, max(0.0, done)) if done == done else 0.0
 
     def _norms(
@@ -341,6 +352,7 @@ class Executor:
         for i, target in targets.items():
             error = target - position[i]
             if self._prismatic[i]:
+                # Angles and lengths are never added up: one norm for each.
                 length += error * error
             else:
                 angle += error * error
@@ -368,10 +380,12 @@ class Executor:
     def _settled(self, run: _Run) -> bool:
         """Return whether the reference has come to the targets and isn't just passing them."""
         profile, targets = self._profile, run.present.targets
+        # The reference is at rest: where the hand is, it stays.
         if not profile.moving:
             return True
         if not self._within(run, self._norms(targets, profile.position)):
             return False
+        # What the reference would still move if it went on like this for a moment.
         ways = {i: profile.velocity[i] * _REST_IN for i in targets}
         return self._within(run, self._norms(ways, [0.0] * profile.size))
 
@@ -393,6 +407,7 @@ class Executor:
         for i, target in run.present.targets.items():
             if self._contact.blocked(i):
                 blocked = True
+            # "not ... <=", since NaN must count as not arrived.
             elif not abs(target - measured.position[i]) <= run.shares[i]:
                 return False
         return blocked

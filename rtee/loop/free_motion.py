@@ -1,11 +1,12 @@
-"""The effort that an actuator takes to move freely, learned while it does."""
+"""The effort that an actuator needs to move freely, learned while it moves."""
 
 from __future__ import annotations
 
 from typing import Final
 
 _FORGET: Final = 0.995
-"""Weight that a measurement keeps at the next one: some 200 of them count."""
+"""Weight that a measurement keeps at the next one: some 200 of them count, so that the model
+follows a friction that changes with temperature and load."""
 
 _PRIOR: Final = 10.0
 """Variance of the parameters before anything is known; they are shares of the limits, at most 1."""
@@ -14,20 +15,23 @@ _LEAST: Final = 12
 """Measurements that the parameters are learned from before they are believed: four for each."""
 
 _SPREADS: Final = 4.0
-"""A deviation is one from this many mean deviations on."""
+"""A deviation counts from this many mean deviations on: about three standard deviations, which
+noise exceeds once in some thousand measurements."""
 
 _SPREAD_SHARE: Final = 1.0 / 16.0
-"""Weight of the newest deviation in the mean one."""
+"""Weight of the newest deviation in the mean one: it settles while the model does, and a power of
+two is exact."""
 
 _SURELY_FREE: Final = 0.5
 """Deviations above this share of the threshold are not learned from: they may be a soft contact."""
 
 _RELATIVE: Final = 0.5
-"""Without a threshold in physical units, a deviation is one from this share of what free motion has
-taken at most on."""
+"""Without a threshold in physical units, a deviation counts from this share of the largest effort
+of free motion on: friction varies by less along the way."""
 
 _STEADY: Final = 1.0 / 64.0
-"""How fast the largest effort of free motion is forgotten, per measurement."""
+"""How fast the largest effort of free motion is forgotten, per measurement: over some 64 of
+them."""
 
 
 class FreeMotion:
@@ -66,6 +70,7 @@ class FreeMotion:
     def expected(self, velocity: float, acceleration: float) -> float:
         """Return the effort of free motion [N·m | N] at a velocity and an acceleration."""
         features = self._features(velocity, acceleration)
+        # A list, not a generator: for three terms it takes half of the time.
         found = sum([p * x for p, x in zip(self._parameters, features, strict=True)])
         return min(max(found, -self._limit), self._limit)
 
@@ -92,6 +97,7 @@ class FreeMotion:
         inertia = abs(self._parameters[2] * acceleration) * self._scale[1]
         least = max(threshold, _SPREADS * self.spread) + inertia
         ahead = deviation if velocity > 0.0 else -deviation
+        # Learning from a contact would teach the model that contacts are free motion.
         if self.known and ahead > _SURELY_FREE * least:
             return ahead > least
         self.learn(effort, velocity, acceleration)
@@ -102,13 +108,16 @@ class FreeMotion:
         deviation = effort - self.expected(velocity, acceleration)
         features = self._features(velocity, acceleration)
         size = abs(effort)
+        # Up at once, down slowly.
         self.most += (size - self.most) * (1.0 if size > self.most else _STEADY)
+        # The update of recursive least squares: `along` is P·x, and P is symmetric.
         matrix = self._matrix
         along = [sum([m * x for m, x in zip(row, features, strict=True)]) for row in matrix]
         weight = _FORGET + sum([a * x for a, x in zip(along, features, strict=True)])
         limit = self._limit
         for k, gain in enumerate(along):
             moved = self._parameters[k] + gain / weight * deviation
+            # Kept within the limit, a bad start cannot run away.
             self._parameters[k] = min(max(moved, -limit), limit)
         # Without excitation, what is forgotten is not replaced: the variance is bounded.
         forget = _FORGET if matrix[0][0] + matrix[1][1] + matrix[2][2] < 3.0 * _PRIOR else 1.0

@@ -1,7 +1,7 @@
-"""The opening of the fingertips and the force between them, from what is measured of actuators.
+"""The opening of the fingertips and the force between them, from measurements of the actuators.
 
-All that is needed is worked out when a goal begins: a few small tables, from which both follow by a
-handful of sums, in the loop and in the threads that publish and record.
+A few small tables are computed when a goal begins. From these, both follow with a handful of sums,
+in the loop and in the threads that publish and record.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from rtee.actions.openings import Opening
+from rtee.capabilities import GripForce
 from rtee.errors import GoalRejected
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.model import Hand
 from rtee.loop.contact import TIP_FORCE, tip_forces
 from rtee.sample import TickRecord
-from rtee.types import GripForce
 
 TIPS: Final = "tip forces"
 """The force is the sum of what sensors at the fingertips measure."""
@@ -37,23 +37,25 @@ _EFFORT_SHARE: Final = 0.15
 object is seldom exactly where the table has the tips meet."""
 
 _LIMIT_SHARE: Final = 0.25
-"""The same for an estimate from effort limits: motors keep to theirs no better."""
+"""The same for an estimate from effort limits: motors keep their limits no more exactly."""
 
 _TIP_SHARE: Final = 0.05
-"""The same for sensors at the fingertips."""
+"""The same for sensors at the fingertips: better than either estimate, though they drift."""
 
 _SQUEEZES: Final = 0.1
-"""An actuator takes part in squeezing if it closes the tips by this share of what the actuator does
-that closes them most; the others would need efforts smaller than their friction."""
+"""An actuator takes part in squeezing if it closes the tips by at least this share of what the most
+effective one does; the others would need efforts smaller than their friction."""
 
 _PRESSES: Final = 0.5
-"""Without sensors at the tips, an actuator presses from this share of its effort limit on."""
+"""Without sensors at the tips, an actuator presses from this share of its effort limit on: free
+motion takes less."""
 
 _AHEAD: Final = 0.01
-"""A reference presses that leads on by this share of the action's way: more than rounding."""
+"""A reference presses if it leads by more than this share of the action's way: above rounding."""
 
 _LEAST_TRAVEL: Final = 1e-9
-"""A way of the actuators shorter than this is none [rad² | m²]."""
+"""A squared way of the actuators shorter than this counts as none [rad² | m²]: a division by it
+would only amplify rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +138,7 @@ class Grip:
             position: Positions of all actuators of the hand [rad | m].
         """
         share = self._nearest(position)
+        # NaN: the way is empty, or a position is not measured.
         if share != share:
             return math.nan
         low, high = self.intensity[0], self.intensity[-1]
@@ -144,7 +147,9 @@ class Grip:
         for i, rest, target, lever in zip(
             self.indices, self.rest, self.target, self._levers(at), strict=True
         ):
+            # First order in what leads away from the table's line; enough for a few degrees.
             width -= lever * (position[i] - rest - at * (target - rest))
+        # The levers are those of the surface: inside the object they would go on below zero.
         return max(width, 0.0)
 
     def _nearest(self, position: Sequence[float]) -> float:
@@ -163,6 +168,7 @@ class Grip:
             return self.intensity[0]
         if width <= widths[-1]:
             return self.intensity[-1]
+        # The widths fall, and bisect wants them to rise.
         k = bisect_right(widths, -width, key=lambda each: -each) - 1
         share = (widths[k] - width) / (widths[k] - widths[k + 1])
         return self.intensity[k] + share * (self.intensity[k + 1] - self.intensity[k])
@@ -241,6 +247,7 @@ class Grip:
             return low, high
         strongest = math.inf
         for k, i, lever in self.squeezing(intensity):
+            # The weakest actuator decides: the others can always press less.
             left = hand.actuators[i].effort - self.friction[k]
             strongest = min(strongest, max(left, 0.0) * self.efficiency[k] / lever)
         return 0.0, strongest
@@ -284,6 +291,7 @@ class Grip:
         sides = [[touch[i] for i in side if i < len(touch)] for side in (self.fingers, self.others)]
         felt = [[force for force in side if force == force] for side in sides]
         if all(felt):
+            # Each side on its own: two fingers of one side touching hold nothing.
             return all(max(side) >= least for side in felt)
         share = self._nearest(position)
         if share != share:
@@ -355,10 +363,12 @@ class Grip:
         along = square = lost = 0.0
         for k, i, lever in chosen:
             closing = math.copysign(1.0, self.target[k] - self.rest[k])
+            # An effort that opens the fingers presses on nothing.
             held = max(effort[i] * closing, 0.0)
             along += lever * max(held - self.friction[k], 0.0) * self.efficiency[k]
             lost += lever * self.friction[k] * self.efficiency[k]
             square += lever * lever
+        # The force f that minimises the sum of (lever·f - effort)².
         found = along / square
         return found, lost / square + _EFFORT_SHARE * found, EFFORT
 

@@ -18,6 +18,7 @@ import numpy as np
 from rtee.commands import Cancel, Command, CommandRecord, Freeze, Hold, Jog, SetGripEffort
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
+from rtee.hand.config_schema import Behaviour
 from rtee.hand.model import Hand
 from rtee.loop.controller import Controller
 from rtee.loop.devices import CONFIRM_WITHIN, Devices
@@ -25,7 +26,7 @@ from rtee.loop.histogram import TickStatistics
 from rtee.loop.observer import LoopObserver, Observers
 from rtee.loop.opening_plan import wants_opening
 from rtee.loop.plan import NO_DEVICES, OPEN, Plan, make_plan
-from rtee.loop.settings import Behaviour, DeviceSettings, LoopSettings
+from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.streams.intake import StreamIntake
 from rtee.loop.supervisor import Supervisor
 from rtee.sample import TickRecord, measured_arrays
@@ -57,8 +58,7 @@ class HandLoop:
 
     ``async with`` starts the devices' tasks and, at the end, closes them. `tick` is called by the
     owner of the clock and never waits. All methods are called in the thread of the event loop; only
-    `submit`, `cancel`, `hold` and `jog` may be called in any thread, since all they do is to check
-    and to append to what the next tick does.
+    `submit`, `cancel`, `hold` and `jog` may be called in any thread: they only check and append.
 
     Args:
         hand: The hand.
@@ -422,7 +422,7 @@ class HandLoop:
         if grip is not None:
             self._pending.append(SetGripEffort(float(grip)))
 
-    # --- when nobody drives it ---------------------------------------------------------------
+    # --- when it is no longer driven ---------------------------------------------------------
 
     def client_lost(self, client: str) -> None:
         """Do what is configured for when the client that holds the hand has died."""
@@ -434,7 +434,7 @@ class HandLoop:
         self.behave(self.settings.safety.on_link_lost, reason)
 
     def behave(self, behaviour: Behaviour, reason: str) -> None:
-        """Do what the settings say for when nobody drives the hand any more; returns at once."""
+        """Do what the settings say for a hand that is no longer driven; returns at once."""
         match behaviour:
             case Behaviour.HOLD:
                 self.hold(reason)

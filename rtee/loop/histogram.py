@@ -7,7 +7,7 @@ from itertools import accumulate
 
 from rtee.types import LoopStatistics
 
-_FIRST = 5  # bits that a bucket keeps of a duration: 1/32, so buckets are 3 % wide
+_FIRST = 5  # bits that a bucket keeps of a duration: 1/32, so that buckets are 3 % wide
 _SUB = 1 << _FIRST
 
 
@@ -51,8 +51,10 @@ class Histogram:
         """Return several percentiles [s] at once."""
         if not self.count:
             return [0.0] * len(percents)
+        # One pass serves all percentiles.
         seen = list(accumulate(self._counts))
         buckets = (bisect_left(seen, percent / 100 * self.count) for percent in percents)
+        # A bucket's upper end may lie above everything that was counted.
         return [min(_upper(min(k, self._last)), self.maximum) * 1e-9 for k in buckets]
 
     def clear(self) -> None:
@@ -107,6 +109,7 @@ class TickStatistics:
             self._window_ns = woken_ns
         self.ticks += 1
         passed = woken_ns - self._window_ns
+        # Once a second [ns]: over less, the figure would jump with the lateness of two ticks.
         if passed >= 1_000_000_000:
             self.measured_rate = (self.ticks - 1 - self._window_ticks) * 1e9 / passed
             self._window_ticks = self.ticks - 1

@@ -1,4 +1,4 @@
-"""The last thing between set-points and the bus: what leaves it is safe and is what is logged."""
+"""The last stage between set-points and the bus: its output is safe, and is what is logged."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from rtee.loop.motion import Limits, approach, bounded
 
-_SLACK = 1e-6  # part of a limit, and rad | m, that rounding may exceed
+_SLACK = 1e-6  # excess that may be rounding: share of a limit, and [rad | m]
 
 
 class Limiter:
-    """Bounds position, step, velocity and acceleration of what is sent; holds no ``NaN``, ever.
+    """Bounds position, step, velocity and acceleration of what is sent; never emits ``NaN``.
 
     The profiles keep the same limits by themselves; this one does not rely on them. A set-point
     that cannot be reached within a period is approached as fast as the limits allow.
@@ -45,6 +45,7 @@ class Limiter:
         Raises:
             ValueError: if the position is not finite.
         """
+        # True for NaN and for both infinities, in one comparison.
         if position - position != 0.0:
             raise ValueError("a reference starts at a finite position")
         self.position[index] = position
@@ -64,6 +65,7 @@ class Limiter:
         position, velocity, limited = self.position, self.velocity, self.limited
         for i, target in enumerate(wanted):
             here, speed = position[i], velocity[i]
+            # Most actuators are at rest most of the time.
             if target == here and speed == 0.0:
                 limited[i] = False
                 continue
@@ -87,7 +89,9 @@ class Limiter:
         """Apply a set-point that may be beyond a limit; return whether it was."""
         here, dt, acceleration = self.position[i], self._period, self._limits.acceleration[i]
         if target - target != 0.0:  # NaN or infinite
+            # Going nowhere is a stop within the acceleration limit, as for any other set-point.
             target = here
+        # Outside of the limits already (a device was pushed): it may come back, not go further.
         target, beyond = self._inside(i, here, target)
         step = (target - here) / dt
         # What lags behind must come to its target slowly enough to stop there.
@@ -95,6 +99,7 @@ class Limiter:
         if follows and self._close(i, step):
             self._take(i, target, step, limited=beyond)
             return beyond
+        # It cannot follow within this period: approach, so as not to pass it later.
         allowed = self._allowed(i, approach(here, target, acceleration, dt))
         self._take(i, here + allowed * dt, allowed, limited=True)
         return True
@@ -125,6 +130,7 @@ class Limiter:
         )
 
     def _take(self, i: int, position: float, velocity: float, *, limited: bool) -> None:
+        # Once more, after all arithmetic: rounding must not end up outside.
         self.position[i] = self._inside(i, self.position[i], position)[0]
         self.velocity[i] = velocity
         self.limited[i] = limited

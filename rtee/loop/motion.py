@@ -80,7 +80,9 @@ def stopping_velocity(distance: float, acceleration: float, dt: float) -> float:
     if distance <= 0.0:
         return 0.0
     step = acceleration * dt
+    # Without units, the way and the answer fit one formula for all actuators.
     units = distance / (step * dt)
+    # Actuators without position limits have an infinite way.
     if math.isinf(units):
         return math.inf
     k = math.floor((math.sqrt(1.0 + 8.0 * units) - 1.0) / 2.0)
@@ -107,9 +109,9 @@ def bounded(
     """Return the velocity nearest to the wanted one that keeps all limits, now and ever after.
 
     If the state came from this function (or is at rest), then slowing down by ``acceleration`` is
-    always enough to stop before a position limit. Outside of the position limits one may stand or
-    come back, not go further out. Where limits contradict each other, position goes before
-    acceleration and acceleration before velocity.
+    always enough to stop before a position limit. Outside of the position limits an actuator may
+    stay or come back, but not go further out. Where limits contradict each other, position takes
+    precedence over acceleration, and acceleration over velocity.
 
     Args:
         position: Present position [rad | m].
@@ -121,6 +123,7 @@ def bounded(
         lower: Lower position limit [rad | m].
         upper: Upper position limit [rad | m].
     """
+    # In the order of priority, the last one wins: velocity, acceleration, position.
     result = min(max(wanted, -limit), limit)
     change = acceleration * dt
     result = min(max(result, velocity - change), velocity + change)

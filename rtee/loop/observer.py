@@ -1,4 +1,4 @@
-"""Who watches the loop: the recorder and the server, each an observer of every hand."""
+"""Observers of the loop: the recorder and the server each observe every hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Protocol
 from rtee.commands import CommandRecord
 from rtee.loop.plan import Plan
 from rtee.object_description import ObjectDescription
-from rtee.sample import TickRecord as TickRecord  # what `on_tick` is given
+from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 log = logging.getLogger(__name__)
@@ -85,6 +85,8 @@ class Observers:
     def add(self, observer: LoopObserver) -> None:
         """Add one, unless it is there."""
         if observer not in self._all:
+            # A new tuple each time: an observer may remove itself while the old one is iterated
+            # over.
             self._all = (*self._all, observer)
 
     def remove(self, observer: LoopObserver) -> None:
@@ -104,6 +106,7 @@ class Observers:
                 self._failed(observer, error)
 
     def _failed(self, observer: LoopObserver, error: Exception) -> None:
+        # Before the event, which would otherwise reach it and fail again, without end.
         self.remove(observer)
         name = type(observer).__name__
         log.error("the observer %s failed and is dropped", name, exc_info=error)

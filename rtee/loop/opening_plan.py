@@ -1,4 +1,4 @@
-"""Goals in millimetres and newtons: which action, how far, and with what efforts."""
+"""Plan goals in millimetres and newtons: which action, how far, and with what efforts."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Final
 from rtee.actions.naming import label
 from rtee.actions.openings import MARGIN, Opening, suitability
 from rtee.actions.types import Action
+from rtee.capabilities import GripForce
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.grip import Grip, check_force
-from rtee.types import Goal, GripForce, Stage
+from rtee.types import Goal, Stage
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -31,7 +32,7 @@ _SPEED_PER_FORCE: Final = 2e-3
 2F-85 hits with 0.38 N per mm/s, more than any other hand: the impact stays below the force."""
 
 _SAMPLES: Final = 8
-"""Openings at which the range of the force is looked at, besides the first: it bends little."""
+"""Openings at which the range of the force is sampled, besides the first: it varies smoothly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +52,14 @@ class DeviceForces:
 
 @dataclass(frozen=True, slots=True)
 class OpeningPlan:
-    """What a goal in millimetres and newtons comes to.
+    """The result of planning a goal in millimetres and newtons.
 
     Attributes:
         goal: The goal, with its speed.
         action: The action.
         intensities: The intensities to go to, one after the other.
         effort: Effort limits by actuator index [N·m | N].
-        grip: Tells opening and force from what is measured.
+        grip: Gives opening and force from what is measured.
     """
 
     goal: Goal
@@ -151,6 +152,7 @@ def plan_opening(
         check_force(grip, hand, opening.label, goal.max_force, at)
     intensities: tuple[float, ...] = (at,)
     if goal.grasp:
+        # First around the object, then as far in as the object lets it.
         wider = min(width + MARGIN, opening.widest)
         intensities = (grip.intensity_at(wider), grip.intensity[-1])
     if goal.tip_speed is not None:
@@ -208,6 +210,7 @@ def force_range(
     grid = opening.intensity
     some = [float(at) for at in grid[:: max(1, len(grid) // _SAMPLES)]]
     ranges = [grip.forces(hand, at) for at in some]
+    # Infinite limits and devices without limits refuse any force: one that is in range shows which.
     high = ranges[0][1]
     try:
         check_force(grip, hand, opening.label, high, some[0])
@@ -237,11 +240,13 @@ def _unlimited(
 def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float, name: str) -> float:
     """Return the share of the velocity limits at which the opening changes at a speed [m/s]."""
     slope = grip.slope_at(at)  # of the opening [m per unit of intensity]
+    # The slowest actuator sets the time; all arrive together.
     most = max(
         abs(target - rest) / hand.actuators[i].velocity
         for i, rest, target in zip(grip.indices, grip.rest, grip.target, strict=True)
     )
     share = speed * most / slope
+    # Rounding must not refuse the very speed that the refusal has suggested.
     if share > 1.0 + 1e-9:
         raise GoalRejected(
             f"{name} opens and closes at {1e3 * speed / share:.3g} mm/s at most there, "
@@ -294,6 +299,7 @@ def _best(
     openings = _openings(library, goal.elements)
     found: list[tuple[tuple[float, ...], Action, Opening]] = []
     for order, (action, opening) in enumerate(openings):
+        # At its widest, an action cannot get around the object any more.
         if not opening.narrowest - goal.narrower <= width < opening.widest:
             continue
         at = opening.intensity_at(width)
@@ -318,6 +324,7 @@ def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Acti
         try:
             opening = library.openings.of(action)
         except ActionError as error:
+            # All would say the same, such as that a file is missing.
             reason = reason or str(error)
             continue
         if not fingers or set(fingers) == set(opening.fingers):

@@ -1,4 +1,4 @@
-"""From a goal to what is to be done: the legs of the way, checked before anything moves."""
+"""Turn a goal into a plan: the legs of the motion, checked before anything moves."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ OPEN = "open"
 """The action that every hand has: to the rest posture, unless its library defines another one."""
 
 NO_DEVICES = DeviceForces()
-"""Devices that take all effort limits, and of whose forces nothing is known."""
+"""Devices that take all effort limits, and whose forces are unknown."""
 
 PRE_GRASP_GAP = 0.05
-"""The pre-grasp of a pinch is this much intensity before the first contact."""
+"""The pre-grasp of a pinch is this much intensity before the first contact: enough for the
+tolerance of an actuator, little enough to close quickly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One way to a set of set-points.
+    """One motion to a set of set-points.
 
     Attributes:
         name: Alias of the inner action of a timed one, else empty.
@@ -59,13 +60,13 @@ class Plan:
     Attributes:
         goal: The goal.
         action: Name of the action, as the library writes it.
-        legs: What to do, one after the other.
+        legs: The motions, one after the other.
         involved: Indices of the actuators that move.
         effort: Effort limits of the goal by actuator index [N·m | N].
         timeout: Longest time [s].
         timed: Whether the legs are inner actions.
         elements: Elements of the action, for a goal with an opening or a force.
-        grip: Tells the opening and the force of the fingertips, for such a goal.
+        grip: Gives the opening and the force of the fingertips, for such a goal.
     """
 
     goal: Goal
@@ -79,7 +80,7 @@ class Plan:
     grip: Grip | None = None
 
     def only(self, indices: Collection[int]) -> Plan:
-        """Return what is left of it with some of its actuators, at least one in every leg."""
+        """Return the plan for some of its actuators only; legs without any are left out."""
         legs = [
             replace(leg, targets={i: t for i, t in leg.targets.items() if i in indices})
             for leg in self.legs
@@ -154,6 +155,7 @@ def _made(
     involved = frozenset().union(*[leg.targets for leg in legs])
     timeout = goal.timeout
     if timeout is None:
+        # Waiting that the action asks for must not use up the time for moving.
         margins = sum([leg.before + leg.after for leg in legs])
         timeout = settings.goal_timeout * len(legs) + margins
     return Plan(goal, action.name, legs, involved, effort, timeout, timed)
@@ -219,6 +221,7 @@ def _find(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
     try:
         return library.find(goal.action, goal.elements, goal.kind)
     except UnknownAction:
+        # The library goes first: a hand may define its own "open".
         if goal.action.lower() != OPEN or goal.elements or goal.kind:
             raise
     rest = dict(zip(hand.actuator_names, hand.rest.tolist(), strict=True))
@@ -256,5 +259,6 @@ def _targets(posture: Posture, hand: Hand, intensity: float) -> dict[int, float]
         index = hand.actuator_index(name)
         spec = hand.actuators[index]
         wanted = from_rest(spec.rest, posture.position[name], intensity)
+        # Calibration may have narrowed the limits since the action was made.
         targets[index] = min(max(wanted, spec.lower), spec.upper)
     return targets

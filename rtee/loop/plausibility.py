@@ -1,4 +1,4 @@
-"""Can an actuator have moved as its device says?"""
+"""Detect measured positions that an actuator cannot have reached."""
 
 from __future__ import annotations
 
@@ -13,38 +13,39 @@ MARGIN = 5.0
 limit of set-points, and a device that is pushed, slips or catches up exceeds it."""
 
 _SPARE = 0.1
-"""Way at that speed that is allowed beside the time between two measurements, since they are not
+"""Extra time at that speed, added to the time between two measurements, since they are not
 taken at the ticks that find them [s]. At the velocity limit it is the way of half a second; a
 device that is silent for longer is lost."""
 
 _SLACK = 0.05
-"""Way allowed beside all that, as a part of the range: a coarse sensor, an object that slips."""
+"""Way allowed in addition, as a share of the range: a coarse sensor, an object that slips."""
 
 _OUTSIDE = 0.5
-"""A position further outside of its limits than this part of the range is none. Devices are found
-outside of them: limits are often narrower than the mechanism."""
+"""A position further outside of its limits than this share of the range is implausible. Devices do
+come to rest outside of them: limits are often narrower than the mechanism."""
 
 _CALM = 0.5
-"""A measurement is believed again after this long without such a step [s]."""
+"""A measurement is believed again after this long without an implausible step [s], some exchanges
+of the slowest device."""
 
 _PERSISTENT = 5
-"""So many such steps with less than `_CALM` between them are no glitch. Standing outside of the
-limits is not a step: from there an actuator may come back."""
+"""This many implausible steps with less than `_CALM` between them are not a glitch. Being outside
+of the limits is not a step: from there an actuator may come back."""
 
 
 @dataclass(slots=True)
 class _Doubt:
-    """When a measurement was implausible last [s], and how many steps were."""
+    """When a measurement was last implausible [s], and how many steps were."""
 
     stamp: float
     steps: int = 0
 
 
 class Plausibility:
-    """Watches the measured positions for steps that no actuator can do.
+    """Watches the measured positions for steps that no actuator can make.
 
     Every actuator has an allowance of way: it grows with time at `MARGIN` times the velocity limit,
-    and what is measured as way is taken from it. So measurements may be sparse, late or bunched.
+    and each measured way is deducted from it. So measurements may be sparse, late or bunched.
 
     Args:
         actuators: The hand's actuators.
@@ -110,6 +111,7 @@ class Plausibility:
                     self._moved(i, here, stamp, active[i])
                     last[i] = here
         if all(fresh):
+            # One time for all in the usual case, instead of a list of equal ones.
             self._all_seen = stamp
         else:
             for i, new in enumerate(fresh):
@@ -121,13 +123,15 @@ class Plausibility:
     def _moved(self, i: int, here: float, stamp: float, active: bool) -> None:
         # Called for each actuator at each tick of a motion, so min() and max() are written out.
         way, most = abs(here - self._last[i]), self._most[i]
-        if way != way or not active:  # the first one, or nobody drives it
+        if way != way or not active:  # the first one, or its device does not drive it
             self._left[i] = most
         else:
             before, rate, left = self._seen[i], self._rate[i], self._left[i]
             if self._all_seen > before:
                 before = self._all_seen
             if before > self._changed[i]:
+                # It was at rest while other actuators were measured: that time counts for the
+                # allowance, too, but not beyond what it may save up.
                 left += rate * (before - self._changed[i])
             if left > most:
                 left = most

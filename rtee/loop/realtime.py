@@ -13,13 +13,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rtee.buses.timing import ask_for_short_slices
-from rtee.loop.settings import RealtimeSettings
+from rtee.hand.config_schema import RealtimeSettings
 
 SWITCH_INTERVAL = 50e-6
-"""Longest time another thread runs Python while the loop waits [s]."""
+"""Longest time another thread runs Python while the loop waits [s]: a twentieth of a period at 1
+kHz; much shorter, and the threads spend their time on handing the interpreter over."""
 
 HELPERS_NICE = -15
-"""Nice value of the loop's helper threads, where that is permitted."""
+"""Nice value of the loop's helper threads, where that is permitted: before all ordinary programs,
+but not before the system's own at -20."""
 
 # Stack of a thread [byte]: all of it is locked in memory; the usual 8 MB are not used.
 _STACK = 2 * 1024 * 1024
@@ -29,13 +31,13 @@ _MCL_FUTURE = 2  # mlockall: pages that will be mapped
 
 
 def set_up(settings: RealtimeSettings) -> list[str]:
-    """Ask the system for what the settings want, for the calling thread alone.
+    """Request what the settings ask for from the system, for the calling thread alone.
 
     Threads started later by this one are ordinary again (SCHED_RESET_ON_FORK); those that run
     already go before other programs, but have a real-time priority only if one is given for them.
 
     Args:
-        settings: What to ask for; unless they are enabled, only what needs no permission.
+        settings: What to request; unless they are enabled, only what needs no permission.
 
     Returns:
         A sentence for everything that was not permitted, with what to configure.
@@ -50,6 +52,7 @@ def set_up(settings: RealtimeSettings) -> list[str]:
         warnings += _lock_memory()
     if settings.cpus:
         warnings += _pin(settings.cpus)
+    # Last: pages are locked and CPUs chosen before the thread may starve others.
     refused = _schedule(settings.priority)
     if not refused:
         refused = _favour_helpers(min(settings.helper_priority, settings.priority - 1))
@@ -57,7 +60,7 @@ def set_up(settings: RealtimeSettings) -> list[str]:
 
 
 def _favour_helpers(priority: int) -> list[str]:
-    """Let the threads that run already go before other programs; they stay ordinary ones.
+    """Let the threads that already run go before other programs; they stay ordinary threads.
 
     They share the interpreter with the loop: one that is interrupted by another program while it
     holds the interpreter holds up the loop, whatever the loop's own priority.
@@ -72,6 +75,8 @@ def _favour_helpers(priority: int) -> list[str]:
         with contextlib.suppress(ProcessLookupError):  # it may have ended meanwhile
             try:
                 if priority > 0:
+                    # RESET_ON_FORK, here and for the loop: a program started from it must not
+                    # inherit it.
                     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
                     os.sched_setscheduler(thread, policy, os.sched_param(priority))
                 else:
@@ -121,10 +126,9 @@ def small_stacks() -> int:
 
 
 def share_the_interpreter() -> float:
-    """Have other threads give the interpreter back to the loop at once, not after 5 ms.
+    """Make other threads give the interpreter back to the loop at once, not after 5 ms.
 
-    Whoever waits for the interpreter asks its holder for it after this time. Much shorter, and the
-    threads spend their time taking it from each other.
+    A thread that waits for the interpreter requests it from its holder after this time.
 
     Returns:
         The time that was set before [s].
@@ -180,11 +184,12 @@ def _pin(cpus: tuple[int, ...]) -> list[str]:
 class Collector:
     """Collects garbage between ticks, never during one.
 
-    What exists when it starts is taken out of the collector's sight (`gc.freeze`); then it collects
-    young objects often and all seldom, when there is time left before the next tick.
+    What exists when it starts is exempted (`gc.freeze`); then it collects young objects often and
+    all of them seldom, when there is time left before the next tick.
 
     Args:
-        every: How often each of the three generations is collected [ns].
+        every: How often each of the three generations is collected [ns]; the defaults keep the
+        young ones small, and repeat the long collection seldom.
     """
 
     def __init__(
@@ -198,6 +203,7 @@ class Collector:
     def start(self) -> None:
         """Take over from the automatic collection."""
         self._was_enabled = gc.isenabled()
+        # What is left after this lives as long as the program: freezing spares looking at it again.
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -222,6 +228,7 @@ class Collector:
         for generation in (2, 1, 0):
             if now < self._due[generation]:
                 continue
+            # A period overdue: memory must not grow for ever because the loop is never idle enough.
             late = now - self._due[generation] > self._every[generation]
             if now + 2 * self._cost[generation] > until_ns and not late:
                 return
@@ -229,6 +236,7 @@ class Collector:
             done = time.monotonic_ns()
             # A slow collection counts, but is forgotten in time: it may have been preempted.
             self._cost[generation] = max(done - now, self._cost[generation] * 7 // 8)
+            # A collection takes the younger generations with it.
             for younger in range(generation + 1):
                 self._due[younger] = done + self._every[younger]
             return

@@ -1,4 +1,4 @@
-"""Goals whose fingers react to contacts: what is refused, and how a hand closes to touch."""
+"""Check goals whose fingers react to contacts, and plan how a hand closes to touch."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ TOUCH_SPEED: Final = 0.01
 of 100 Hz then stops within 0.2 mm."""
 
 TOUCH_SHARE: Final = 0.05
-"""Share of the velocity limits at which actions without an opening do."""
+"""Share of the velocity limits at which actions without an opening close: some 0.1 rad/s."""
 
 
 def check_reflexes(goal: Goal, hand: Hand) -> None:
-    """Refuse a goal that says of contacts what cannot be.
+    """Refuse a goal whose reactions to contacts are impossible.
 
     Raises:
         GoalRejected: if a finger is unknown or a value cannot be used.
@@ -60,7 +60,7 @@ def grip_of(
     devices: DeviceForces,
     targets: Callable[[Action], Mapping[int, float]],
 ) -> Grip | None:
-    """Return what converts newtons at an action's tips to efforts; ``None``: it has no opening."""
+    """Return the grip that converts forces at an action's tips to efforts; ``None``: no opening."""
     try:
         opening = library.openings.of(action)
     except ActionError:
@@ -71,9 +71,9 @@ def grip_of(
 def touching_action(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
     """Return the action that closes some fingers, or the whole hand, to touch something.
 
-    That is, of those that move the tips of just these fingers, one whose tips close on each other,
-    that was found clear, and then the first of the library. Without fingers, all that have an
-    opening are candidates, and the one with the most fingers is taken.
+    Candidates move the tips of exactly these fingers. Those whose tips close on each other come
+    first, then those that were found clear, then the library's order. Without fingers, all actions
+    that have an opening are candidates, and the one with the most fingers is taken.
 
     Raises:
         GoalRejected: if there is none.
@@ -101,7 +101,7 @@ def touching_action(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
 
 
 def slowly(goal: Goal, hand: Hand, grip: Grip | None, name: str) -> Goal:
-    """Return a goal of touching with the speed at which its fingers close."""
+    """Return a goal to touch with the speed at which its fingers close."""
     if goal.speed != 1.0:
         return goal
     if grip is None:

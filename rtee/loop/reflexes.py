@@ -1,4 +1,4 @@
-"""What fingers do by themselves when they touch something, and when what they hold slips.
+"""Reflexes of the fingers: what they do when they touch something, and when their object slips.
 
 Pure like the rest of a tick: measurements in, references and effort limits out.
 """
@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
+from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.free_motion import FreeMotion
@@ -16,22 +17,22 @@ from rtee.loop.grip import Grip
 from rtee.loop.limiter import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile
-from rtee.loop.settings import GraspSettings
 from rtee.loop.squeeze import Held, Squeeze, finger_forces
 from rtee.types import Event, OnContact
 
 _CONFIRMED = 2
-"""Efforts touch in this many measurements in succession: a single one may be noise."""
+"""An effort shows a contact in this many measurements in succession: a single one may be noise."""
 
 _UNKNOWN_SHARE = 0.05
 """Where no lever is known, an actuator touches at this share of its effort limit more than it needs
 to move freely."""
 
 _SET_OUT = 0.1
-"""Efforts tell nothing for this long after an actuator has set out: it breaks loose [s]."""
+"""Efforts are not judged for this long after an actuator has set out, while it breaks loose [s]."""
 
 _RESOLUTION = 0.01
-"""Less than this share of an actuator's effort limit is no contact: devices measure no better."""
+"""Less than this share of an actuator's effort limit is not a contact: devices measure no
+better."""
 
 _LIGHT = 2.0
 """An approach may take this many thresholds of a contact besides friction: less would hide it."""
@@ -44,7 +45,8 @@ _LOOKED_AT = 0.02
 """How it moves is looked at this often [s]: at 1 kHz, the ways of a tick are rounding errors."""
 
 _SLOW = 0.1
-"""Where efforts cannot be limited, a squeeze closes at this share of the velocity limits."""
+"""Where efforts cannot be limited, a squeeze closes at this share of the velocity limits: slow
+enough for the object to centre itself between the fingers."""
 
 
 @dataclass(slots=True)
@@ -70,7 +72,7 @@ class _Watched:
 
 @dataclass(slots=True)
 class _Approach:
-    """What a leg of a goal is to do on contact.
+    """What a leg of a goal does on contact.
 
     Attributes:
         watched: Its actuators that close, by index.
@@ -115,9 +117,9 @@ class Reflexes:
 
     Attributes:
         active: Whether there is anything to do; else a tick costs nothing.
-        busy: Actuators that are stopped or squeeze, whose contact is not judged otherwise.
+        busy: Actuators that are stopped or squeeze, whose contact nothing else judges.
         effort: Effort limits by actuator, instead of those of the goal [N·m | N].
-        changed: These have changed; the caller takes it back.
+        changed: These have changed; the caller resets it.
         touched: Fingers that touched something since the goal began.
     """
 
@@ -153,7 +155,7 @@ class Reflexes:
     # --- goals -------------------------------------------------------------------------------
 
     def forget(self, indices: Iterable[int]) -> None:
-        """Give up everything about some actuators."""
+        """Forget everything about some actuators."""
         if not self.active:
             return
         for i in indices:
@@ -187,6 +189,7 @@ class Reflexes:
         goal, targets = plan.goal, plan.legs[leg].targets
         self.touched = ()
         self.forget(targets)
+        # The first leg of a grasp only opens wide around the object.
         usual = self._grasp.on_contact
         # A device with a force of its own in its sheet builds it up by itself.
         if goal.force is not None and plan.grip is not None and plan.grip.sheet is None:
@@ -320,6 +323,7 @@ class Reflexes:
         if signal != signal:
             if not measured.current:
                 return False
+            # Amperes cannot be compared with a threshold in newton metres: a relative one is used.
             signal, threshold = measured.current[i], 0.0
         velocity, dt = self._profile.velocity[i], stamp - watched.seen
         gain = (velocity - watched.velocity) / dt if dt > 0.0 else 0.0
@@ -332,6 +336,7 @@ class Reflexes:
             watched.began = stamp
         free = self._free[i]
         if stamp - watched.began < _SET_OUT:
+            # Breaking loose is dry friction: the model has to know it.
             free.learn(signal, velocity, gain)
             return False
         pushes = free.exceeds(signal, velocity, gain, threshold)
@@ -339,7 +344,7 @@ class Reflexes:
         return watched.over >= _CONFIRMED
 
     def _note(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
-        """Note that an actuator's fingers touch something, and report it."""
+        """Record that an actuator's fingers touch something, and report it."""
         actuator = self._hand.actuators[i]
         forces = self._tip_forces(i, measured)
         felt = [
@@ -355,7 +360,7 @@ class Reflexes:
             self._report(Event("contact", who, text, stamp))
 
     def _stop(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
-        """Have an actuator stay where it is."""
+        """Stop an actuator where it is."""
         if watched.touched:
             return
         watched.touched = True
@@ -364,6 +369,7 @@ class Reflexes:
             return
         if watched.mode is OnContact.SQUEEZE and len(self._hand.actuators[i].fingers) > 1:
             return  # it carries both sides: there is nothing to wait for
+        # At the measured position, not the reference, which has led on into the object.
         self._profile.seed({i: here})
         self._limiter.seed(i, here)
         self.busy.add(i)
@@ -395,13 +401,14 @@ class Reflexes:
                 touching.update(self._hand.actuators[i].fingers)
         if not touching:
             return False
+        # One finger on either side: then nothing is pushed away.
         if approach.sides:
             return all(touching.intersection(side) for side in approach.sides)
         fingers = {f for i, _ in squeezing for f in self._hand.actuators[i].fingers}
         return len(touching) >= min(self._grasp.contact_fingers, len(fingers))
 
     def _begin_squeeze(self, approach: _Approach, stamp: float) -> None:
-        """Build up the force with all that are to squeeze, together."""
+        """Build up the force with all actuators that squeeze, together."""
         held: dict[int, Held] = {}
         floor, most = 0.0, math.inf
         for i, each in approach.watched.items():
@@ -416,6 +423,7 @@ class Reflexes:
                 # The slowness of the approach is for the impact alone.
                 self._profile.go({i: each.target}, velocity={i: approach.speed * spec.velocity})
             else:
+                # Its effort cannot be limited: at least it arrives slowly.
                 top = _SLOW * self._hand.actuators[i].velocity
                 self._profile.go({i: each.target}, velocity={i: top})
             self.busy.discard(i)
@@ -437,7 +445,7 @@ class Reflexes:
         squeeze.begin(stamp)
 
     def keep(self, stamp: float, measured: Measured) -> None:
-        """Build up the force, and see to what is held; called at every tick while `active`."""
+        """Build up the force, and look after what is held; called at every tick while `active`."""
         squeeze = self._squeeze
         if squeeze is None:
             return

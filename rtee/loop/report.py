@@ -1,4 +1,4 @@
-"""What a run prints: one line per hand at the start, the loop's statistics at the end."""
+"""The output of a run: one line per hand at the start, the loop's statistics at the end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One long-lived task whose work begins at once, inside the call that starts it."""
+"""One long-lived task whose work begins immediately, inside the call that starts it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Work = Coroutine[Any, Any, object]
 
 
 class Runner:
-    """Runs coroutines in one task, one at a time, and gives them up at a deadline.
+    """Runs coroutines in one task, one at a time, and abandons them at a deadline.
 
     `start` runs a coroutine inside the call, as a part of the task, until it has to wait; then the
-    task carries on with it. Work that doesn't wait is done when `start` returns. To wake the task
+    task carries on with it. Work that doesn't wait is done when `start` returns. Waking the task
     by an `asyncio.Event` instead takes another turn of the event loop, which costs more processor
-    time than the exchange with a device that answers at once. (Eager tasks, of Python 3.12, begin
-    like this, too, but a new one would be needed for each exchange.)
+    time than the exchange with a device that answers at once. (Python 3.12's eager tasks begin
+    like this, too, but a new task would be needed for each exchange.)
 
     Deadlines are kept in the loop's time and checked at its ticks, so that they hold in simulated
     time, too.
@@ -63,14 +63,18 @@ class Runner:
         try:
             _enter_task(event_loop, task)
             try:
+                # The first step, up to where it waits for something; in the task's own context, so
+                # that context variables are its own.
                 waits_for = idle.context.run(work.send, None)
             except BaseException as error:
+                # Done, or failed at once: the task stays idle.
                 idle.resume = resume
                 if isinstance(error, StopIteration):
                     return True
                 raise
             finally:
                 _leave_task(event_loop, task)
+            # The task wakes up only to take over what the coroutine waits for, in `carry_on`.
             self._begun = work, waits_for
             idle.context.run(resume, idle)
             return False
@@ -110,25 +114,26 @@ class Runner:
             timeout.reschedule(None)
 
     def check(self) -> None:
-        """Give the present work up if it is beyond its deadline."""
+        """Abandon the present work if it is beyond its deadline."""
         if self._now() >= self._until:
             self.interrupt()
 
     def interrupt(self, after: float = 0.0) -> None:
-        """Give the present work up, unless it is done within a time of the event loop [s]."""
+        """Abandon the present work unless it is done within a time [s] of the event loop."""
         timeout = self._timeout
         if not self.idle and timeout is not None and not timeout.expired():
             timeout.reschedule(asyncio.get_running_loop().time() + after)
 
 
 class _Idle:
-    """What an idle task waits for: to asyncio, a future-like object.
+    """What an idle task waits for: a future-like object, as asyncio accepts them.
 
     Attributes:
         resume: Resumes the task; ``None`` while it does not wait.
         context: The context of its code.
     """
 
+    # The protocol of asyncio's futures: a task waits for any object that has this attribute.
     _asyncio_future_blocking = False
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The settings of a loop and of its devices: those of hand.yaml, and some that it does not have."""
+"""The settings of a loop and its devices: those of hand.yaml, and some that it does not have."""
 
 from __future__ import annotations
 
@@ -6,20 +6,15 @@ import math
 from dataclasses import dataclass, field
 
 from rtee.errors import ConfigError
-
-# The sections of hand.yaml that a loop has are part of its settings: they are imported from here.
-from rtee.hand.config_schema import MAX_RATE as MAX_RATE
-from rtee.hand.config_schema import MIN_RATE as MIN_RATE
-from rtee.hand.config_schema import Behaviour as Behaviour
-from rtee.hand.config_schema import GraspSettings as GraspSettings
-from rtee.hand.config_schema import LoopSection
-from rtee.hand.config_schema import ProfileKind as ProfileKind
-from rtee.hand.config_schema import ProfileSettings as ProfileSettings
-from rtee.hand.config_schema import RealtimeSettings as RealtimeSettings
-from rtee.hand.config_schema import SafetySettings as SafetySettings
-from rtee.hand.config_schema import StallSettings as StallSettings
-from rtee.hand.config_schema import StreamSettings as StreamSettings
-from rtee.hand.config_schema import ThermalSettings as ThermalSettings
+from rtee.hand.config_schema import (
+    MAX_RATE,
+    MIN_RATE,
+    LoopSection,
+    ProfileKind,
+    ProfileSettings,
+    SafetySettings,
+    ThermalSettings,
+)
 from rtee.types import DeviceSpec
 
 

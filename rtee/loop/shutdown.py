@@ -1,4 +1,4 @@
-"""How a hand's loop ends: the configured behaviour, within a bounded time, whatever happens."""
+"""End a hand's loop: the configured behaviour, within a bounded time in any case."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ import logging
 import anyio
 
 from rtee.errors import RteeError
+from rtee.hand.config_schema import Behaviour
 from rtee.loop.handloop import ITSELF, HandLoop
 from rtee.loop.plan import OPEN
-from rtee.loop.settings import Behaviour
 from rtee.types import Event, Goal
 
 log = logging.getLogger(__name__)
 
 OPEN_WITHIN = 3.0
-"""Time that opening may take at the end [s]."""
+"""Time that opening may take at the end [s]: most hands open in less, and a service manager waits
+longer before it kills."""
 
 REST_WITHIN = 0.18
-"""Time that everything else may take [s]."""
+"""Time that everything else may take [s]: the devices' time to confirm, and a little for the
+tasks."""
 
 
 async def bring_to_rest(
@@ -36,9 +38,11 @@ async def bring_to_rest(
         Every device with whether it confirmed.
     """
     confirmed = dict.fromkeys(loop.devices, False)
+    # The run is being cancelled: without a shield, the first await would end this.
     with anyio.CancelScope(shield=True):
         try:
             if behaviour is Behaviour.OPEN:
+                # Opened, it holds there; what could not open is stopped, wherever it is.
                 opened = ticking and await _open(loop)
                 behaviour = Behaviour.HOLD if opened else Behaviour.STOP
             with anyio.move_on_after(REST_WITHIN):

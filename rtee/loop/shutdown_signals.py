@@ -1,4 +1,4 @@
-"""What ends a run, and the programs that run beside it."""
+"""The signals that end a run, and the programs that run beside it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _SIGNALS = [
 
 
 Signals = AsyncIterator[signal.Signals] | None
-"""Signals as they come; ``None`` outside of the main thread, which alone gets them."""
+"""Signals as they arrive; ``None`` outside of the main thread, which alone receives them."""
 
 
 def receive_signals() -> AbstractContextManager[Signals]:
-    """Receive the signals that end a run; one that comes before anybody waits for it is kept."""
+    """Receive the signals that end a run; one that arrives before it is awaited is kept."""
     if threading.current_thread() is not threading.main_thread():
         return nullcontext()
     return anyio.open_signal_receiver(*_SIGNALS)
@@ -34,7 +34,7 @@ async def wait_for_end(duration: float | None, until: anyio.Event, signals: Sign
 
     Args:
         duration: How long to wait at most [s]; ``None``: without end.
-        until: Ends the wait when it is set; is set in any case.
+        until: Ends the wait when it is set; it is always set afterwards.
         signals: The signals received.
     """
     reasons: list[str] = []
@@ -60,7 +60,7 @@ async def wait_for_end(duration: float | None, until: anyio.Event, signals: Sign
 
 
 async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
-    """Run a program beside, until it ends or this is cancelled; then it is terminated.
+    """Run a program until it ends; when this is cancelled, the program is terminated.
 
     Args:
         command: The program and its arguments.

@@ -1,4 +1,4 @@
-"""Several actuators that squeeze something together: the force, its easing, and slips."""
+"""Actuators that squeeze something together: build up the force, ease it, and answer slips."""
 
 from __future__ import annotations
 
@@ -6,21 +6,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.grip import Grip
 from rtee.loop.profiles import Profile
-from rtee.loop.settings import GraspSettings
 from rtee.types import Event
 
 _SETTLE = 0.15
-"""After a change of force, fingers and object are given this time to come to rest [s]."""
+"""After a change of force, fingers and object get this time to come to rest [s]: some exchanges of
+the slowest device."""
 
 _EASE_EVERY = 0.5
-"""A grasp is eased by one step this often [s]."""
+"""A grasp is eased by one step this often [s]: long enough for a slip to show before the next."""
 
 _EASE_STEP = 0.05
-"""Share of the goal's effort limits by which it is eased."""
+"""Share of the goal's effort limits by which it is eased: small, since friction gives no
+warning."""
 
 _SLIP_STEP = 0.25
 """Share of the goal's effort limits by which a slip raises the effort at least; a slip ends within
@@ -30,17 +32,18 @@ _SLIP_SHARE = 0.5
 """Or by this share of the present effort, if that is more: a load that grows is overtaken."""
 
 _CREEP = 0.5
-"""An actuator creeps when it closes further by this share of its tolerance while it holds."""
+"""An actuator creeps when it closes further by this share of its tolerance while it holds: more
+than noise, before the grasp counts as lost."""
 
 _LOAD = 1.15
-"""Something pulls at what is held when the force on a finger is above this share of what it was:
-sensors measure what pulls along the fingertip, too, before it slips."""
+"""Something pulls at the object when the force on a finger is above this share of what it was:
+sensors also measure what pulls along the fingertip, before it slips."""
 
 _DROP = 0.7
-"""A force has dropped when it is below this share of what it was."""
+"""A force has dropped when it is below this share of what it was: sensors are within 10 % or so."""
 
 _TOLD_EVERY = 0.5
-"""Slips are reported at most this often [s]."""
+"""Slips are reported at most this often [s]: one event for people, not one for each step."""
 
 _FOLLOW = 0.1
 """Time constant with which a measured force is brought to the one that was asked for [s]: slower
@@ -63,7 +66,7 @@ _FELT = 0.5
 only a part of the force is felt."""
 
 _CONFIRMED = 2
-"""Forces change in this many measurements in succession: a single one may be noise."""
+"""A force has changed in this many measurements in succession: a single one may be noise."""
 
 
 def finger_forces(hand: Hand, i: int, measured: Measured) -> list[float]:
@@ -76,7 +79,7 @@ def finger_forces(hand: Hand, i: int, measured: Measured) -> list[float]:
 
 @dataclass(slots=True)
 class Held:
-    """What an actuator that squeezes does, and what it was like when it last came to rest.
+    """An actuator that squeezes, and its measurements when it last came to rest.
 
     Attributes:
         start: Effort limit to begin with [N·m | N].
@@ -96,7 +99,7 @@ class Held:
 
 
 class Squeeze:
-    """Builds up a force, eases it while it holds, and raises it when what it holds slips.
+    """Builds up a force, eases it while it holds, and raises it when the object slips.
 
     Args:
         hand: The hand.
@@ -146,7 +149,7 @@ class Squeeze:
         self._told_at, self._told_limit = -math.inf, False
 
     def forget(self, i: int) -> None:
-        """Give up an actuator."""
+        """Forget an actuator."""
         self.held.pop(i, None)
         self.effort.pop(i, None)
         self.pressing -= {i}
@@ -156,7 +159,7 @@ class Squeeze:
         self._since = stamp
 
     def step(self, stamp: float, measured: Measured) -> bool:
-        """Do what is to be done at a tick; return whether ``effort`` has changed.
+        """Do one tick; return whether ``effort`` has changed.
 
         Args:
             stamp: Now [s].
@@ -176,10 +179,13 @@ class Squeeze:
             return False
         if stamp < self._settled:
             for held in self.held.values():
+                # What is measured while the force changes is no reference for slips.
                 held.position = math.nan
             return False
         for i, held in self.held.items():
             if measured.fresh[i] and self._slips(i, held, measured):
+                # One at a time: the level is common to all, and they settle again before the next
+                # look.
                 self._raise(i, stamp)
                 return True
         if self._level > self._floor and stamp >= self._ease:
@@ -244,7 +250,7 @@ class Squeeze:
                 self._contact.unpin(i, stamp)
 
     def _slips(self, i: int, held: Held, measured: Measured) -> bool:
-        """Return whether what an actuator holds seems to slip, or is pulled at."""
+        """Return whether the object that an actuator holds seems to slip, or is pulled."""
         position, effort = measured.position[i], abs(measured.effort[i])
         forces = finger_forces(self._hand, i, measured)
         touch = sum(forces) if forces else math.nan
@@ -263,6 +269,7 @@ class Squeeze:
         """Answer a slip: more effort, which is not eased again."""
         before = self._level
         level = min(before + max(_SLIP_STEP, _SLIP_SHARE * before), self._most)
+        # Eased again, it would slip again.
         self._floor = max(self._floor, level)
         self._set_level(level, stamp)
         limited = level <= before

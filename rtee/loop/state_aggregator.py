@@ -1,4 +1,4 @@
-"""From the states of a hand's devices to the state of the hand."""
+"""Merge the states of a hand's devices into the state of the hand."""
 
 from __future__ import annotations
 
@@ -11,14 +11,21 @@ from numpy.typing import NDArray
 
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.supervisor import Supervisor
-from rtee.sample import MEASURED, Measurements, measured_arrays
-from rtee.types import ActuatorState, BoolArray, FloatArray, readonly
+from rtee.sample import (
+    MEASURED,
+    ActuatorState,
+    BoolArray,
+    FloatArray,
+    Measurements,
+    measured_arrays,
+)
+from rtee.types import readonly
 
 _WORDS = {None: -1, False: 0, True: 1}
 
 
 class StateAggregator:
-    """Merges what the devices measured; arrays it gives out are never changed afterwards.
+    """Merges what the devices measured; arrays it has handed out never change.
 
     A position that is not measured any more keeps its last value; before the first measurement it
     is ``NaN``.
@@ -28,7 +35,7 @@ class StateAggregator:
 
     Attributes:
         sample: What is measured of all actuators.
-        grasped: The devices' own word ``(n,)``.
+        grasped: What the devices themselves report ``(n,)``: 1 holding, 0 not, -1 nothing.
         fresh: Whether measured since the call before ``(n,)``.
         channels: Further channels, ``device/channel``.
         measured: The same as lists, for the controller.
@@ -60,6 +67,7 @@ class StateAggregator:
             state = link.state
             if state is not None and link.states != self._seen[k]:
                 self._seen[k] = link.states
+                # One bit for each device: the flags of each combination are made once.
                 new |= state.fresh << k
                 self._merge(k, state)
         if new != self._new:
@@ -92,6 +100,7 @@ class StateAggregator:
             pairs = zip(measured_arrays(before), measured_arrays(state), strict=True)
             sample = Measurements(*(_put(old, where, new) for old, new in pairs))
         measured.update(sample, before)
+        # One sum finds any NaN or infinity, and is much faster than asking each value.
         total = sum(measured.position)
         if total - total != 0.0:  # something in it is not finite
             position = np.where(np.isfinite(sample.position), sample.position, before.position)
@@ -106,6 +115,7 @@ class StateAggregator:
         name = self._devices[k].name
         if state.extras or self._extras.get(name):
             measured.touch = self._touch(name, state.extras)
+            # After `_touch`, which looks at the others' as they are.
             self._extras[name] = state.extras
             self.channels = {
                 f"{device}/{channel}": values

@@ -1,4 +1,4 @@
-"""The task that looks after one device: exchanges with it and does what others ask of it."""
+"""The task that supervises one device: exchanges with it and serves the requests of others."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class _Request:
 
 
 class Supervisor:
-    """Looks after one device: a long-lived task that alone calls the device's driver.
+    """Supervises one device: a long-lived task, the only one to call the device's driver.
 
     At a tick the loop reads the connection's state and calls `exchange`; neither waits. A driver
-    that answers at once has done so when `exchange` returns; for any other the task waits. While an
+    that answers at once is done when `exchange` returns; for any other the task waits. While an
     exchange is under way, further ones are counted as overruns. All time comes from the ticks.
 
     Args:
@@ -138,16 +138,19 @@ class Supervisor:
         if tick < self._next_due:
             return False
         every = self.connection.every
+        # Counted from multiples, not from the last turn: after a missed tick, devices keep their
+        # phase.
         self._next_due = tick - tick % every + every
         return True
 
     def exchange(self, reference: Reference | None) -> None:
-        """Have one exchange done: read the state, then send the reference if there is one."""
+        """Do one exchange: read the state, then send the reference if there is one."""
         link, runner = self.connection, self._runner
         if self.driver.doing != self._doing:
             self._report_doing()
         if not runner.idle:
             link.counters.overruns += self._exchanging
+            # Time comes from the ticks, so that deadlines hold in simulated time, too.
             runner.check()
         elif link.lifecycle is Lifecycle.UNCONFIGURED:
             self._exchanging = False
@@ -167,7 +170,7 @@ class Supervisor:
     # --- the task ----------------------------------------------------------------------------
 
     async def run(self) -> None:
-        """Look after the device until cancelled, then close it."""
+        """Supervise the device until cancelled, then close it."""
         link, runner = self.connection, self._runner
         try:
             while True:
@@ -176,6 +179,8 @@ class Supervisor:
                         if not link.tried.is_set():
                             await link.connect()
                         while True:
+                            # Before waiting: a request may have come while an exchange was under
+                            # way.
                             await self._serve_requests()
                             await runner.carry_on()
                 except TimeoutError:
@@ -188,7 +193,7 @@ class Supervisor:
                 await link.close()
 
     async def _overdue(self) -> None:
-        """Deal with work that took longer than its deadline and was given up."""
+        """Deal with work that took longer than its deadline and was abandoned."""
         self._exchanging = False
         self._runner.end()
         self.connection.tried.set()
@@ -200,7 +205,7 @@ class Supervisor:
     # --- requests, done between two exchanges ------------------------------------------------
 
     async def stop(self, within: float) -> bool:
-        """Stop the device now, again where an answer was not heard; cannot raise.
+        """Stop the device now, and again if there was no answer; cannot raise.
 
         Args:
             within: Time it may take [s].
@@ -253,6 +258,7 @@ class Supervisor:
     async def _send_last(self, reference: Reference | None) -> bool:
         state = await patiently(self.driver.sense)
         self.connection.accept(state)
+        # Inactive: it would refuse a reference, and does not move anyway.
         if not self.active:
             return False
         last = Reference.at(state.position) if reference is None else reference
@@ -262,9 +268,12 @@ class Supervisor:
     async def _confirmed(
         self, name: str, action: Callable[[], Awaitable[bool | None]], within: float
     ) -> bool:
-        """Have something done before all else; return whether it was done in time."""
+        """Do something before all else; return whether it was done in time."""
+        # There is no link to send anything over: not confirmed.
         if self.lifecycle in (Lifecycle.UNCONFIGURED, Lifecycle.CLOSED):
             return False
+        # The exchange under way gets a third of the time: cut short, its answer would come in
+        # between.
         self._runner.interrupt(within / 3)
         try:
             async with asyncio.timeout(within):
@@ -277,7 +286,7 @@ class Supervisor:
     async def _ask(
         self, name: str, action: Callable[[], Awaitable[Any]], *, first: bool = False
     ) -> Any:
-        """Have the device's task do something; return or raise what it does.
+        """Let the device's task do something; return its result or raise its error.
 
         Args:
             name: What it is, for messages.
@@ -296,10 +305,11 @@ class Supervisor:
         return await request.answer
 
     async def _serve_requests(self) -> None:
-        """Do what is waiting; an action's exception goes to who asked."""
+        """Serve the requests that wait; an action's exception goes to its caller."""
         while self._requests:
             request = self._requests.popleft()
             answer = request.answer
+            # Its caller has given up waiting.
             if answer.cancelled():
                 continue
             self._exchanging = False
@@ -318,7 +328,7 @@ class Supervisor:
                     answer.set_result(result)
 
     def _refuse_requests(self, error: Exception) -> None:
-        """Answer everything that waits or will ever be asked with an error."""
+        """Answer all waiting and future requests with an error."""
         self._closed = error
         while self._requests:
             request = self._requests.popleft()

@@ -1,4 +1,4 @@
-"""Watch temperatures: warn, derate, disable; and distinguish a broken sensor from a hot motor."""
+"""Watch temperatures: warn, derate, disable; and tell a broken sensor from a hot motor."""
 
 from __future__ import annotations
 
@@ -7,20 +7,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from rtee.loop.settings import ThermalSettings
+from rtee.hand.config_schema import ThermalSettings
 from rtee.types import Event
 
 PLAUSIBLE = (-40.0, 150.0)
 """Range of real temperatures [°C]; anything else comes from a broken sensor."""
 
 _CONFIRM = 0.5
-"""A level must last this long before it counts [s]."""
+"""A level must last this long before it counts [s]: temperatures rise slowly, noise does not
+last."""
 
 _HYSTERESIS = 2.0
-"""A level is left this far below its threshold [°C]."""
+"""A level is left this far below its threshold [K], more than the resolution of 1 K of most
+sensors."""
 
 _LEAST = 0.1
-"""Derating leaves this fraction of the effort limit until the device is disabled."""
+"""Derating leaves this fraction of the effort limit until the device is disabled: what is held
+still has a chance not to fall."""
 
 
 class Level(IntEnum):
@@ -33,7 +36,7 @@ class Level(IntEnum):
     INVALID = 4
 
     def words(self, name: str, factor: float) -> str:
-        """Return what it means for an actuator, of whose effort limit a factor is left."""
+        """Return in words what the level means for an actuator; ``factor`` scales its effort."""
         match self:
             case Level.INVALID:
                 return f"the temperature sensor of {name} is invalid"
@@ -59,7 +62,7 @@ _RISING = (Level.WARN, Level.DERATE, Level.DISABLE)
 
 @dataclass(frozen=True, slots=True)
 class ThermalChange:
-    """An actuator came to another level.
+    """An actuator reached another level.
 
     Attributes:
         index: The actuator.
@@ -105,7 +108,7 @@ class Thermal:
         self._since = [math.nan] * size
 
     def step(self, stamp: float, temperature: Sequence[float]) -> list[ThermalChange]:
-        """Take what was measured; return the actuators whose level changed.
+        """Evaluate what was measured; return the actuators whose level changed.
 
         Args:
             stamp: Now [s].
@@ -135,6 +138,7 @@ class Thermal:
         found = Level.OK
         thresholds = (self._settings.warn, self._settings.derate, self._settings.disable)
         for level, threshold in zip(_RISING, thresholds, strict=True):
+            # INVALID is the highest number, but not the hottest level.
             keep = _HYSTERESIS if present is not Level.INVALID and present >= level else 0.0
             if celsius >= threshold - keep:
                 found = level
@@ -144,6 +148,7 @@ class Thermal:
         if level in (Level.OK, Level.WARN):
             return 1.0
         if level is Level.INVALID:
+            # Without a temperature, neither more effort nor less is justified.
             return before
         span = self._settings.disable - self._settings.derate
         left = (self._settings.disable - celsius) / span if span > 0 else 0.0

@@ -1,4 +1,4 @@
-"""Temperature of motors that measure only their current: first-order heating by I², pure."""
+"""Estimate the temperature of motors that measure only current: first-order heating by I²; pure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from rtee.errors import ConfigError, suggestion
-from rtee.loop.settings import ThermalSettings
+from rtee.hand.config_schema import ThermalSettings
 from rtee.loop.thermal import PLAUSIBLE
 
 DEFAULTS = "defaults"
@@ -18,7 +18,7 @@ class CurrentHeat:
 
     The rise θ above the surroundings follows τ·θ′ = θ₁·(I / I₁)² − θ: losses grow with the square
     of the current, and what is lost to the surroundings with the temperature. At the nominal
-    current I₁, which the motor may be given for ever, θ settles at θ₁, just at ``warn``.
+    current I₁, which the motor may carry continuously, θ settles at θ₁, just at ``warn``.
 
     Args:
         settings: Nominal currents, time constant τ, temperature of the surroundings.

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from rtee.errors import MessageError
 from rtee.messages.cdr import HEADER, SCALARS, Reader, Writer
 from rtee.messages.schema import Field, message_type, reader_of, writer_of
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 T = TypeVar("T")
 Data = bytes | bytearray | memoryview
 
-_SECOND = 1_000_000_000
+SECOND = 1_000_000_000
 """Nanoseconds in a second."""
 
 _BEGIN = struct.Struct("<4siIIB")
@@ -32,14 +32,14 @@ _STAMP_SIZE = 8
 
 def header(wall_ns: int, frame: str = "") -> dict[str, Any]:
     """Return the fields of a header for a time since 1970 [ns]."""
-    seconds, nanoseconds = divmod(wall_ns, _SECOND)
+    seconds, nanoseconds = divmod(wall_ns, SECOND)
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 
 
 def wall_ns(fields: Mapping[str, Any]) -> int:
     """Return the time since 1970 [ns] in the header of a decoded message."""
     stamp = fields["header"]["stamp"]
-    return int(stamp["sec"]) * _SECOND + int(stamp["nanosec"])
+    return int(stamp["sec"]) * SECOND + int(stamp["nanosec"])
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -155,7 +155,7 @@ class Codec(Generic[T]):
         Raises:
             MessageError: if an attribute is of the wrong kind.
         """
-        writer = Writer(_BEGIN.pack(HEADER, *divmod(wall, _SECOND), 1, 0))
+        writer = Writer(_BEGIN.pack(HEADER, *divmod(wall, SECOND), 1, 0))
         try:
             for _, write, get in self._writers:
                 write(writer, time if get is None else get(value))

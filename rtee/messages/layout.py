@@ -14,12 +14,9 @@ from typing import Any
 import numpy as np
 
 from rtee.messages.cdr import SCALARS, Reader
-from rtee.messages.codec import header
+from rtee.messages.codec import SECOND, header
 from rtee.messages.schema import MessageType, message_type
-from rtee.types import FloatArray
-
-_SECOND = 1_000_000_000
-"""Nanoseconds in a second."""
+from rtee.sample import FloatArray
 
 _STAMP = struct.Struct("<iI")
 STAMP = "header.stamp"
@@ -119,7 +116,7 @@ class Template:
 
 def stamp_bytes(wall_ns: int) -> bytes:
     """Return the bytes of the time in a header: since 1970 [ns]."""
-    return _STAMP.pack(*divmod(wall_ns, _SECOND))
+    return _STAMP.pack(*divmod(wall_ns, SECOND))
 
 
 def joint_state_fields(names: Sequence[str], frame: str = "") -> dict[str, Any]:

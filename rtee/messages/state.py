@@ -15,8 +15,7 @@ from rtee.errors import MessageError
 from rtee.messages.codec import Data, channel_fields, channels_of, header, wall_ns
 from rtee.messages.layout import STAMP, Template, stamp_bytes
 from rtee.messages.schema import message_type
-from rtee.sample import COLUMNS, MEASURED, TickRecord
-from rtee.types import FloatArray
+from rtee.sample import COLUMNS, MEASURED, FloatArray, TickRecord
 
 ACTUATOR_STATE = message_type("rtee_msgs/msg/ActuatorState")
 STATE = message_type("rtee_msgs/msg/State")

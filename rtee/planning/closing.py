@@ -20,7 +20,7 @@ from rtee.hand.model import Hand
 from rtee.planning.result import Contact
 from rtee.planning.scene import TOUCH, GraspScene, HandPose, Touch
 from rtee.planning.wrench import balanced, cone
-from rtee.types import BoolArray, FloatArray
+from rtee.sample import BoolArray, FloatArray
 
 STEPS: Final = 16
 """Steps of the table of an action's way; a step of a finger is about 6 mm."""

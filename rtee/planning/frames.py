@@ -9,7 +9,7 @@ import numpy as np
 
 from rtee.errors import ConfigError
 from rtee.planning.result import Matrix
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _RIGID: Final = 1e-3
 """How far a rotation's columns may be from orthonormal: single precision and a few products."""

@@ -28,7 +28,8 @@ from rtee.hand.model import Hand
 from rtee.planning.frames import checked_direction, checked_pose, retreated, rows
 from rtee.planning.reached import ReachedGrasp
 from rtee.planning.tips import Fingertips
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 _COLUMNS: Final = 17
 """Of a GraspNet array: score, width, height, depth, rotation (9), translation (3), object."""

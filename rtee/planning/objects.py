@@ -18,7 +18,7 @@ from rtee.hand.files import read_bytes
 from rtee.hand.geometry import hull_of
 from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import FORMATS, why_no_mesh
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 FORMS: Final = (
     "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS, capsule:RADIUSxLENGTH (in metres), or the "

@@ -19,7 +19,8 @@ from rtee.planning.poses import GAP, Candidate, Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
 from rtee.planning.scene import GraspScene
 from rtee.planning.wrench import EDGES, GRAVITY, balanced, load, quality, wrenches
-from rtee.types import ActuatorSpec, BoolArray, FloatArray, JointKind
+from rtee.sample import BoolArray, FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 FRICTION: Final = 0.5
 """Coefficient of friction unless given: rubber on most things has more, bare metal less."""

@@ -15,7 +15,7 @@ from rtee.actions.types import Action
 from rtee.planning.closing import Closing
 from rtee.planning.objects import GraspObject
 from rtee.planning.scene import GraspScene, HandPose
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 GAP: Final = 1e-3
 """What an object leaves free at the hand when it is brought in [m]: models are that exact."""

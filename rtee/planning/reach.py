@@ -23,7 +23,8 @@ from rtee.planning.frames import checked_direction, checked_pose, retreated, row
 from rtee.planning.reached import ReachedGrasp, Residual, WantedContact
 from rtee.planning.result import Point
 from rtee.planning.tips import Fingertips
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 TOLERANCE: Final = 0.003
 """Farthest that a fingertip may be from its contact [m]: a soft pad gives as much."""

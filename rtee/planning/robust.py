@@ -13,7 +13,7 @@ from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay, Closing, Closure
 from rtee.planning.planner import Planner
 from rtee.planning.poses import GAP, Candidate, Poses
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _BESIDE: Final = 0.008
 """How far an object is moved along each axis to see whether it is held there, too [m]: as arms and

@@ -15,7 +15,7 @@ from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.planning.objects import GraspObject
 from rtee.planning.result import Contact
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 TOUCH: Final = 5e-4
 """Surfaces this near touch [m]."""

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _POINT: Final = 1e-6
 """Radius of the sphere that stands for a point [m]: far below what matters."""

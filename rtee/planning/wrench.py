@@ -26,7 +26,7 @@ import numpy as np
 
 from rtee.hand.halton import halton
 from rtee.planning.result import Contact
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 EDGES: Final = 8
 """Edges of a linearised cone of friction; its force is up to 8 % too small between two edges."""

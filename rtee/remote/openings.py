@@ -16,7 +16,7 @@ from rtee.loop.devices import device_forces
 from rtee.loop.grip import Grip
 from rtee.loop.opening_plan import DeviceForces, force_range
 from rtee.loop.supervisor import Supervisor
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 from rtee.errors import GoalRejected, MessageError
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:

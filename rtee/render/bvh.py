@@ -9,13 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _LEAF: Final = 4
 """Triangles in a leaf of the tree: with fewer, boxes cost more than they save."""
 
 _AT_ONCE: Final = 1 << 13
-"""Rays traced together: so few that their arrays stay in the processor's cache (measured)."""
+"""Rays traced together: few enough for their arrays to stay in the processor's cache (measured)."""
 
 _BITS: Final = 10
 """Bits of a Morton code per axis: 1024 cells along the longest side of a hand are below 1 mm."""
@@ -27,7 +27,8 @@ _PARALLEL: Final = 1e-18
 """Triangles smaller than this have no area [m²]: a side of theirs is a rounding error long."""
 
 _GAP: Final = np.float32(1e-6)
-"""By this share of its sides a triangle is larger, so that rounding leaves no gaps between two."""
+"""Triangles are enlarged by this share of their sides, so that rounding leaves no gaps in
+between."""
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -134,6 +135,8 @@ class NumpyScene:
                 slope = inverse[axis].take(ray)
                 middle = (centre[axis].take(node) - origins[axis].take(ray)) * slope
                 size = half[axis].take(node) * np.abs(slope)
+                # The slab method: the ray is inside the box while it is between all three pairs of
+                # planes.
                 np.maximum(enter, middle - size, out=enter)
                 np.minimum(leave, middle + size, out=leave)
             through = np.flatnonzero(leave >= enter)
@@ -197,6 +200,7 @@ def _own_coordinates(corners: FloatArray) -> Floats:
     normal /= area[:, None]
     rows = np.stack([np.cross(second, normal), np.cross(normal, first), normal], axis=1)
     rows[:, :2] /= area[:, None, None]
+    # No ray ever hits a triangle without area, instead of a division by zero.
     rows[flat] = 0.0
     constant = -np.einsum("tij,tj->ti", rows, origin)
     return np.ascontiguousarray(

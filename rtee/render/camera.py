@@ -1,4 +1,4 @@
-"""Where a picture is taken from."""
+"""Choose the camera of a picture: where it stands, and what it sees."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 FIELD: Final = math.radians(22.0)
-"""Vertical field of view [rad]."""
+"""Vertical field of view [rad]: that of a long lens, which hardly distorts fingers."""
 
 _AZIMUTH: Final = math.radians(28.0)
 """How far the camera is turned to the side, so that fingers don't hide one another [rad]."""
 _ELEVATION: Final = math.radians(16.0)
 """How far the camera looks from above, so that depth is seen [rad]."""
 _MARGIN: Final = 1.08
-"""The picture's size over that of what must fit into it."""
+"""The picture's size in relation to its content: a narrow margin."""
 _FIRST_PART: Final = 0.3
-"""Part of the way on which fingertips show where fingers close; later they curl back."""
+"""Share of the way on which fingertips show where fingers close; later they curl back."""
 _SNAP: Final = math.radians(35.0)
 """A hand that points along an axis of its base within this angle is shown upright [rad]."""
 _ONE_WAY: Final = 0.45
-"""Fingertips that together move less than this part of their ways close towards one another."""
+"""Fingertips whose common motion is less than this share of their own close towards one another."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,7 @@ class Camera:
         width, height = self.size
         scale = height / (2.0 * math.tan(FIELD / 2))
         offset = points - self.position
+        # Points behind the camera must not be mirrored into the picture.
         depth = np.maximum(offset @ self.forward, 1e-9)
         x = width / 2 + scale * (offset @ self.right) / depth
         y = height / 2 - scale * (offset @ self.up) / depth
@@ -133,6 +134,7 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
 def farthest(hand: Hand) -> FloatArray:
     """Return the posture with every actuator at its bound farthest from rest."""
     bounds = np.array([actuator.farthest for actuator in hand.actuators])
+    # A continuous actuator has no bound: a turn of one radian shows where it moves.
     return np.where(np.isfinite(bounds), bounds, hand.rest + 1.0)
 
 

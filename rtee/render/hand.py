@@ -18,7 +18,7 @@ from rtee.render.image import Contact, FileFormat, encode, linear_rgb, with_silh
 from rtee.render.mesh import HandMesh, Mesh
 from rtee.render.raycast import RayCaster, check_pictures
 from rtee.render.renderer import Renderer, Shading
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 SIZE: Final = (430, 400)
 """Width and height of a picture of a hand [pixels]."""
@@ -37,9 +37,9 @@ _NEAR: Final = 0.09
 _BLOCKING: Final = 0.03
 """Radius around a contact that should not be hidden in a close-up, over the hand's diagonal."""
 _FAR: Final = 10.0
-"""Beyond every hand [m]."""
+"""A distance larger than any hand [m]."""
 _WANTED: Final = 4.0
-"""How much more the surface of wanted fingers counts than that of others."""
+"""How much more the surface of wanted fingers counts than that of others: chosen by eye."""
 
 
 def link_colours(hand: Hand, links: Iterable[str]) -> FloatArray:
@@ -172,6 +172,7 @@ class HandRenderer:
         points = np.concatenate([(a + b + c) / 3.0, [contact[0]]])
         spots = self._camera.project(points) / self.size
         spots[-1] += np.where(spots[-1] < 0.5, -_MARK, _MARK)
+        # The contact itself must never be covered.
         weights = np.append(weights, np.inf)
         covered = {}
         for corner in CORNERS:

@@ -1,4 +1,4 @@
-"""From linear light to picture files, with contacts marked."""
+"""Encode linear light as picture files, with contacts marked."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from rtee.render.camera import Camera
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 if TYPE_CHECKING:
     from PIL import ImageDraw
@@ -72,6 +72,7 @@ def encode(
 
     coverage = np.clip(picture[..., 3:], 0, 1)
     if background is None:
+        # Files hold colours that are not multiplied with their coverage.
         colour = np.where(coverage > 1e-6, picture[..., :3] / np.maximum(coverage, 1e-6), 0.0)
         data = np.concatenate([_srgb(colour), coverage], axis=2)
     else:
@@ -101,6 +102,7 @@ def _marked(image: Any, camera: Camera, contact: Contact, *, large: bool) -> Any
     layer = Image.new("RGBA", (2 * half * fine, 2 * half * fine), (255, 255, 255, 0))
     draw = ImageDraw.Draw(layer)
     x, y = (at - corner) * fine
+    # Dark on white, so that the mark shows on any background.
     for colour, width in (((255, 255, 255, 235), pen * 2.2), ((17, 17, 17, 255), pen)):
         grown = (width - pen) / 2
         box = [x - radius - grown, y - radius - grown, x + radius + grown, y + radius + grown]

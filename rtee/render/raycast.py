@@ -14,7 +14,7 @@ from rtee.errors import needing_extra
 from rtee.render.bvh import ClosestHits, NumpyScene
 from rtee.render.mesh import Mesh
 from rtee.render.sampling import normalised
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from rtee.render.sampling import (
     fibonacci_lattice,
     normalised,
 )
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _TILE: Final = 4
 """Side of a tile [pixels]: its pixels use different rays, and are averaged afterwards."""
@@ -92,6 +92,7 @@ class Shading:
             extent: Diagonal of what is seen [m].
             ground: Height of the ground along ``up`` [m]; ``None`` for no ground.
         """
+        # Chosen by eye: shadows fall to the lower right, as in most drawings.
         light = -0.55 * camera.right + 0.75 * up - 0.62 * camera.forward
         return cls(colours, light / np.linalg.norm(light), up, ground, 0.45 * extent)
 
@@ -123,6 +124,7 @@ class _GBuffer:
         for dy in range(-(_TILE // 2), _TILE - _TILE // 2):
             for dx in range(-(_TILE // 2), _TILE - _TILE // 2):
                 y, x = self._beside(self.y, self.x, dy, dx)
+                # One surface: nearly the same normal (26°), and about the same depth.
                 same = np.einsum("ij,ij->i", self.normals[y, x], self.hits.normals) > 0.9
                 step = np.abs(self.depth[y, x] - self.hits.depth)
                 same &= step < 0.004 * self.hits.depth * (abs(dx) + abs(dy) + 1)
@@ -145,6 +147,7 @@ class _GBuffer:
             better = difference < best[left]
             best[left[better]] = difference[better]
             found[left[better]] = self.light[beside][better]
+            # Most points find their own pixel at once; only the others look around.
             left = left[best[left] > _ALIKE]
         return found[:, 0], found[:, 1]
 
@@ -186,6 +189,7 @@ class Renderer:
         width, height = self.camera.size
         total = np.zeros((height, width))
         y, x = self._window()
+        # Four rays per pixel on a rotated grid: no two share a row or a column.
         for dx, dy in ((0.125, 0.625), (0.375, 0.125), (0.625, 0.875), (0.875, 0.375)):
             hits = self._cast(x, y, dx, dy)
             total[y[hits.rays], x[hits.rays]] += 0.25
@@ -292,6 +296,7 @@ class Renderer:
         shade = np.zeros(rows * columns)
         shade[which] = _GROUND_DARKNESS * fade * dark / _GROUND_RAYS
         shade = _blurred(shade.reshape(rows, columns))
+        # A soft shadow needs no more resolution than every fourth pixel.
         coverage = _enlarged(shade, step)[:height, :width] * _border_fade(height, width)
         result = picture.copy()
         # The shadow is black with that coverage, behind the mesh.

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _LIGHT_ANGLE: Final = math.radians(9.0)
 """Half the angle under which the light is seen [rad]: shadows get soft edges."""
@@ -36,6 +36,7 @@ def orthonormal_basis(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     x, y, z = normals.T
     sign = np.where(z >= 0, 1.0, -1.0)
+    # Without a branch, and without the division by zero that a cross product has near an axis.
     a = -1.0 / (sign + z)
     b = x * y * a
     first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)

@@ -18,12 +18,15 @@ NAMES: Final = ("chromium", "chromium-browser", "google-chrome")
 """What the program may be called; ``RTEE_BROWSER`` names another."""
 
 _ARGUMENTS: Final = (
+    # Chromium refuses to run as root with its sandbox, as in containers.
     "--no-sandbox",
     "--disable-quic",
     "--no-first-run",
+    # Nothing but the page under test may use the network.
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    # WebGL in software: computers that run tests seldom have a graphics card.
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",

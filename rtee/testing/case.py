@@ -1,4 +1,4 @@
-"""What the contract suite must know of a device."""
+"""The description of a device for the contract suite."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CYCLES = "RTEE_CONTRACT_CYCLES"
 
 
 def cycles(default: int = 10_000) -> int:
-    """Return for how many cycles faults of the wire last: as the environment says, else these."""
+    """Return for how many cycles faults of the wire last: from the environment, or the default."""
     return int(os.environ.get(CYCLES, default))
 
 
@@ -28,7 +28,7 @@ def actuator(
     effort: float = 10.0,
     rest: float | None = None,
 ) -> ActuatorSpec:
-    """Return an actuator for a test, with limits that need no thought."""
+    """Return an actuator for a test, with usual limits."""
     return ActuatorSpec(
         name,
         kind,

@@ -1,4 +1,4 @@
-"""The suite that every driver passes: one test for each thing that users of hands suffer from."""
+"""The suite that every driver passes: one test for each failure that users of hands suffer from."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ _DEAF = 0.06
 """No answer is heard for this long [s]; longer than most drivers wait for one."""
 
 _SHARE = 0.05
-"""Part of the messages that a faulty wire damages; a real one in need of repair damages fewer."""
+"""Share of the messages that a faulty wire damages; even a real wire in need of repair damages
+fewer."""
 
 
 class DriverContract:
@@ -69,6 +70,7 @@ class DriverContract:
         async with asyncio.timeout(within), Session(self.case) as session:
             yield session
         await asyncio.sleep(0)
+        # One turn of the event loop lets tasks that were cancelled end.
         left = asyncio.all_tasks() - before
         assert not left, f"tasks left behind: {left}"
 
@@ -118,6 +120,7 @@ class DriverContract:
                 await session.driver.configure()
             assert str(caught.value)
             session.wire.replug()
+            # The port is there and all frames are lost: the other way in which a device is absent.
             session.wire.faults = Faults(drop=1.0)
             with pytest.raises((BusTimeout, NotConnected)):
                 await session.driver.configure()
@@ -130,6 +133,7 @@ class DriverContract:
             heard = commands(session.emulator)
             state = await session.start()
             here = Reference.at(state.position)
+            # Several cycles: nothing may be sent when the same reference comes again, either.
             for _ in range(5):
                 await session.cycle(here)
                 await asyncio.sleep(0.005)
@@ -218,6 +222,7 @@ class DriverContract:
             for _ in range(5):
                 await session.cycle(Reference.at(list(far)))
             session.wire.faults = Faults(drop=1.0, requests=False)
+            # Answers return while stop still retries, as after a real disturbance.
             heal = asyncio.get_running_loop().call_later(
                 _DEAF, setattr, session.wire, "faults", Faults()
             )
@@ -231,6 +236,7 @@ class DriverContract:
                 math.copysign(float(way), way * (f - n))
                 for way, n, f in zip(moved, near, far, strict=True)
             ]
+            # Only what leads on counts: a hand may give way a little when it stops.
             assert max(onward) <= self.case.tolerance, "it went on"
 
     async def test_stop_and_disable_never_raise(self) -> None:
@@ -273,6 +279,7 @@ class DriverContract:
             assert caught.name
             assert caught.hint
             assert caught.recoverable
+            # The cause is still there, so recovering must not pretend success.
             with pytest.raises(DeviceFault):
                 await self._recover(session)
             session.emulator.clear()
@@ -315,6 +322,8 @@ class DriverContract:
                     break
                 assert session.near(state, [float(q) for q in there.position])
                 await asyncio.sleep(0.005)
+            # A device that homes has lost its zero: going on without a word would be wrong
+            # positions.
             assert noticed or not self.case.homes
 
     # --- faults of the wire ------------------------------------------------------------------
@@ -374,6 +383,7 @@ class DriverContract:
             await session.start()
             await session.reach(near)
             session.wire.faults = Faults(delay=1.0, delay_time=0.01)
+            # Before it is sent, on its way, and shortly before the answer, which takes 10 ms.
             for wait in (0.0, 0.001, 0.004, 0.008):
                 task = asyncio.ensure_future(session.driver.sense())
                 await asyncio.sleep(wait)
@@ -401,6 +411,7 @@ class DriverContract:
                 state = await session.start()
                 assert session.near(state, here)
             assert len(asyncio.all_tasks()) == tasks
+            # One more at most: a library may open something for itself at the first use.
             assert open_files() <= files + 1
 
     async def _lost(self, session: Session) -> None:

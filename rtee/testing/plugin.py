@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rtee.remote.blocking import BlockingHand
     from rtee.testing.running import StartHand
 
+# Before it is imported: its assertions then show their values, as those of a test file do.
 pytest.register_assert_rewrite("rtee.testing.contract")
 
 
@@ -32,6 +33,7 @@ def no_leaks() -> Iterator[None]:
     files, threads = _files(), threading.active_count()
     yield
     end = time.monotonic() + 2.0
+    # Threads and transports may end a moment after the test: they get two seconds.
     while (_files() > files or threading.active_count() > threads) and time.monotonic() < end:
         time.sleep(0.01)
     if _files() > files or threading.active_count() > threads:
@@ -55,6 +57,7 @@ def rtee_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start
     folder.mkdir()
     monkeypatch.setenv("RTEE_RUNTIME_DIR", str(folder / "run"))
     for name in ("RTEE_CONNECT", "RTEE_HAND"):
+        # A hand that the developer runs beside the tests must not be found instead.
         monkeypatch.delenv(name, raising=False)
     with contextlib.ExitStack() as stack:
 

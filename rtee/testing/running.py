@@ -1,6 +1,6 @@
-"""A hand that runs beside the tests of an application, its devices emulated.
+"""Run a hand beside the tests of an application, with emulated devices.
 
-Its process is ended with the test, and ends by itself when that of the tests is killed.
+Its process ends with the test, and also when the process of the tests is killed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LOOK_EVERY: Final = 0.2
 _END_WITHIN: Final = 10.0
 """Time for coming to rest and writing the rest of the recording [s]."""
 
-# `rtee` with its input on a leash: when that is closed, it is interrupted as by Ctrl-C.
+# `rtee` that ends with its input: when that is closed, it is interrupted as by Ctrl-C.
 _PROGRAM: Final = """
 import os, runpy, signal, sys, threading
 
@@ -103,6 +103,7 @@ def running_hand(
     except BaseException:
         _end(process)
         raise
+    # A loop that failed at its end must fail the test, too, even if all goals were reached.
     if _end(process) != 0:
         raise RteeError(f"the hand '{config.name}' failed: {_last(said)}")
 
@@ -151,6 +152,7 @@ def _end(process: subprocess.Popen[bytes]) -> int:
     try:
         return process.wait(_END_WITHIN)
     except subprocess.TimeoutExpired:
+        # It does not come to rest: a test must not wait for ever.
         process.kill()
         return process.wait()
 

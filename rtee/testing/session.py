@@ -16,8 +16,9 @@ from rtee.drivers.base import Driver
 from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
 from rtee.errors import BusTimeout, FrameError
+from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
-from rtee.types import ActuatorState, Reference
+from rtee.types import Reference
 
 
 def open_files() -> int:
@@ -40,6 +41,7 @@ class Session:
         self.case = case
         self.spec = case.spec(name)
         self._own = pool is None
+        # Without the wire's time: the suite is about behaviour, and runs ten thousands of cycles.
         self.pool = pool or BusPool(wire_time=False)
         self.driver: Driver = find_driver(case.driver)(self.spec, self.pool)
 
@@ -108,6 +110,7 @@ class Session:
                 return state
             if time.monotonic() > end:
                 return state or await self.sense()
+            # A pause lets emulators run that share this process, at any speed of the machine.
             await asyncio.sleep(0.002)
 
     def near(self, state: ActuatorState, goal: Sequence[float]) -> bool:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
-from rtee.types import FloatArray
 
 
 class CarrierScript:

@@ -14,7 +14,8 @@ from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.scene import approach
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 _STEPS = 21
 _TURNS = 3

@@ -18,8 +18,8 @@ from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.object_description import ObjectDescription
-from rtee.sample import TickRecord, measured_arrays
-from rtee.types import ActuatorState, BoolArray, Feedback, FloatArray, Goal, Result
+from rtee.sample import ActuatorState, BoolArray, FloatArray, TickRecord, measured_arrays
+from rtee.types import Feedback, Goal, Result
 
 _PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action takes some ten
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rtee.hand.model import Hand
-from rtee.types import BoolArray, FloatArray
+from rtee.sample import BoolArray, FloatArray
 
 
 class KinematicPlay:

@@ -21,8 +21,8 @@ from rtee.render.raycast import RayCaster, check_pictures
 from rtee.render.renderer import Renderer, Shading
 from rtee.render.strip import SIZE
 from rtee.render.strip import write_strip as write_strip
+from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
-from rtee.types import FloatArray
 
 _TABLE_COLOUR = "#c9ccd1"
 _REACH = np.array([[0.0, 0.0, -0.03], [0.0, 0.0, 0.04]])

@@ -20,11 +20,11 @@ from rtee.loop.settings import LoopSettings
 from rtee.planning.composition import DRAFT
 from rtee.planning.objects import GraspObject, Piece
 from rtee.planning.result import Check, GraspPlan, Ranking
+from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial
 from rtee.trials.trial import TrialRun
-from rtee.types import FloatArray
 
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 

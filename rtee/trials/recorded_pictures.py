@@ -24,7 +24,7 @@ from rtee.render.mesh import HandMesh, Mesh, smooth_normals
 from rtee.render.raycast import RayCaster, check_pictures
 from rtee.render.renderer import Renderer, Shading
 from rtee.render.strip import SIZE, write_strip
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 MOST: Final = 6
 """Pictures of one recording: a row of them fits across a page."""

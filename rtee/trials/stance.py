@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

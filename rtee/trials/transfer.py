@@ -21,12 +21,13 @@ from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import OPEN
 from rtee.loop.settings import LoopSettings
+from rtee.sample import FloatArray
 from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.stance import Stance
 from rtee.trials.variation import Variation, draw
-from rtee.types import FloatArray, Goal
+from rtee.types import Goal
 
 MOMENTS = ("start", "approach", "grasp", "lift", "carry", "set down", "open", "retreat")
 """The moments of a transfer, in order."""

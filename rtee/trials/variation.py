@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 SIZE: Final = 0.1
 """Objects are up to this share larger or smaller."""

@@ -21,11 +21,11 @@ from rtee.drivers.qb_softhand.codec import Command as QbCommand
 from rtee.drivers.registry import find_driver
 from rtee.drivers.robotiq_2f.codec import Command
 from rtee.errors import GoalRejected
+from rtee.hand.config_schema import Behaviour
 from rtee.loop import connection
 from rtee.loop.clock import Clock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
-from rtee.loop.settings import Behaviour
 from rtee.loop.shutdown import bring_to_rest
 from rtee.loop.supervisor import Supervisor
 from rtee.loop.tick_driver import drive

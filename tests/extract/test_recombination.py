@@ -11,7 +11,7 @@ import pytest
 from rtee.extract.descent import Minimum, Slope
 from rtee.extract.search import SearchEffort, minima, moved_blocks, recombined
 from rtee.extract.space import Space
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 BLOCKS = [np.array([0, 1]), np.array([2, 3])]
 

@@ -6,7 +6,7 @@ import pytest
 from rtee.extract.descent import Objective, Slope, descend
 from rtee.extract.polish import polish
 from rtee.extract.resolution import FINE
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 
 def bowl(centre: FloatArray, scales: FloatArray) -> Objective:

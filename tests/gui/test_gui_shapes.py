@@ -15,7 +15,7 @@ from rtee.hand.catalog import hand_names
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 URDF = """<robot name="claw">
   <link name="palm"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>

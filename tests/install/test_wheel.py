@@ -29,7 +29,7 @@ pytestmark = [
 LARGEST = 200 * 2**20
 """What the online half may take of the disk of a robot PC [bytes]."""
 
-PYTHONS = ("3.11", "3.12", "3.13")
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 ON_ARM = {"platform_machine": "aarch64"}
 PLATFORMS = ("manylinux2014_aarch64", *(f"manylinux_2_{n}_aarch64" for n in (17, 24, 26, 27, 28)))
 """What pip takes on a 64-bit ARM Linux with glibc 2.28 or newer."""

@@ -25,15 +25,17 @@ from rtee.commands import (
 )
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import LogError, UnknownActuator
+from rtee.hand.config_schema import GraspSettings, ProfileKind, ProfileSettings
 from rtee.hand.model import Hand
 from rtee.log import Entry, Recorder, Recording, read
 from rtee.log.check import check
 from rtee.log.tables import tables
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
-from rtee.loop.settings import GraspSettings, LoopSettings, ProfileKind, ProfileSettings
+from rtee.loop.settings import LoopSettings
 from rtee.messages.convert import plain
-from rtee.types import ActuatorState, Goal, OnContact
+from rtee.sample import ActuatorState
+from rtee.types import Goal, OnContact
 
 pytestmark = pytest.mark.anyio
 

@@ -35,8 +35,7 @@ from rtee.log.tick_messages import LinkTransforms
 from rtee.log.writer import LogWriter
 from rtee.loop.settings import LoopSettings
 from rtee.prepare import RunOptions, prepare
-from rtee.sample import TickRecord
-from rtee.types import FloatArray
+from rtee.sample import FloatArray, TickRecord
 
 ACCURACY = 1e-9
 

@@ -9,9 +9,10 @@ import pytest
 
 from rtee.errors import ConfigError
 from rtee.hand.config import HandConfig
+from rtee.hand.config_schema import Behaviour, ProfileKind
 from rtee.hand.model import Hand
 from rtee.loop.configure import DeviceChoice, device_settings, loop_settings, realtime_settings
-from rtee.loop.settings import Behaviour, LoopSettings, ProfileKind
+from rtee.loop.settings import LoopSettings
 
 INDEX = ["index_tip", "index_base"]
 

@@ -22,10 +22,12 @@ from rtee.errors import (
     HandshakeError,
     RteeError,
 )
+from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
 from rtee.loop.handloop import HandLoop
-from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
-from rtee.types import ActuatorState, DeviceStatus, Goal, Lifecycle, Reference
+from rtee.loop.settings import LoopSettings
+from rtee.sample import ActuatorState
+from rtee.types import DeviceStatus, Goal, Lifecycle, Reference
 
 from .hands import Rig, device, make_library, running
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from rtee.errors import ActionError, GoalRejected, UnknownAction
+from rtee.hand.config_schema import ProfileKind, ProfileSettings
 from rtee.hand.model import Hand
-from rtee.loop.settings import LoopSettings, ProfileKind, ProfileSettings
+from rtee.loop.settings import LoopSettings
 from rtee.types import Goal, Result, Stage
 
 from .hands import NAMES, Rig, running

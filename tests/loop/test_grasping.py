@@ -11,10 +11,12 @@ import pytest
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import BusTimeout, GoalRejected
+from rtee.hand.config_schema import GraspSettings, ThermalSettings
 from rtee.hand.model import Hand
-from rtee.loop.settings import GraspSettings, LoopSettings, ThermalSettings
+from rtee.loop.settings import LoopSettings
 from rtee.loop.thermal import Level, Thermal
-from rtee.types import ActuatorState, Goal, Lifecycle, Reference
+from rtee.sample import ActuatorState
+from rtee.types import Goal, Lifecycle, Reference
 
 from .hands import device, running
 

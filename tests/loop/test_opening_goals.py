@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from rtee.actions.library import ActionLibrary
+from rtee.capabilities import GripForce
 from rtee.errors import ActionError, GoalRejected
 from rtee.hand.load import load_configured
 from rtee.log.plans import encode_plan, plan_of
@@ -17,7 +18,7 @@ from rtee.loop.grip import EFFORT, LIMIT, TIPS, Grip
 from rtee.loop.opening_plan import DeviceForces
 from rtee.loop.plan import NO_DEVICES, Plan, make_plan
 from rtee.messages.schema import message_type
-from rtee.types import Goal, GripForce, Stage
+from rtee.types import Goal, Stage
 
 CONFIG = Path(__file__).parents[2] / "config"
 NAN = float("nan")

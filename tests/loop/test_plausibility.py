@@ -15,7 +15,8 @@ from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.hand.model import Hand
 from rtee.loop.plausibility import MARGIN, Plausibility
 from rtee.loop.settings import LoopSettings
-from rtee.types import ActuatorSpec, ActuatorState, Event, Goal, JointKind
+from rtee.sample import ActuatorState
+from rtee.types import ActuatorSpec, Event, Goal, JointKind
 
 from .hands import device, running
 

@@ -11,6 +11,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from rtee.errors import ConfigError
+from rtee.hand.config_schema import ProfileKind, ProfileSettings
 from rtee.hand.model import Hand
 from rtee.loop.limiter import Limiter
 from rtee.loop.motion import Limits, bounded, stopping_velocity
@@ -18,7 +19,6 @@ from rtee.loop.profiles import Profile, make_profile
 from rtee.loop.profiles.phases import Approach, Bounds, cube_root
 from rtee.loop.profiles.s_curve import SCurve
 from rtee.loop.profiles.stepwise import Filter
-from rtee.loop.settings import ProfileKind, ProfileSettings
 
 INF = math.inf
 LIMITS = Limits(

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from rtee.buses.timing import SLICE
+from rtee.hand.config_schema import RealtimeSettings
 from rtee.loop.realtime import Collector, favoured_session
-from rtee.loop.settings import RealtimeSettings
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux only")
 
@@ -28,7 +28,7 @@ def test_without_real_time_only_short_slices_are_asked_for() -> None:
     printed = in_process(
         "import ctypes, os, platform, struct\n"
         "from rtee.loop.realtime import set_up\n"
-        "from rtee.loop.settings import RealtimeSettings\n"
+        "from rtee.hand.config_schema import RealtimeSettings\n"
         "before = os.sched_getaffinity(0), os.nice(0)\n"
         "print(set_up(RealtimeSettings(enabled=False, cpus=(0,))))\n"
         "print((os.sched_getaffinity(0), os.nice(0)) == before)\n"
@@ -48,7 +48,7 @@ def test_what_is_not_permitted_is_a_warning_that_says_what_to_configure() -> Non
     output = in_process(
         "import os, resource\n"
         "from rtee.loop.realtime import set_up\n"
-        "from rtee.loop.settings import RealtimeSettings\n"
+        "from rtee.hand.config_schema import RealtimeSettings\n"
         "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
         "resource.setrlimit(resource.RLIMIT_MEMLOCK, (4096, 4096))\n"
         "if os.getuid() == 0:\n"
@@ -71,7 +71,7 @@ def test_the_session_goes_before_others_for_as_long_as_the_loop_runs() -> None:
         "import os\n"
         "from pathlib import Path\n"
         "from rtee.loop.realtime import favoured_session\n"
-        "from rtee.loop.settings import RealtimeSettings\n"
+        "from rtee.hand.config_schema import RealtimeSettings\n"
         "os.setsid()\n"
         "file = Path('/proc/self/autogroup')\n"
         "nice = lambda: file.read_text().split()[-1] if file.exists() else '-'\n"
@@ -110,7 +110,7 @@ def test_only_the_loops_thread_becomes_real_time() -> None:
     output = in_process(
         "import os, threading\n"
         "from rtee.loop.realtime import set_up\n"
-        "from rtee.loop.settings import RealtimeSettings\n"
+        "from rtee.hand.config_schema import RealtimeSettings\n"
         "print(set_up(RealtimeSettings(enabled=True, priority=10, lock_memory=False)))\n"
         "def look(): print(os.sched_getscheduler(0) == os.SCHED_OTHER)\n"
         "thread = threading.Thread(target=look)\n"
@@ -129,7 +129,7 @@ def test_helpers_that_run_already_stay_ordinary_unless_they_are_given_a_priority
     output = in_process(
         "import os, threading\n"
         "from rtee.loop.realtime import set_up\n"
-        "from rtee.loop.settings import RealtimeSettings\n"
+        "from rtee.hand.config_schema import RealtimeSettings\n"
         "over = threading.Event()\n"
         "helper = threading.Thread(target=over.wait)\n"
         "helper.start()\n"

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from loop.hands import make_hand, make_library
 from rtee.commands import SetActive
 from rtee.errors import GoalRejected
+from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import FreeMotion
 from rtee.loop.plan import make_plan
-from rtee.loop.settings import GraspSettings, LoopSettings
+from rtee.loop.settings import LoopSettings
 from rtee.messages import decode_goal, decode_result, encode_goal, encode_result
 from rtee.types import Event, Goal, OnContact, Result
 

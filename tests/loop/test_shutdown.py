@@ -10,12 +10,13 @@ import pytest
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import BusTimeout, GoalRejected
+from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
 from rtee.loop.observer import Observer
-from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
+from rtee.loop.settings import LoopSettings
 from rtee.loop.shutdown import bring_to_rest
-from rtee.sample import TickRecord
-from rtee.types import ActuatorState, Goal, Lifecycle, Reference
+from rtee.sample import ActuatorState, TickRecord
+from rtee.types import Goal, Lifecycle, Reference
 
 from .hands import Rig, Watcher, device, running
 

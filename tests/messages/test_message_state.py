@@ -21,8 +21,7 @@ from rtee.messages.state import (
     actuator_state_template,
     decode_state,
 )
-from rtee.sample import COLUMNS
-from rtee.types import FloatArray
+from rtee.sample import COLUMNS, FloatArray
 
 
 def state(n: int, m: int, channels: Mapping[str, FloatArray], seed: int = 0) -> State:

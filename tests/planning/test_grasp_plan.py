@@ -26,7 +26,7 @@ from rtee.planning.objects import read_object
 from rtee.planning.plan import grasp_plan, plan_grasps
 from rtee.planning.poses import orientations
 from rtee.planning.result import from_document, to_document
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 ROOT = Path(__file__).parents[2]
 

@@ -21,7 +21,7 @@ from rtee.planning.wrench import (
     quality,
     wrenches,
 )
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 RADIUS = 0.03
 

@@ -11,8 +11,9 @@ import pytest
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.errors import NoHand
+from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
-from rtee.loop.settings import Behaviour, LoopSettings, SafetySettings
+from rtee.loop.settings import LoopSettings
 
 from .serving import RATE, serving, until
 

@@ -25,7 +25,7 @@ class AllegroFrameError(ValueError):
 
 
 class Command(IntEnum):
-    """What a frame is about: its identifier without the two bits of the hand's number."""
+    """The subject of a frame: its identifier without the two bits of the hand's number."""
 
     FINGER_POSE = 0x20
     IMU = 0x30
@@ -60,7 +60,7 @@ def order(command: Command, hand: int = 0) -> CanFrame:
 
 @dataclass(frozen=True, slots=True)
 class Periods:
-    """How often the hand sends what by itself [ms]; 0: never."""
+    """Periods at which the hand sends data by itself [ms]; 0: never."""
 
     joints: int = 0
     imu: int = 0
@@ -89,7 +89,7 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class HandInfo:
-    """What a hand says about itself.
+    """Information that a hand reports about itself.
 
     Attributes:
         hardware: Hardware version; its high byte is the hand's version.
@@ -134,11 +134,13 @@ def side_of(info: HandInfo, serial: str) -> str:
     """
     if info.version == 4:
         return "left" if info.handedness else "right"
+    # The fourth character, as the vendor's program reads it.
     return {"L": "left", "R": "right"}.get(serial[3:4], "")
 
 
 def pack_counts(values: Sequence[float]) -> bytes:
     """Return four joints' values as the hand's 16-bit counts, clamped into their range."""
+    # int() rounds towards zero: never more torque than asked for.
     return _INT16.pack(*(min(max(int(v), -32768), 32767) for v in values))
 
 

@@ -12,7 +12,7 @@ _AT_REST = 0.05
 _STILL = 0.2
 """A joint that moves no faster is held by friction, or will soon be [rad/s]."""
 _CLOSE = 0.002
-"""An error that is left alone: a smaller one would only make the joint hunt for it [rad]."""
+"""A smaller error is left alone [rad]: the integral would only make the joint hunt for it."""
 
 
 class JointControl:
@@ -90,6 +90,7 @@ class JointControl:
             stamp: When they came [s].
         """
         self._fresh[finger] = tuple(self.scale.to_rad(count) for count in counts)
+        # All four, so that the torques of one moment belong to positions of one moment.
         if len(self._fresh) < FINGERS:
             return None
         measured = [angle for f in range(FINGERS) for angle in self._fresh[f]]
@@ -102,6 +103,7 @@ class JointControl:
         if dt < self._least:
             # The hand sends no faster: these have waited in this computer, and then came at once.
             dt = self._least
+        # Beyond 0.1 s frames were lost: neither a velocity nor an integral follows from such a gap.
         self._period = dt if 0.0 < dt < 0.1 else 0.0
         if 0.0 < dt < 0.1 and self.sets:
             share = dt / (dt + self._smoothing)
@@ -127,6 +129,7 @@ class JointControl:
                     self._integral[i] = min(max(grown, -bound), bound)
                 torque = self.kp * error + self.kd * (rate - velocity)
                 torque += self._integral[i]
+                # Last: the sum of all terms must keep the limit, not each of them.
                 torque = min(max(torque, -self._limit[i]), self._limit[i])
             self.torque[i] = torque
             counts.append(int(torque * self.scale.pwm_per_torque))

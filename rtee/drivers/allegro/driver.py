@@ -14,6 +14,7 @@ import numpy as np
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.allegro import codec
 from rtee.drivers.allegro.codec import (
     FINGERS,
@@ -39,7 +40,8 @@ from rtee.errors import (
     NotConnected,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _STALE = 0.25
 """Positions older than this count as lost [s]: more than eighty of the hand's periods."""
@@ -170,6 +172,7 @@ class AllegroDriver(Driver):
         await asyncio.sleep(_PAUSE)
         self._driving = True
         self._refuse(await self.connection.link.info(patient=True))
+        # Again: a limp hand may have sunk while its motors were switched on.
         self._hold()
 
     async def examine(self) -> str:
@@ -194,6 +197,7 @@ class AllegroDriver(Driver):
         """Switch the hand off, silence it and give the bus back."""
         if self.connection.is_open:
             link = self.connection.link
+            # First, so that no more torques are computed from positions that still come in.
             link.deafen()
             with contextlib.suppress(BusError):
                 if self._driving:
@@ -232,6 +236,7 @@ class AllegroDriver(Driver):
             effort=[control.torque[j] for j in self._joints],
             temperature=np.full(len(self._joints), temperature),
         )
+        # The loop may be faster than the hand: the same set must not count as a new measurement.
         return state if fresh else replace(state, fresh=False)
 
     async def move(self, reference: Reference) -> None:
@@ -255,6 +260,7 @@ class AllegroDriver(Driver):
             if info.status & bit:
                 self._driving = False
                 raise DeviceFault(self.spec.name, int(bit), name, hint=hint)
+        # Its supply was cut: it answers again, but its motors stay off until they are switched on.
         if self._driving and not info.status & Status.SERVO_ON:
             self._driving = False
             raise DeviceFault(

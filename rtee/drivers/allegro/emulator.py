@@ -1,4 +1,4 @@
-"""Plays an Allegro Hand on a CAN bus: sixteen joints under torques, telling their positions.
+"""Emulates an Allegro Hand on a CAN bus: sixteen joints under torques that send their positions.
 
 What the hand does when torques stop coming is not known; here it is an option.
 """
@@ -47,7 +47,7 @@ _SERIALS = {
 
 @dataclass(frozen=True, slots=True)
 class AllegroProperties:
-    """What the emulated hand is like.
+    """Properties of the emulated hand.
 
     Attributes:
         hand: Its number on the bus, 0 to 3.
@@ -55,7 +55,7 @@ class AllegroProperties:
         left: Whether it is a left hand.
         serial: Its serial number, eight characters; by default one that names its side, and of a
             version 5 its type, where the vendor's program looks for them.
-        torque_timeout: Torques count for so long [s]; 0: until the next.
+        torque_timeout: Torques count for this long [s]; 0: until the next.
         inertia: Of a joint [kg·m²].
         damping: Of a joint [N·m·s/rad].
         friction: Of a joint [N·m].
@@ -105,6 +105,7 @@ class _Joint:
         direction = self.velocity if self.velocity else push
         push -= math.copysign(drag, direction)
         velocity = self.velocity + dt * push / made.inertia
+        # Friction stops a joint; it never drives it the other way.
         if self.velocity and velocity * self.velocity < 0.0 and abs(push) <= 2.0 * drag:
             velocity = 0.0
         self.velocity = velocity
@@ -199,6 +200,7 @@ class AllegroEmulator(Emulator, Grasps):
         if not self.periods.joints or now < self._next or "silent" in self.faults:
             return []
         period = self.periods.joints / 1000.0
+        # From the last one, so that the rate holds; after a pause, no burst of old ones.
         self._next = max(self._next + period, now)
         return [self._pose(finger) for finger in range(FINGERS)]
 

@@ -17,7 +17,7 @@ from rtee.drivers.allegro.codec import (
 )
 
 PATIENCE = 6.0
-"""What belongs to no cycle may take so many deadlines."""
+"""What does not belong to a cycle may take this many deadlines."""
 
 Take = Callable[[int, Sequence[int], float], object]
 """Takes a finger's number, its four joints' counts and when they came [s]."""
@@ -77,7 +77,7 @@ class AllegroLink:
             self._undo.append(self.bus.subscribe(_taking(finger, take), number))
 
     def deafen(self) -> None:
-        """Hand no more positions on; idempotent."""
+        """Pass no more positions on; idempotent."""
         for undo in self._undo:
             undo()
         self._undo.clear()

@@ -32,7 +32,7 @@ class AllegroOptions(DeviceOptions):
         max_integral: Torque that the integral may add [N·m].
         max_torque: Torque not to be exceeded [N·m], besides the hand's own limits.
         smoothing: Time constant of the velocity filter [s].
-        info_every: Temperature and faults are asked for every so many exchanges.
+        info_every: Temperature and faults are asked for once in this many exchanges.
         deadline: Longest time to wait for an answer [s].
     """
 

@@ -37,7 +37,7 @@ class NmtCommand(IntEnum):
 
 
 class NmtState(IntEnum):
-    """What a node says it is, in its heartbeat."""
+    """The state that a node reports in its heartbeat."""
 
     BOOT = 0x00
     STOPPED = 0x04
@@ -92,7 +92,7 @@ class Emergency:
 
 
 class Abort(IntEnum):
-    """Why an SDO transfer is refused."""
+    """The reason why an SDO transfer is refused."""
 
     TOGGLE = 0x0503_0000
     COMMAND = 0x0504_0001
@@ -142,6 +142,7 @@ class Sdo:
     @property
     def size(self) -> int:
         """Bytes of an expedited transfer's value."""
+        # Bit 0 says whether the size is given, bits 2 and 3 how many bytes are not used.
         return 4 - (self.command >> 2 & 0x3) if self.command & 0x1 else 4
 
     @classmethod
@@ -225,6 +226,7 @@ def error_register(code: int) -> int:
     if not code:
         return 0
     register = ErrorRegister.GENERIC | _REGISTERS.get(code >> 12, ErrorRegister(0))
+    # The second digit distinguishes errors of communication, too.
     if code >> 8 in (0x81, 0x82):
         register |= ErrorRegister.COMMUNICATION
     elif code >> 8 in (0x84, 0x85, 0x86):  # velocity, torque and position control

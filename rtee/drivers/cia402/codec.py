@@ -80,6 +80,7 @@ class State(Enum):
         """Return the state in a statusword; one that fits none counts as not ready."""
         for state in cls:
             mask, value = state.value
+            # Each state has a mask of its own: some bits do not matter in some states.
             if statusword & mask == value:
                 return state
         return cls.NOT_READY
@@ -126,12 +127,13 @@ def next_control(state: State) -> Control | None:
         State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
         State.READY: Control.SWITCH_ON,
         State.SWITCHED_ON: Control.ENABLE,
+        # Back to the beginning: not every drive can go on from a quick stop.
         State.QUICK_STOP: Control.DISABLE_VOLTAGE,
     }.get(state)
 
 
 class Pdo:
-    """What the four PDOs have in common.
+    """Base class of the four PDOs.
 
     Attributes:
         FORM: Layout of the data.
@@ -249,9 +251,9 @@ class Scale:
         """Return the drive's position [counts]."""
         return round(position * self.counts) + self.zero
 
-    def to_velocity(self, told: int) -> float:
+    def to_velocity(self, raw: int) -> float:
         """Return the actuator's velocity [rad/s | m/s] of the drive's."""
-        return told * self.velocity_unit / self.counts
+        return raw * self.velocity_unit / self.counts
 
     def to_velocity_limit(self, velocity: float) -> int:
         """Return a speed limit in the drive's unit, at least 1."""

@@ -22,7 +22,7 @@ MODES = {"profile_position": Mode.PROFILE_POSITION, "cyclic_position": Mode.CYCL
 """Mode of operation (object 6060h) by the name of the option."""
 
 SET_UP_WITHIN = 10.0
-"""Longest time for the SDO transfers that set up one drive, about forty [s]."""
+"""Longest time for the about forty SDO transfers that set up one drive [s]."""
 
 _NOT_ENABLED = 0x10002
 _HOMING_FAILED = 0x10003
@@ -81,6 +81,7 @@ class DriveCycle:
         """
         bus, now = self.bus, time.monotonic()
         self._send_heartbeat(now)
+        # Before sending: an answer counts only if it is newer than this SYNC.
         before = [drive.stamp for drive in self.drives]
         bus.send_now(CanFrame(cia301.SYNC))
         bus.counters.transactions += 1
@@ -95,6 +96,7 @@ class DriveCycle:
                 )
             if not late:
                 return
+            # Only then wait: a report that came since the list was made would be missed otherwise.
             self._news.clear()
             try:
                 async with asyncio.timeout(end - time.monotonic()):
@@ -231,9 +233,11 @@ class DriveCycle:
         await self.bus.run(
             partial(drive.download, Object.HOMING_METHOD, 0, "b", method), SET_UP_WITHIN
         )
+        # Of all drives, as the mode goes out with every set-point; the others stay where they are.
         self.mode = Mode.HOMING
         try:
             await self._search(drive)
+        # A drive that goes on homing unsupervised might run into something.
         except BaseException:
             drive.controlword = Control.DISABLE_VOLTAGE
             with contextlib.suppress(BusError):

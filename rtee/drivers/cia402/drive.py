@@ -185,6 +185,7 @@ class DriveLink:
         """
         host, silence, reaction = watch
         try:
+            # Before anything is written: a drive that holds something keeps its target.
             raw = self.upload(Object.TARGET_POSITION)
             self.found_target = int.from_bytes(raw, "little", signed=True)
         except DriverError:
@@ -199,11 +200,14 @@ class DriveLink:
         self._map(0x1800, TPDO[0], Status.MAP)
         self._map(0x1801, TPDO[1], Motion.MAP)
         if mode is Mode.CYCLIC_POSITION:
+            # The exponent first: the period below counts in milliseconds then.
             self.download(Object.INTERPOLATION_TIME, 2, "b", -3)
             self.download(Object.INTERPOLATION_TIME, 1, "B", min(max(round(period * 1e3), 1), 255))
 
     def _map(self, index: int, cob: int, objects: tuple[int, ...]) -> None:
         identifier = cob + self.id
+        # CiA 301, section 7.5.2.36: a mapping can be changed only while the PDO is disabled and has
+        # no entries.
         self.download(index, 1, "I", cia301.DISABLED | identifier)
         self.download(index + 0x200, 0, "B", 0)
         for slot, mapped in enumerate(objects, start=1):
@@ -239,6 +243,7 @@ class DriveLink:
                 word |= codec.NEW_SET_POINT | codec.CHANGE_NOW
                 self.pending = True
                 self._sent_target = self.target
+        # A set-point that is not acknowledged yet must not change on its way.
         target = self.target if not self.pending else self._sent_target or 0
         self.bus.send_now(CanFrame(RPDO[0] + self.id, Command(word, target, mode).to_bytes()))
 
@@ -300,4 +305,5 @@ class DriveLink:
             emergency = Emergency.from_bytes(frame.data)
         except CanopenFrameError:
             return
+        # Code 0 says that the error is over.
         self.emergency = emergency if emergency.code else None

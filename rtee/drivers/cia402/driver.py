@@ -13,6 +13,7 @@ import numpy as np
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.cia301 import NmtCommand
@@ -33,7 +34,8 @@ from rtee.errors import (
     HandshakeError,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, JointKind, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, JointKind, Reference
 
 _DISARM_WITHIN = 0.5
 """Longest time to disarm the drives' watch over this program when closing [s]."""
@@ -49,7 +51,7 @@ _SYNC_BITS = 52.0
 """Bits on the wire of a frame of eight bytes and of a SYNC, with the most stuffing (CAN 2.0A)."""
 
 _SPACING = 1.2
-"""Time that frames take beside their bits: drives answer a SYNC one after the other."""
+"""Factor on the time of the bits alone: drives answer a SYNC one after the other."""
 
 
 class Cia402Driver(Driver):
@@ -115,10 +117,12 @@ class Cia402Driver(Driver):
             },
         )
         for drive in cycle.drives:
+            # PDOs can be mapped only there; a drive that is enabled keeps its power.
             await bus.send(cia301.nmt(NmtCommand.PRE_OPERATIONAL, drive.id))
         for drive in cycle.drives:
             await bus.run(partial(self._set_up, drive), SET_UP_WITHIN)
         for drive in cycle.drives:
+            # Set-up may have met the boot message of a drive that was just switched on.
             drive.booted = False
             await bus.send(cia301.nmt(NmtCommand.START, drive.id))
         cycle.operational = True
@@ -178,6 +182,7 @@ class Cia402Driver(Driver):
                 f"not homed: {', '.join(d.name for d in unhomed)}",
                 hint="`rtee recover`, or `rtee run --home`, homes it, which moves it",
             )
+        # Before enabling: those that held before keep the target they have.
         holding = [d.state is State.ENABLED for d in cycle.drives]
         await cycle.enable()
         for drive in unhomed:
@@ -225,7 +230,7 @@ class Cia402Driver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Have the drives apply their set-points and report their state, by one SYNC."""
+        """Make the drives apply their set-points and report their state, with one SYNC."""
         cycle = self.connection.link
         await cycle.synchronise()
         if self._active:
@@ -255,6 +260,7 @@ class Cia402Driver(Driver):
                 drive.send_limits(self._limits(i, drive, reference))
                 if i not in left:
                     drive.target = drive.scale.to_counts(float(reference.position[i]))
+            # To every drive, moved or not: they expect a set-point in each cycle.
             drive.send_command(cycle.mode)
 
     def _limits(self, i: int, drive: DriveLink, reference: Reference) -> Limits:
@@ -297,11 +303,12 @@ class Cia402Driver(Driver):
         """Reset faults; the drives stay disabled until `activate`."""
         self._active = False
         await self.connection.link.reset_faults()
+        # Recovering is what a person asks for: homing, which moves, is allowed by it.
         self._home_asked = True
 
 
 def _disarm(cycle: DriveCycle) -> None:
-    """Have the drives watch this program's heartbeat no more; in the worker thread."""
+    """Stop the drives from watching this program's heartbeat; in the worker thread."""
     for drive in cycle.drives:
         drive.download(Object.CONSUMER_HEARTBEAT, 1, "I", 0, tries=1)
 

@@ -1,4 +1,4 @@
-"""One CiA 402 drive as it is emulated: its objects, its states, its motor.
+"""One emulated CiA 402 drive: its objects, its states, its motor.
 
 How a real drive reacts to lost heartbeats, halts and faults depends on its make; here the
 reactions are those that its own objects (6007, 605E) ask for, as far as they are modelled.
@@ -59,7 +59,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class DriveProperties:
-    """What the emulated drives are like.
+    """Properties of the emulated drives.
 
     Attributes:
         nodes: Their node ids.
@@ -228,9 +228,11 @@ class Drive:
     def _controlled(self, word: int) -> Abort | None:
         before, self._control = self._control, word
         if self.state is State.FAULT:
+            # Only the rising edge resets (CiA 402-2).
             if word & 0x80 and not before & 0x80:
                 self._recover()
             return None
+        # "Disable voltage" goes before everything else, whatever the other bits say.
         if not word & 0x02:
             self._become(State.SWITCH_ON_DISABLED)
         elif not word & 0x04:
@@ -254,7 +256,7 @@ class Drive:
         self.axis.enabled = state in (State.ENABLED, State.QUICK_STOP)
 
     def _stay(self) -> None:
-        """Want nothing but to be where it is; a homing under way is given up."""
+        """Make the present position the goal; a homing under way ends."""
         self._legs = []
         self._homing_error = False
         self._aim(self.axis.position)
@@ -348,6 +350,7 @@ class Drive:
         self.node.state = NmtState.PRE_OPERATIONAL
         reaction = self.node.get(Object.ABORT_CONNECTION, signed=True)
         if reaction == 1:
+            # The fault says the same, and with its own emergency.
             self.emergencies.pop()
             self.fail(_LOST_HOST)
         elif reaction in (2, 3):
@@ -356,7 +359,7 @@ class Drive:
     # --- motion ------------------------------------------------------------------------------
 
     def cycle(self) -> None:
-        """Do what a SYNC brings: in cyclic mode the target counts."""
+        """Apply a SYNC: in cyclic mode the target counts."""
         if self.state is not State.ENABLED:
             return
         if self.node.get(Object.MODE_DISPLAY) == Mode.CYCLIC_POSITION:

@@ -1,4 +1,4 @@
-"""Plays grippers whose motors are CiA 402 drives on a CAN bus."""
+"""Emulates grippers whose motors are CiA 402 drives on a CAN bus."""
 
 from __future__ import annotations
 
@@ -102,6 +102,7 @@ class Cia402Emulator(Emulator, Grasps):
         frames = self.step(now)
         if frame.id == cia301.SYNC and not frame.data and not frame.remote:
             for drive in self.drives.values():
+                # Makers differ in whether an answer shows the state before or after the set-point.
                 before = drive.node.transmit()
                 drive.node.sync()
                 drive.cycle()

@@ -1,4 +1,4 @@
-"""Is a node the drive that is expected, and what are its units?"""
+"""Check that a node is the expected drive, and read its units."""
 
 from __future__ import annotations
 
@@ -48,6 +48,7 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
         raise HandshakeError(
             device, f"product {wanted:#x} as node {drive.id}", f"product {product:#x}"
         )
+    # The object is optional: a drive that does not say counts as knowing all modes.
     modes = drive.number(Object.SUPPORTED_MODES, default=0xFFFF_FFFF)
     if not modes & mode.bit:
         known = ", ".join(str(bit + 1) for bit in range(16) if modes >> bit & 1)
@@ -66,7 +67,7 @@ def read_scale(drive: DriveLink, device: str) -> Scale:
     """Return a drive's units from its options, else from its objects; in the worker thread.
 
     Raises:
-        HandshakeError: if its objects make no sense.
+        HandshakeError: if its objects are inconsistent.
         BusError: if the bus fails.
     """
     given = drive.options
@@ -88,6 +89,7 @@ def read_scale(drive: DriveLink, device: str) -> Scale:
             ) from error
     torque = given.rated_torque
     if torque is None:
+        # Objects 6075 and 6076 count in mA and mN·m.
         rated = drive.number(Object.RATED_TORQUE, default=0) / 1000.0
         torque = rated * motor / shaft if rated > 0.0 and shaft > 0 else math.nan
     current = drive.number(Object.RATED_CURRENT, default=0) / 1000.0

@@ -136,6 +136,7 @@ class Node:
             return []
         watched = self.get(0x1016, 1)
         limit = (watched & 0xFFFF) / 1000.0
+        # The watch begins with the first heartbeat, as CiA 301 wants it.
         if self._host_at is not None and limit and now - self._host_at > limit:
             self._host_at = None
             self.on_silence()
@@ -242,6 +243,7 @@ class Node:
         for n in range(_COUNT):
             cob = self.get(_RECEIVE + n, 1)
             if not cob & DISABLED and cob & 0x7FF == frame.id:
+                # Transmission types up to 240 are synchronous: they count from the next SYNC.
                 if self.get(_RECEIVE + n, 2) <= 240:
                     self._received[n] = frame.data
                 else:
@@ -264,6 +266,7 @@ class Node:
                 entry.value = data[at : at + size]
                 taken.append(entry)
             at += size
+        # After all values are there: a controlword acts on the target of the same PDO.
         for entry in taken:
             if entry.changed is not None:
                 entry.changed(int.from_bytes(entry.value, "little"))

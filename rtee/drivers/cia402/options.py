@@ -50,7 +50,7 @@ class Cia402Options(DeviceOptions):
         home: Whether drives with a homing method look for their zero at the first activation.
         max_torque: Torque limit where a reference gives none [0.1 % of the rated torque].
         host: Node id under which this program sends its heartbeat.
-        watchdog: Drives react after so long without this program's heartbeat [s]; 0: never.
+        watchdog: Drives react after this long without this program's heartbeat [s]; 0: never.
         on_silence: Their reaction: object 6007; see the drive's manual, as makers differ.
         heartbeat: Period of the drives' heartbeat [s].
         enable_timeout: Longest time to get from one state to the next [s].

@@ -1,1 +1,1 @@
-"""Finding devices, saying what is wrong with them or the machine, twitching them."""
+"""Find devices, diagnose them and the computer, and twitch them."""

@@ -16,7 +16,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What was looked at, what was found, and what to type.
+    """One check: its subject, its result, and the remedy.
 
     Attributes:
         subject: What was looked at.

@@ -1,4 +1,4 @@
-"""What is wrong with one device, asked in order until something is."""
+"""Diagnose one device: check after check, up to the first obstacle."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from rtee.drivers.diagnosis.probes import can
 from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
 from rtee.drivers.registry import find_driver
 from rtee.errors import BusBusy, DeviceFault, DriverError, HandshakeError, NotConnected, RteeError
-from rtee.types import ActuatorState, DeviceSpec
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec
 
 _CAN_RATE = 1_000_000
-"""Of a device's CAN bus whose bit rate is not an option [bit/s]."""
+"""Bit rate of the CAN bus of devices that have no option for it [bit/s]."""
 
 
 def address_of(options: Mapping[str, Any]) -> str | None:
@@ -150,10 +151,10 @@ async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
 
 
 def _identity(driver: Driver) -> Check:
-    told = driver.capabilities.identity
-    if not told:
+    identity = driver.capabilities.identity
+    if not identity:
         return ok("identity", "it reports nothing about itself")
-    return ok("identity", ", ".join(f"{name} {value}" for name, value in told.items()))
+    return ok("identity", ", ".join(f"{name} {value}" for name, value in identity.items()))
 
 
 def _state(state: ActuatorState, homing: bool) -> list[Check]:
@@ -182,6 +183,7 @@ def _rate(driver: Driver) -> Check:
     if math.isinf(best):
         return ok("rate", "as fast as the loop")
     asked = driver.spec.rate / every if every else 0.0
+    # A thousandth more: rounding is no reason for a warning.
     if asked > best * 1.001:
         return warning(
             "rate",

@@ -1,4 +1,4 @@
-"""Twitch a hand, so that one sees which it is."""
+"""Twitch a hand, so that a person sees which one it is."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import math
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.errors import BusTimeout, FrameError
-from rtee.types import ActuatorState, Reference
+from rtee.sample import ActuatorState
+from rtee.types import Reference
 
 _STEP = 0.02
 """Time between two references while it twitches [s], slow enough for every bus."""
@@ -63,6 +64,7 @@ async def _glide(driver: Driver, start: list[float], end: list[float], time: flo
     steps = max(2, round(time / _STEP))
     missed = 0
     for n in range(1, steps + 1):
+        # Half a cosine: it begins and ends at rest, without a jolt.
         part = (1.0 - math.cos(math.pi * n / steps)) / 2.0
         goal = [a + part * (b - a) for a, b in zip(start, end, strict=True)]
         try:
@@ -71,6 +73,7 @@ async def _glide(driver: Driver, start: list[float], end: list[float], time: flo
             missed = 0
         except (BusTimeout, FrameError):
             missed += 1
+            # A lost frame now and then is no reason to stop halfway.
             if missed > 5:
                 raise
         await asyncio.sleep(_STEP)

@@ -1,4 +1,4 @@
-"""What about this computer helps or hinders a fast loop, and the files that make it a robot PC."""
+"""Check what helps or hinders a fast loop on this computer."""
 
 from __future__ import annotations
 
@@ -6,18 +6,12 @@ import os
 import platform
 import resource
 import shutil
-import sys
 from pathlib import Path
 
 from rtee.drivers.diagnosis.checks import Check, ok, warning
-from rtee.errors import ConfigError
-from rtee.hand.files import make_folder, write_atomically
 
 _LIMITS = "/etc/security/limits.d/rtee.conf"
 """Where the limits of the user are raised (pam_limits)."""
-
-_PROGRAM = "/opt/rtee/bin/rtee"
-"""The program in the service's file, where the documentation installs it."""
 
 
 def check_machine(root: Path = Path("/")) -> list[Check]:
@@ -43,6 +37,7 @@ def _python() -> Check:
 
 def _kernel(root: Path) -> Check:
     release, version = platform.release(), platform.version()
+    # Older real-time kernels say so only there.
     realtime = root / "sys/kernel/realtime"
     if "PREEMPT_RT" in version or _read(realtime) == "1":
         return ok("kernel", f"{release}, real-time")
@@ -113,31 +108,3 @@ def _read(file: Path) -> str:
         return file.read_text("ascii").strip()
     except (OSError, ValueError):
         return ""
-
-
-def write_files(folder: Path) -> list[Path]:
-    """Write the files for a robot PC; the service starts the `rtee` of this environment.
-
-    Args:
-        folder: Where to; made if it is not there.
-
-    Returns:
-        The files written.
-
-    Raises:
-        ConfigError: if this installation has none, or they cannot be written.
-    """
-    package = Path(__file__).resolve().parents[2]
-    # In a wheel they stand beside the code, in a checkout beside the package.
-    places = (package / "_deploy", package.parent / "deploy")
-    source = next((place for place in places if place.is_dir()), None)
-    if source is None:
-        raise ConfigError("this installation of rtee holds no files for a robot PC")
-    make_folder(folder)
-    program = str(Path(sys.executable).parent / "rtee")
-    written = []
-    for file in sorted(path for path in source.iterdir() if path.is_file()):
-        text = file.read_text("utf-8").replace(_PROGRAM, program)
-        write_atomically(folder / file.name, text)
-        written.append(folder / file.name)
-    return written

@@ -1,4 +1,4 @@
-"""What is wrong with a hand's model."""
+"""Diagnose a hand's model."""
 
 from __future__ import annotations
 

@@ -17,10 +17,10 @@ from rtee.buses.serial import SerialBus
 from rtee.errors import BusError, BusTimeout, FrameError
 
 _HAND_INFO = 7
-"""Bytes in which an Allegro Hand reports what it is."""
+"""Length of the information that an Allegro Hand reports about itself [byte]."""
 
 _NOBODYS_UNIT = 213
-"""A Modbus number that no known device has: what answers to it answers to all."""
+"""A Modbus number that no known device has: a device that answers to it answers to all."""
 _OWNER = "scan"
 _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 
@@ -197,14 +197,14 @@ def dynamixel(baudrate: int) -> Probe:
     from rtee.drivers.dynamixel.codec import ALERT
     from rtee.drivers.dynamixel.table import BAUD_RATE, BAUD_RATES, model_of
 
-    def told(bus: DynamixelBus, number: int) -> int:
+    def reported_rate(bus: DynamixelBus, number: int) -> int:
         value, result, error = bus.packets.read1ByteTxRx(bus.port, number, BAUD_RATE.address)
         heard = result == 0 and not error & ~ALERT and value < len(BAUD_RATES)
         return BAUD_RATES[value] if heard else baudrate
 
     def everybody(bus: DynamixelBus) -> list[tuple[int, int, int, int]]:
         data, _ = bus.packets.broadcastPing(bus.port)
-        return [(n, *data[n], told(bus, n)) for n in sorted(data)]
+        return [(n, *data[n], reported_rate(bus, n)) for n in sorted(data)]
 
     async def listen(bus: DynamixelBus, address: str) -> list[Found]:
         return [
@@ -251,7 +251,9 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
             await bus.send(request(Command.HAND_INFO, hand))
         for node in range(1, 128):
             await bus.send(CanFrame(0x600 + node, bytes.fromhex("4000100000000000")))
+            # One request a millisecond: nodes on a slow bus must not overflow their buffers.
             await asyncio.sleep(0.001)
+        # Long enough for a heartbeat of nodes that answer nothing else.
         await asyncio.sleep(0.6)
     finally:
         undo()

@@ -1,4 +1,4 @@
-"""Find devices on all buses of this computer."""
+"""Scan all buses of this computer for devices."""
 
 from __future__ import annotations
 
@@ -51,7 +51,10 @@ def serial_ports() -> list[tuple[str, str]]:
     from serial.tools.list_ports import comports
 
     return [
-        (port.device, port.description or "") for port in sorted(comports()) if port.vid is not None
+        # USB adapters only: a computer's own serial ports seldom lead to a hand.
+        (port.device, port.description or "")
+        for port in sorted(comports())
+        if port.vid is not None
     ]
 
 

@@ -1,4 +1,4 @@
-"""A hand's calibration: what each servo reads at 0 rad, and which servo that was."""
+"""A hand's calibration: the reading of each servo at 0 rad, and the identity of the servo."""
 
 from __future__ import annotations
 

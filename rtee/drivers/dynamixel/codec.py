@@ -17,7 +17,8 @@ HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE  # the id that all servos listen to
 STATUS = 0x55  # in an answer, where a request has its instruction
 LONGEST = 1024
-"""Largest length field that is taken for one."""
+"""Largest length field that is accepted [byte]: no servo has a larger table, garbage often
+would."""
 _STUFFED = b"\xff\xff\xfd"
 
 
@@ -26,7 +27,7 @@ class DynamixelFrameError(ValueError):
 
 
 class Instruction(IntEnum):
-    """What a host asks."""
+    """Instructions of a host."""
 
     PING = 0x01
     READ = 0x02
@@ -177,6 +178,7 @@ def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = N
     """
     if sizes is None:
         sizes = [len(a.params) for a in answers]
+    # Instruction, then error, id and CRC for each servo.
     length = 1 + sum(size + 4 for size in sizes)
     packet = HEADER + struct.pack("<BHB", BROADCAST, length, STATUS)
     for answer in answers:

@@ -19,7 +19,8 @@ from rtee.drivers.dynamixel.table import model_of
 from rtee.drivers.dynamixel.units import Scale, Scales
 from rtee.drivers.hold_on_attach import Attached
 from rtee.errors import CalibrationError, ConfigError, DeviceFault
-from rtee.types import ActuatorState, DeviceSpec, FloatArray, Reference
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
 
 _STATE = struct.Struct("<hii")
 """Present current, velocity and position, side by side in the control table."""
@@ -116,6 +117,7 @@ class ServoCycle:
         """Take the present positions for these angles of the joints [rad]; raises `BusError`."""
         positions = self.positions()
         for number, scale, angle in zip(self.link.ids, self.scales, angles, strict=True):
+            # With neutral units, so that `to_pulses` gives the joint's angle alone.
             scale.zero, scale.turn = 0.0, 0
             pulses = positions[number]
             scale.zero = float((pulses - scale.to_pulses(float(angle))) % table.PULSES)
@@ -146,6 +148,7 @@ class ServoCycle:
         tripped = {n: positions[n] for n in link.ids if guard[n][0] == _TRIPPED}
         link.write_group(table.GOAL_POSITION, tripped)
         self._attached.begin(i for i, n in enumerate(link.ids) if n not in off and n not in tripped)
+        # What was written before the power was cut is gone.
         self._sent, self._limits = {}, None
         if off:
             self.find()
@@ -160,6 +163,7 @@ class ServoCycle:
             BusError: if the line fails.
         """
         count, self._count = self._count, self._count + 1
+        # Seldom: temperatures change slowly, and each read costs a good part of a cycle.
         if count % self._options.health_every == 0:
             self._read_health()
         data, errors = self.link.read_group(table.STATE, table.STATE_SIZE)

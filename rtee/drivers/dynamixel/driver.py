@@ -15,6 +15,7 @@ from typing import ClassVar
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.dynamixel import setup, table
@@ -31,7 +32,8 @@ from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
 from rtee.drivers.wiring import check_names
 from rtee.errors import CalibrationError, RteeError
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
 
 _SLOW = 5.0
 """Longest time for what reads or writes the servos one by one [s]."""
@@ -101,6 +103,7 @@ class DynamixelDriver(Driver):
         )
         link = cycle.link
         await link.run(cycle.find, _SLOW)
+        # After finding: the calibration belongs to these very servos, or it is refused.
         if options.calibration is not None:
             self._adopt_calibration(cycle, options.calibration)
         await link.run(partial(link.choose_read, options.fast), _ONE_SERVO)
@@ -157,6 +160,7 @@ class DynamixelDriver(Driver):
         cycle.link.patient = True
         await cycle.link.run(cycle.unwrap, _SLOW)
         await cycle.link.run(cycle.power, _SLOW)
+        # From now on a cycle has to be kept.
         cycle.link.patient = False
         cycle.active = True
 

@@ -1,4 +1,4 @@
-"""Plays a line of X-series servos at the other end of the wire."""
+"""Emulates a line of X-series servos."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
-_CLEAR_TURNS = b"\x01DXL\x22"
+_CLEAR_TURNS = b"\x01DXL\x22"  # the only parameters with which Clear is accepted
 _LEVELS = {int(Instruction.PING): 0, int(Instruction.READ): 1}
 """Status return level from which an instruction is answered; other instructions from 2."""
 _HARDWARE = {
@@ -39,12 +39,12 @@ _HARDWARE = {
 
 @dataclass(frozen=True, slots=True)
 class LineProperties:
-    """What an emulated line of servos is like.
+    """Properties of an emulated line of servos.
 
     Attributes:
         ids: Ids of its servos.
-        servo: What all of them are like.
-        special: What single ones are like, by id.
+        servo: Properties of all servos.
+        special: Properties of single servos, by id.
         latency: Latency of the adapter per answer [s]; 1 ms or 16 ms with an FTDI chip.
         fast: Whether they know the fast reads.
     """
@@ -57,10 +57,10 @@ class LineProperties:
 
 
 class DynamixelEmulator(Emulator, Grasps):
-    """Servos on one line; all hear every instruction, each answers for itself.
+    """Servos on one line; all receive every instruction, each answers for itself.
 
     Attributes:
-        properties: What the line is like.
+        properties: Properties of the line.
         servos: The servos by id.
         counts: Instructions heard, by instruction.
     """
@@ -77,12 +77,12 @@ class DynamixelEmulator(Emulator, Grasps):
         made = self.properties
         self._all = [Servo(i, made.special.get(i, made.servo)) for i in made.ids]
         self._parser = InstructionParser()
-        self._told_rate = 0
+        self._shown_rate = 0
         self.counts: dict[int, int] = {}
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Make the servos a device's options name, standing where their joints are at 0 rad."""
+        """Make the servos that a device's options name, with their joints at 0 rad."""
         servos: Mapping[str, Any] = options.get("servos") or {}
         given = [dict(s) for s in servos.values()]
         defaults: dict[str, Any] = {}
@@ -134,6 +134,7 @@ class DynamixelEmulator(Emulator, Grasps):
         """Block the servos while they are stuck, and have them answer as the model they are."""
         for servo in self._all:
             servo.axis.stuck = "stuck" in self.faults
+            # 350 is an XL-320, which has another control table.
             model = 350 if "wrong_device" in self.faults else servo.properties.model
             servo.set(table.MODEL, model)
 
@@ -153,7 +154,7 @@ class DynamixelEmulator(Emulator, Grasps):
         self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
 
     def step(self, now: float) -> list[bytes]:
-        """Let time pass; servos say nothing unasked."""
+        """Let time pass; servos send nothing without a request."""
         for servo in self._all:
             servo.step(now)
         return []
@@ -161,26 +162,27 @@ class DynamixelEmulator(Emulator, Grasps):
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Take bytes from the host and return the answers."""
         self.step(now)
-        self._tell_rate()
+        self._show_rate()
         answers: list[bytes] = []
         for packet in self._parser.feed(data):
             if "silent" in self.faults:
                 continue
             self.counts[packet.instruction] = self.counts.get(packet.instruction, 0) + 1
             for servo in self._all:
+                # Every instruction on the line feeds the bus watchdog, whichever servo it is for.
                 servo.heard(now)
             answers += self._answers(packet, now)
-        return answers + self._complaints(now)
+        return answers + self._crc_errors(now)
 
-    def _tell_rate(self) -> None:
-        """Have the servos' memory name the rate of the line."""
-        if self.baudrate != self._told_rate and self.baudrate in table.BAUD_RATES:
-            self._told_rate = self.baudrate
+    def _show_rate(self) -> None:
+        """Set the register of the baud rate to the rate of the line."""
+        if self.baudrate != self._shown_rate and self.baudrate in table.BAUD_RATES:
+            self._shown_rate = self.baudrate
             for servo in self._all:
                 servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
 
-    def _complaints(self, now: float) -> list[bytes]:
-        """Return what servos say to instructions that were for them, but damaged on the way."""
+    def _crc_errors(self, now: float) -> list[bytes]:
+        """Return the answers of servos to instructions for them that were damaged on the way."""
         damaged, self._parser.damaged = self._parser.damaged, []
         if "silent" in self.faults:
             return []
@@ -207,6 +209,7 @@ class DynamixelEmulator(Emulator, Grasps):
                 fast = packet.instruction == Instruction.FAST_SYNC_READ
                 return self._read_many(wanted, fast, now)
             case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
+                # A request cut off on the way may end within an entry.
                 wanted = list(struct.iter_unpack("<BHH", params[: len(params) // 5 * 5]))
                 fast = packet.instruction == Instruction.FAST_BULK_READ
                 return self._read_many(wanted, fast, now)
@@ -222,6 +225,7 @@ class DynamixelEmulator(Emulator, Grasps):
         everybody = packet.device == BROADCAST
         numbers = sorted(self.servos) if everybody else [packet.device]
         answers = [self._single(servo, packet, now) for servo in self._listening(numbers, now)]
+        # A broadcast is obeyed by all and answered by none, except for a ping.
         if everybody and packet.instruction != Instruction.PING:
             return []
         return self._delayed([a.to_bytes() for a in answers if a is not None], numbers)
@@ -242,8 +246,8 @@ class DynamixelEmulator(Emulator, Grasps):
         level = servo.get(table.STATUS_RETURN_LEVEL)
         match packet.instruction:
             case Instruction.PING:
-                told = servo.read(0, 7) or bytes(7)
-                return self._status(servo, 0, told[0:2] + told[6:7])
+                reply = servo.read(0, 7) or bytes(7)
+                return self._status(servo, 0, reply[0:2] + reply[6:7])
             case Instruction.READ if len(params) < 4:
                 error = Error.DATA_LENGTH
             case Instruction.WRITE | Instruction.REG_WRITE if len(params) < 3:
@@ -261,6 +265,7 @@ class DynamixelEmulator(Emulator, Grasps):
                 servo.action()
                 error = Error.NONE
             case Instruction.REBOOT:
+                # It answers first: after the reboot it is silent for a while.
                 answer = self._status(servo, 0)
                 servo.reboot(now)
                 return answer if level >= 2 else None
@@ -295,6 +300,7 @@ class DynamixelEmulator(Emulator, Grasps):
     def _delayed(self, answers: list[bytes], numbers: Iterable[int]) -> list[bytes]:
         """Set the turn-around of these answers: every servo's return delay, and the adapter's."""
         servos = self.servos
+        # The register counts in units of 2 µs.
         delays = [servos[n].get(table.RETURN_DELAY) * 2e-6 for n in numbers if n in servos]
         self.turnaround = sum(delays) + self.properties.latency
         return answers

@@ -65,6 +65,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
     def fastSyncReadRxPacket(self) -> int:  # noqa: N802 - the SDK's name
         """Receive the one answer of all servos."""
         self.last_result = False
+        # Each servo's part: error, id, data and checksum.
         part = self.data_length + 4
         raw, result, _ = self.ph.fastSyncReadRx(
             self.port, sdk.BROADCAST_ID, part * len(self.data_dict)
@@ -73,6 +74,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
             return int(result)
         if len(raw) != part * len(self.data_dict):
             return int(sdk.COMM_RX_CORRUPT)
+        # Checked before anything is taken over: half of an answer must not mix with the last one.
         starts = range(0, part * len(self.data_dict), part)
         if {raw[at + 1] for at in starts} != self.data_dict.keys():
             return int(sdk.COMM_RX_CORRUPT)
@@ -143,6 +145,8 @@ class DynamixelLink:
                 if time.monotonic() >= end:
                     break
                 counters.retries += 1
+            # The SDK leaves its flag set when an exception ends a request, and refuses all others
+            # then.
             self.bus.port.is_using = False
             result = attempt()
             if result == sdk.COMM_SUCCESS:
@@ -183,6 +187,7 @@ class DynamixelLink:
         """Return bytes of the control tables and the error bytes, by id, in one exchange."""
         if ids is None:
             group = self._groups.get((address, size))
+            # Kept between cycles: the SDK builds its lists in Python. A new link has another port.
             if group is None or group.port is not self.bus.port:
                 group = GroupRead(self.bus.port, self.bus.packets, address, size, self.ids)
                 self._groups[address, size] = group

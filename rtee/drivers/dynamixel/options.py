@@ -62,8 +62,8 @@ class DynamixelOptions(DeviceOptions):
         calibration: File of a calibration (`rtee calibrate`); its zeros replace those above.
         fast: Whether to read with the fast sync read: ``auto`` tries it.
         return_delay: Return delay written to servos that have another one [2 µs]; ``null``: leave.
-        watchdog: Servos stop after so long a silence on the line [s]; 0: they hold.
-        health_every: Temperature, voltage and torque are read every so many exchanges.
+        watchdog: Servos stop after this long a silence on the line [s]; 0: they hold.
+        health_every: Temperature, voltage and torque are read once in this many exchanges.
         outside: How far a joint may be outside its limits before its zero is doubted [rad].
         reboot_time: Longest time a reboot may take [s].
         deadline: Longest time for one exchange, retries included [s].

@@ -1,4 +1,4 @@
-"""One emulated X-series servo: what it takes, its motor, its faults."""
+"""One emulated X-series servo: its instructions, its motor, its faults."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _POSITION_MODES = (Mode.POSITION, Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POS
 
 @dataclass(frozen=True, slots=True)
 class ServoProperties:
-    """What an emulated servo is like.
+    """Properties of an emulated servo.
 
     Attributes:
         model: Its model number.
@@ -286,7 +286,7 @@ class Servo:
             self.fail(Hardware.OVERLOAD)
 
     def _act(self) -> None:
-        """Make the shaft do what the registers say."""
+        """Apply the registers to the shaft."""
         axis, mode = self.axis, self.get(table.OPERATING_MODE)
         limit = self.get(table.CURRENT_LIMIT)
         current = self.get(table.GOAL_CURRENT)
@@ -302,11 +302,13 @@ class Servo:
             push = {Mode.CURRENT: current, Mode.VELOCITY: self.get(table.GOAL_VELOCITY)}.get(
                 Mode(mode), self.get(table.GOAL_PWM)
             )
+            # Without a position to go to: as far as the stops let it.
             axis.target = axis.position if push == 0 else math.copysign(1e9, push * self._sign)
             if mode == Mode.CURRENT:
                 axis.max_effort = float(min(abs(current), limit))
             elif mode == Mode.VELOCITY:
                 axis.max_velocity = abs(push) * _PULSES_PER_COUNT
+        # Less current than friction takes moves nothing.
         strong = axis.max_effort >= _FRICTION
         axis.enabled = bool(self.get(table.TORQUE)) and strong and self.get(table.BUS_WATCHDOG) >= 0
 

@@ -1,4 +1,4 @@
-"""What servos must be like before they may be driven: present, as expected, set up, powered."""
+"""Prepare servos before they are driven: present, as expected, set up, powered."""
 
 from __future__ import annotations
 
@@ -95,11 +95,11 @@ def find(
         if s.model is not None and models[s.id] is not None and models[s.id] != s.model
     ]
     if missing or wrong:
-        told = [f"no {', '.join(str(n) for n in missing)}"] if missing else []
+        problems = [f"no {', '.join(str(n) for n in missing)}"] if missing else []
         raise HandshakeError(
             device,
             f"servos {_ranges([s.id for s in servos.values()])}",
-            "; ".join(told + wrong),
+            "; ".join(problems + wrong),
             hint="check ids and cables; `rtee scan` lists the servos there are",
         )
     for name, servo in servos.items():
@@ -156,6 +156,7 @@ def prepare(
     mode = MODES[options.mode]
     for number, servo in found.items():
         if servo.mode != mode:
+            # Only if it differs: EEPROM wears out.
             link.write(number, table.OPERATING_MODE, mode)
         delay = options.return_delay
         if delay is not None and servo.return_delay != delay:
@@ -171,6 +172,7 @@ def prepare(
         link.write_group(register, {n: v for n, v in values.items() if v is not None})
     if mode is Mode.CURRENT_BASED_POSITION:
         link.write_group(table.GOAL_CURRENT, {n: currents[n] for n in found})
+    # Before the torque: an old goal would make the servo jump to it.
     link.write_group(table.GOAL_POSITION, {n: positions[n] for n in found})
     for number in found:
         link.write(number, table.TORQUE, 1)
@@ -178,6 +180,7 @@ def prepare(
 
 def arm(link: DynamixelLink, seconds: float) -> None:
     """Set the bus watchdog of all servos, clearing one that has tripped; in the worker thread."""
+    # 0 clears a watchdog that has tripped; any other value is refused until then.
     link.write_group(table.BUS_WATCHDOG, dict.fromkeys(link.ids, 0))
     if seconds > 0.0:
         count = min(max(round(seconds / table.WATCHDOG_UNIT), 1), 127)
@@ -196,17 +199,17 @@ def refuse(
     alerted = [number for number, error in errors.items() if error & ALERT]
     if not alerted:
         return
-    told, code = [], 0
+    problems, code = [], 0
     for number in alerted:
         data, _ = link.read_group(table.HARDWARE_ERROR.address, 1, [number])
         hardware = Hardware(data[number][0])
         code |= hardware
         words = ", ".join(bit.name.lower().replace("_", " ") for bit in hardware if bit.name)
-        told.append(f"{words or 'alert'} in servo {number} ({names[number]})")
+        problems.append(f"{words or 'alert'} in servo {number} ({names[number]})")
     raise DeviceFault(
         device,
         code,
-        "; ".join(told),
+        "; ".join(problems),
         hint="free the hand and check its supply, then `rtee recover` reboots the servo",
     )
 

@@ -9,13 +9,13 @@ from enum import IntEnum
 PULSES = 4096
 """Positions per turn."""
 CENTER = 2048  # [pulse]; the middle of a turn
-RAD_PER_PULSE = 2.0 * math.pi / PULSES
+RAD_PER_PULSE = 2.0 * math.pi / PULSES  # [rad]
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
-"""Speed per count [rad/s]."""
+"""Speed per count [rad/s]: 0.229 rpm."""
 WATCHDOG_UNIT = 0.02
-"""Time per count of the bus watchdog [s]."""
+"""Time per count of the bus watchdog [s], as in the e-manual."""
 LATENCY = 1e-3
-"""Latency of a USB adapter, per read [s]."""
+"""Latency of a USB adapter, per read [s]: an FTDI chip's timer at its shortest."""
 END = 228
 """First address behind the table."""
 
@@ -116,15 +116,15 @@ REGISTERS: tuple[Register, ...] = tuple(
 INDIRECT = range(168, 208, 2)
 """Addresses of the twenty indirect addresses."""
 INDIRECT_DATA = range(208, 228)
-"""Where the bytes they point to appear; at first each points to its own."""
+"""Where the bytes they point to appear; by default each points to its own address."""
 POINTABLE = range(64, END)
 """What they may point to."""
 
 STATE = PRESENT_CURRENT.address
-"""Where current, velocity and position begin, side by side."""
+"""Where current, velocity and position begin, one after the other."""
 STATE_SIZE = 10  # bytes
 HEALTH = PRESENT_VOLTAGE.address
-"""Where voltage and temperature begin, side by side."""
+"""Where voltage and temperature begin, one after the other."""
 HEALTH_SIZE = 3  # bytes
 
 BAUD_RATES: tuple[int, ...] = (

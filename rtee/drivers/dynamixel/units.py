@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtee.drivers.dynamixel.table import PULSES, RAD_PER_PULSE, VELOCITY_UNIT
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _STATE = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 
@@ -24,7 +24,7 @@ class Scale:
         gear: Servo's turns per turn of the joint.
         current_unit: Current per count [A].
         torque_per_ampere: Joint's torque per current [N·m/A].
-        turn: Turns the servo counts beyond the angle it stands for; set by `unwrap`.
+        turn: Whole turns in the servo's count beyond the joint's angle; set by `unwrap`.
     """
 
     zero: float
@@ -46,6 +46,7 @@ class Scale:
 
     def to_speed_counts(self, velocity: float) -> int:
         """Return a speed limit in counts, at least 1, for a joint's velocity [rad/s]."""
+        # To the servo a profile velocity of 0 means no limit, so the slowest motion is one count.
         return max(1, round(abs(velocity) * self.gear / VELOCITY_UNIT))
 
     def to_current(self, counts: float) -> float:
@@ -77,6 +78,7 @@ class Scale:
         """
         self.turn = 0
         step = 2.0 * math.pi / self.gear
+        # The turn nearest to the middle of the range: the one that leaves the largest margin.
         middle = (lower + upper) / 2.0 if math.isfinite(upper - lower) else 0.0
         away = self.direction * (self.to_rad(pulses) - middle) / step
         self.turn = round(away)
@@ -109,13 +111,13 @@ class Scales:
         """Return positions [rad], velocities [rad/s], efforts [N·m] and currents [A].
 
         Args:
-            data: What each servo reports, by id: current, velocity and position side by side.
+            data: What each servo reports, by id: current, velocity and position in a row.
         """
-        told = np.frombuffer(b"".join([data[number] for number in self._ids]), _STATE)
-        amount = told["current"]
+        reported = np.frombuffer(b"".join([data[number] for number in self._ids]), _STATE)
+        amount = reported["current"]
         return (
-            (told["position"] - (self._zero + self._turns)) * self._rad,
-            told["velocity"] * self._speed,
+            (reported["position"] - (self._zero + self._turns)) * self._rad,
+            reported["velocity"] * self._speed,
             amount * self._effort,
             amount * self._current,
         )

@@ -70,6 +70,7 @@ LEAST_TORQUE = 1e-3
 
 def faults_of(word: int) -> Fault:
     """Return the bits of a fault word that are faults."""
+    # Bits 10 to 14 have no published meaning; taking them for faults could stop a healthy hand.
     return Fault(word & ACKNOWLEDGE) & ~WARNINGS & Fault(0x1FF)
 
 
@@ -88,7 +89,7 @@ class Command:
         velocity: Velocity reference of both [rad/s].
         torque: Torque reference of both [N·m]; in position control taken for a limit, 0 for none.
         gains: Five raw gains.
-        acknowledge: Faults to clear.
+        acknowledge: Bits of the fault word to clear.
         stamp: The host's time, low 16 bits [µs]; the board sends it back.
         operation: Operation and index of the auxiliary value.
         value: The auxiliary value.
@@ -184,6 +185,7 @@ class Reply:
 
 
 def _milli(value: float) -> int:
+    # Saturated, not wrapped: a value too large for 16 bits must not change its sign.
     return min(max(round(value * 1000.0), -32768), 32767)
 
 
@@ -193,7 +195,7 @@ def order(code: Order) -> bytes:
 
 
 def acknowledged(raw: bytes, code: Order) -> bool | None:
-    """Return what a board says to a command: done, refused, or ``None``: nothing yet.
+    """Return a board's answer to a command: done, refused, or ``None`` while there is none.
 
     Raises:
         HeriFrameError: if it is not an acknowledgement.
@@ -201,6 +203,7 @@ def acknowledged(raw: bytes, code: Order) -> bool | None:
     if len(raw) < 2:
         raise HeriFrameError("an acknowledgement has two bytes")
     word = raw[0] | raw[1] << 8
+    # The acknowledgement of the command before is still there until the board takes this one.
     if word & 0xFF != code:
         return None
     if word & 0xFF00 == _DONE:
@@ -209,5 +212,5 @@ def acknowledged(raw: bytes, code: Order) -> bool | None:
 
 
 def acknowledgement(code: int, done: bool) -> bytes:
-    """Return what a board says to a command."""
+    """Return a board's answer to a command."""
     return struct.pack("<H", (_DONE if done else _REFUSED) | code & 0xFF)

@@ -16,6 +16,7 @@ from pydantic import Field
 from rtee.buses.ethercat import EthercatBus, Ring, State
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
@@ -44,7 +45,8 @@ from rtee.errors import (
     HandshakeError,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _REFUSED = 0x10000
 """Code of the fault that a board takes no command, above the sixteen bits of the fault word."""
@@ -69,7 +71,7 @@ class HeriEthercatOptions(DeviceOptions):
     """Options of a HERI II hand on EtherCAT.
 
     Attributes:
-        interface: Network interface the boards hang on; it is the master's alone.
+        interface: Network interface of the boards; no other program may use it.
         motors: Motor of each actuator, counted over the boards from 0; by default those of the
             public description (``motor_finger1`` and so on), else in the actuators' order.
         vendor: EtherCAT vendor id expected; else any.
@@ -78,7 +80,7 @@ class HeriEthercatOptions(DeviceOptions):
         torque_per_ampere: Torque at the shaft per current [N·m/A].
         limit_torque: Send the effort limit as the board's torque reference, which has one for both
             motors: the smaller of theirs. Else that reference stays 0.
-        watchdog: Boards leave operation after so long without frames [s].
+        watchdog: Boards leave operation after this time without frames [s].
         order_timeout: Longest time for a board to acknowledge a command [s].
         deadline: Longest time for one exchange [s].
     """
@@ -132,6 +134,7 @@ class HeriEthercatDriver(Driver):
 
     async def configure(self) -> None:
         """Take the network over, identify the boards and read where the motors are."""
+        # Reconnecting starts here too: the network has one master, so the old one goes first.
         await self.close()
         options = self.options
         bus = await self.connection.open(
@@ -167,6 +170,7 @@ class HeriEthercatDriver(Driver):
             await self._exchange()
             self._seed()
             await self.connection.link.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
+            # The first outputs in operation repeat what was just measured.
             await self._exchange()
 
         await patiently(begin)
@@ -177,6 +181,7 @@ class HeriEthercatDriver(Driver):
         ring.request(State.SAFE_OPERATIONAL, 2.0)
 
     async def _exchange(self) -> None:
+        # 16 bits of microseconds wrap after 65 ms, many exchanges; the board sends them back.
         stamp = int(time.monotonic() * 1e6) & 0xFFFF
         outputs = [
             Command(
@@ -213,9 +218,12 @@ class HeriEthercatDriver(Driver):
         """Power the motors where they are."""
         await self._in_operation()
         self._seed()
+        # Power comes on in direct mode, without a reference; position control begins after that,
+        # from positions that were just measured.
         for code in (Order.POWER_OFF, Order.DIRECT, Order.POWER_ON, Order.POSITION):
             for position in range(self._boards):
                 await self._order(position, code)
+            # Faults from before are cleared before position control holds anything.
             if code is Order.POWER_ON:
                 await self._clear_faults()
         self._powered = True
@@ -244,6 +252,7 @@ class HeriEthercatDriver(Driver):
         await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)
         end = time.monotonic() + self.options.order_timeout
         done: bool | None = None
+        # Frames must keep coming while the board thinks, or its watchdog takes it out of operation.
         while done is None and time.monotonic() < end:
             await self._exchange()
             raw = await bus.run(lambda ring: ring.read(position, *ACKNOWLEDGE_OBJECT), 1.0)
@@ -268,6 +277,8 @@ class HeriEthercatDriver(Driver):
         for reply in self._replies:
             self._acknowledge |= reply.fault & codec.ACKNOWLEDGE
         try:
+            # The board takes the bits from process data: a frame may be lost, and one more is on
+            # its way.
             for _ in range(3):
                 await self._exchange()
         finally:
@@ -326,6 +337,8 @@ class HeriEthercatDriver(Driver):
                 self._references[motor] = min(max(wanted, actuator.lower), actuator.upper)
                 if self.options.limit_torque:
                     limit = max(float(reference.max_effort[i]), 0.0)
+                    # The full effort is sent as no limit; the board then limits by
+                    # itself.
                     self._limits[motor] = limit if limit < actuator.effort else math.inf
         await self._exchange()
 

@@ -1,4 +1,4 @@
-"""Plays HERI II's two boards at the level of process data and objects.
+"""Emulates HERI II's two boards at the level of process data and objects.
 
 A board's torque reference limits the torque of both motors in position control; 0 limits nothing.
 That is how the hand's users describe their effort command, not something a manual says.
@@ -35,13 +35,13 @@ from rtee.drivers.properties import Positive, read_properties
 
 @dataclass(frozen=True, slots=True)
 class BoardProperties:
-    """What the emulated boards are like.
+    """Properties of the emulated boards.
 
     Attributes:
-        boards: How many.
+        boards: Number of boards.
         vendor: EtherCAT vendor id; the real one is not public.
         product: EtherCAT product code; that of the two-motor board is not public.
-        firmware: What they say about their firmware.
+        firmware: The firmware version that they report.
         start: Where the motors are at power-up [rad].
         speed: Of a motor [rad/s].
         current: Largest current [A].
@@ -87,6 +87,7 @@ class _Board:
 
     def obey(self, code: int) -> bool:
         if code == Order.POWER_ON:
+            # A board with a fault refuses power until the fault is acknowledged.
             self.power = not self.fault
         elif code == Order.POWER_OFF:
             self.power = False
@@ -111,7 +112,7 @@ class HeriEmulator(Emulator, Grasps):
     """The boards of one hand.
 
     Attributes:
-        properties: What they are like.
+        properties: Their properties.
         boards: The boards by position.
         state: Their EtherCAT state.
         timeout: Process data watchdog [s]; 0: off.
@@ -166,7 +167,7 @@ class HeriEmulator(Emulator, Grasps):
         board, at = divmod(motor, MOTORS)
         self.boards[board].motors[at].obstacle = VirtualObject(position, stiffness)
 
-    # --- what a ring asks ----------------------------------------------------------------------
+    # --- requests of a master ------------------------------------------------------------------
 
     def slaves(self) -> list[Slave]:
         """Return the boards as a master finds them."""
@@ -179,6 +180,7 @@ class HeriEmulator(Emulator, Grasps):
         self.state = state
         self._dropped = False
         self._heard = now
+        # Below operational the outputs have no effect, so the motors stay.
         if state < State.OPERATIONAL:
             for board in self.boards:
                 for motor in board.motors:
@@ -201,7 +203,7 @@ class HeriEmulator(Emulator, Grasps):
         inputs = []
         for board, data in zip(self.boards, outputs, strict=True):
             self._take(board, data, now)
-            inputs.append(self._tell(board).to_bytes())
+            inputs.append(self._reply(board).to_bytes())
         return inputs
 
     def _take(self, board: _Board, data: bytes, now: float) -> None:
@@ -212,6 +214,7 @@ class HeriEmulator(Emulator, Grasps):
         if self.state is State.OPERATIONAL:
             board.stamp = command.stamp
             if command.acknowledge:
+                # A fault whose cause is still injected comes back at once, as on the device.
                 board.fault &= ~command.acknowledge
                 for fault, bit in (("hardware", Fault.HARDWARE), ("encoder", Fault.ENCODER_1)):
                     if fault in self.faults and board is self.boards[0]:
@@ -224,7 +227,7 @@ class HeriEmulator(Emulator, Grasps):
         for motor in board.motors:
             motor.step(now)
 
-    def _tell(self, board: _Board) -> Reply:
+    def _reply(self, board: _Board) -> Reply:
         board.beat ^= Fault.ALIVE
         first, second = board.motors
         return Reply(
@@ -241,6 +244,7 @@ class HeriEmulator(Emulator, Grasps):
         if thing is None or motor.position <= thing.contact:
             return 0, 0, 0
         raw = min(round(abs(motor.effort) * self.properties.pressure), 4095)
+        # An object touches the outermost phalanx most.
         return raw // 4, raw // 2, raw
 
     def read_object(self, position: int, index: int, subindex: int) -> bytes | None:

@@ -1,4 +1,4 @@
-"""The kinematic driver (the paper's DummyHal): the reference comes true after a short while."""
+"""The kinematic driver (the paper's DummyHal): positions follow the reference with a short lag."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pydantic import BaseModel, ConfigDict, Field
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.kinematic.plant import Plant
 from rtee.drivers.options import read_options
@@ -20,13 +21,14 @@ from rtee.errors import (
     NotConnected,
     suggestion,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _MEASURES = frozenset({"position", "velocity", "effort"})
 
 
 class KinematicOptions(BaseModel):
-    """How the imagined hand moves and what is in its way."""
+    """How the simulated hand moves and what is in its way."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -54,11 +56,11 @@ class KinematicOptions(BaseModel):
 
 
 class KinematicDriver(Driver):
-    """Plays a hand that follows its reference, stops at objects and gets warm by effort.
+    """A hand that follows its reference, stops at objects and gets warm by effort.
 
     Attributes:
         now: The clock its motion follows [s]; another one makes it run at any speed.
-        plants: The imagined actuators, in the order of ``spec.actuators``.
+        plants: The simulated actuators, in the order of ``spec.actuators``.
     """
 
     Options = KinematicOptions
@@ -105,7 +107,7 @@ class KinematicDriver(Driver):
                     f" {suggestion(name, known)}"
                 )
 
-    # --- what happens to the imagined device -------------------------------------------------
+    # --- what happens to the simulated device ------------------------------------------------
 
     def place_object(self, name: str, fraction: float) -> None:
         """Put an object in the way of a finger or an actuator.
@@ -131,16 +133,16 @@ class KinematicDriver(Driver):
                 plant.obstacle = None
 
     def unplug(self) -> None:
-        """Let the link break; every exchange fails until `plug`."""
+        """Break the link; every exchange fails until `plug`."""
         self._plugged = False
         self._powered = False
 
     def plug(self) -> None:
-        """Mend the link."""
+        """Restore the link."""
         self._plugged = True
 
     def fail(self, name: str) -> None:
-        """Let the device report a fault, and be without power, until it is recovered."""
+        """Make the device report a fault and lose its power until it is recovered."""
         self._advance()
         self._fault = name
         self._powered = False
@@ -167,6 +169,7 @@ class KinematicDriver(Driver):
         self._check()
         self._advance()
         for plant in self.plants:
+            # As the contract asks: activating must not move anything.
             plant.target = plant.position
         self._powered = True
 
@@ -235,6 +238,7 @@ class KinematicDriver(Driver):
 
     async def close(self) -> None:
         """See `Driver.close`."""
+        # A driver that was never connected may be closed and still be configured later.
         self._closed = self._last is not None
         self._powered = False
 
@@ -243,6 +247,7 @@ class KinematicDriver(Driver):
         dt = now - (now if self._last is None else self._last)
         self._last = now
         if dt > 0.0:
+            # The exact solution of the lag, so that the motion does not depend on the cycle time.
             follow = 1.0 - math.exp(-dt / self._time_constant)
             options = self._options
             for plant in self.plants:

@@ -1,4 +1,4 @@
-"""The motion of an imagined actuator: a lag with a velocity limit, stopped by objects."""
+"""The motion of a simulated actuator: a lag with a velocity limit, stopped by objects."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _NEAR = 1e-9
 
 @dataclass(slots=True)
 class Plant:
-    """One imagined actuator.
+    """One simulated actuator.
 
     Attributes:
         spec: Its limits.
@@ -61,7 +61,7 @@ class Plant:
         most = min(self.spec.velocity, self.max_velocity) * dt
         before = self.position
         moved = min(max((self.target - before) * follow, -most), most)
-        if abs(self.target - before) < _NEAR:  # it would come ever nearer and never be there
+        if abs(self.target - before) < _NEAR:  # a lag approaches its target and never reaches it
             moved = self.target - before
         after = min(max(before + moved, self.spec.lower), self.spec.upper)
         after = self._stopped(before, after)
@@ -80,11 +80,13 @@ class Plant:
         if at is None:
             return after
         if self.spec.rest <= at:
+            # One that is beyond the object already, when that is placed, is not thrown back.
             return after if after <= at or before > at else at
         return after if after >= at or before < at else at
 
     def warm(self, dt: float, ambient: float, heating: float, time_constant: float) -> None:
         """Let its temperature follow its effort for a time [s]."""
         share = self.effort / self.rating
+        # The loss in a winding goes with the square of the current.
         settled = ambient + heating * share * share
         self.temperature += (settled - self.temperature) * (1.0 - math.exp(-dt / time_constant))

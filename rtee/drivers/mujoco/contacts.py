@@ -41,7 +41,7 @@ LINK_FRICTION: Final = 0.8
 """Friction of all other links with an object unless one is asked."""
 
 TABLE_FRICTION: Final = 0.8
-"""Friction of a table with what stands on it."""
+"""Friction of a table with an object on it."""
 
 _LEVER = 0.15
 """From the first joint of a finger to its tip [m], in large hands."""
@@ -90,6 +90,7 @@ def make_object(geom: mujoco.MjsGeom) -> None:
         geom: The shape.
     """
     make_hard(geom, friction=0.0)
+    # Only the object has a skin, so two links of the hand do not feel each other at a distance.
     geom.margin = SKIN
 
 

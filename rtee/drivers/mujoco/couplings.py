@@ -23,7 +23,8 @@ from rtee.hand.config_schema import ActuatorDynamics, Following
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.transmission import Coupling, sample
 from rtee.hand.urdf import UrdfJoint
-from rtee.types import ActuatorSpec, FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 DEGREE = 4
 """Degree of a joint equality's polynomial in MuJoCo."""
@@ -33,7 +34,7 @@ GIVE: Final = 0.4
 and little enough to pinch without bending back."""
 
 _LINEAR_GIVE = 0.01
-"""The same in m, for one in rad."""
+"""Metres by which a prismatic joint yields where a rotary one yields by 1 rad."""
 
 _SAMPLES = 201  # places at which a coupling is fitted and compared: 1/200 of its range
 # Range that is fitted for an actuator without limits, to both sides [rad].
@@ -46,7 +47,8 @@ _SOLIMP = [0.95, 0.99, 0.001, 0.5, 2.0]
 """Impedance of a rigid coupling: hardly any play."""
 
 _LEAST_SLOPE = 1e-3
-"""Where the joints follow an actuator by less than this, its effort cannot be shared by them."""
+"""Least sum of shares times slopes, relative to the shares, by which effort is distributed: below
+it the joints hardly move with the actuator and would get immense torques."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,6 +269,8 @@ def _add_springs(
     for follower, slope, share in zip(group, slopes, shares, strict=True):
         slide = hand.joints[hand.joint_index(follower.joint)].kind is JointKind.PRISMATIC
         give = known.give or GIVE * (_LINEAR_GIVE if slide else 1.0)
+        # With a tendon a joint gets its share of the effort; without one it alone gets all of it,
+        # by the leverage of its slope.
         alone = share if known.coupling is Following.TENDON else 1.0 / (slope or math.inf)
         stiffness = max(abs(alone) * servo.limit / give, _least_stiffness(options, slide))
         inertia = options.armature * (PRISMATIC if slide else 1.0)
@@ -274,6 +278,7 @@ def _add_springs(
         tendon.wrap_joint(follower.joint, 1.0)
         tendon.wrap_joint(motor, -slope)
         tendon.stiffness = [stiffness, 0.0, 0.0]
+        # Critical damping: the fingers must not swing when an object is let go.
         tendon.damping = [2.0 * math.sqrt(stiffness * inertia), 0.0, 0.0]
         rest = follower.coupling.value(follower.actuator.rest) - slope * follower.actuator.rest
         tendon.springlength = [rest, rest]
@@ -322,11 +327,13 @@ class _Curves:
     def tangents(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return offsets and slopes ``(k,)`` of the tangents at actuator positions ``(k,)``."""
         at = (u - self._lower) / self._step
+        # Clipped, so that beyond its range a coupling goes on with the tangent at the end.
         cell = np.clip(at.astype(np.intp), 0, _SAMPLES - 2)
         t = np.clip(at - cell, 0.0, 1.0)
         v0, v1 = self._values[self._rows, cell], self._values[self._rows, cell + 1]
         s0, s1 = self._slopes[self._rows, cell], self._slopes[self._rows, cell + 1]
         slope = s0 + t * (s1 - s0)
+        # A Hermite cubic: values and slopes match at the points, so tangents do not jump there.
         bend = self._step * (t * t * t - 2.0 * t * t + t) * s0
         bend += self._step * (t * t * t - t * t) * s1
         value = v0 + (3.0 - 2.0 * t) * t * t * (v1 - v0) + bend
@@ -380,6 +387,7 @@ class Couplings:
             model.eq_data[self._equalities, 0] = offsets
             model.eq_data[self._equalities, 1] = slopes
             model.eq_data[self._equalities, 2:5] = 0.0
+        # Straight couplings have one tangent; setting it once is enough.
         if not self._springs or (self._steady and self._renewed):
             return
         self._renewed = True

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, ClassVar
 import anyio
 import anyio.to_thread
 
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.options import read_options
 from rtee.errors import CommandRejected, NotConnected, needing_extra
 from rtee.hand.load import load_hand
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -29,12 +31,12 @@ GAINS = ("kp", "ki", "kd")
 """The gains of every actuator that can be set while it runs; see `Simulation.set_gain`."""
 
 _AFFORDABLE = 0.2
-"""A step that takes less than this share of a period is done in the loop's own thread: handing it
+"""A step that takes less than this share of a period runs in the loop's own thread: handing it
 to another one would cost more."""
 
 
 class MujocoDriver(Driver):
-    """Plays a hand with dynamics and contact.
+    """A hand with dynamics and contact, simulated.
 
     Every exchange advances the simulation by the time between exchanges, so simulated and real
     time go together when the loop keeps its rate, and two runs of the same goals are equal.
@@ -46,6 +48,7 @@ class MujocoDriver(Driver):
         super().__init__(spec, buses)
         self._options = read_options(SimOptions, spec)
         self._simulation: Simulation | None = None
+        # One thread at a time: MuJoCo's state must not be advanced twice at once.
         self._thread = anyio.CapacityLimiter(1)
         self._affordable = _AFFORDABLE * (spec.every or 1) / spec.rate
         self._cost = 0.0

@@ -23,7 +23,8 @@ from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
 from rtee.errors import ModelError
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.urdf import UrdfGeometry, UrdfJoint, UrdfLink
-from rtee.types import ActuatorSpec, FloatArray, JointKind
+from rtee.sample import FloatArray
+from rtee.types import ActuatorSpec, JointKind
 
 CARRIER = "carrier"
 """The body that carries the hand."""
@@ -41,13 +42,15 @@ _POINT = 1e-4
 """Moments of inertia of a link without shape, for its mass [m²]: those of a ball of 16 mm."""
 
 _TRIANGLE = 1e-3
-"""A body's largest moment is at most the sum of the others; URDFs are rounded."""
+"""Relative tolerance of the rule that a body's largest moment of inertia is at most the sum of the
+others: the numbers in URDFs are rounded."""
 
 _SAG = 0.02
-"""How far a passive joint's spring lets the weight of its links pull it, at most [rad | m]."""
+"""How far the weight of its links may pull a passive joint against its spring [rad | m]: little
+enough that the hand keeps its shape at rest."""
 
 _PASSIVE_DAMPING = 0.5
-"""Damping ratio of a passive joint with its spring."""
+"""Damping ratio of a passive joint with its spring: it overshoots by a sixth and comes to rest."""
 
 Triangles = Callable[[str], tuple[FloatArray, "np.ndarray[tuple[int, int], np.dtype[np.int64]]"]]
 """Vertices and faces of a link's collision meshes, in the link's frame."""
@@ -243,6 +246,7 @@ def _add_links(
     bodies: dict[str, mujoco.MjsBody] = {}
     without_mass: list[str] = []
     without_inertia: list[str] = []
+    # Breadth first: a body is added to its parent, which must be there before.
     pending = [urdf.root]
     while pending:
         name = pending.pop(0)
@@ -260,12 +264,14 @@ def _add_links(
         meshes_done = False
         for index, shape in enumerate(link.collisions):
             if shape.kind == "mesh":
+                # `triangles` gives all meshes of the link as one.
                 if meshes_done:
                     continue
                 meshes_done = True
             geom = _add_shape(spec, body, shape, f"{name}/{index}", lambda n=name: triangles(n))  # type: ignore[misc]
             geom.density = options.density
             make_hard(geom, hand_friction(options.friction, tip=name in tips))
+            # The group that MuJoCo's viewers hide by default: collision shapes.
             geom.group = 3
             geoms.append(geom)
         if link.has_inertial and link.mass > 0.0:
@@ -336,9 +342,11 @@ def build(
     spec = mujoco.MjSpec()
     spec.modelname = hand.name
     spec.compiler.degree = False
+    # Limits are set explicitly for every joint; a range of zeros must not become a limit.
     spec.compiler.autolimits = False
     spec.option.timestep = options.timestep or time_step(hand)
     spec.option.gravity = [0.0, 0.0, options.gravity]
+    # Implicit in the damping: stiff servos on light fingers are unstable with Euler's method.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     configure(spec.option)
     # The pairs left out are named below; MuJoCo's own rule depends on whether the base can move.
@@ -352,6 +360,7 @@ def build(
         notes += [servo.note] if servo.note else []
     add_locks(spec, hand)
     notes += add_couplings(spec, hand, servos, options)
+    # A first compilation gives masses and contacts at rest, on which the rest depends.
     resting = mujoco.MjData(spec.compile())
     resting.qpos[:] = rest_position(resting.model, hand)
     mujoco.mj_forward(resting.model, resting)

@@ -12,7 +12,7 @@ import numpy as np
 
 from rtee.drivers.mujoco.contacts import make_object
 from rtee.errors import ConfigError
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 OBJECT = "object"
 """Name of the object's body, joint and (first) geom."""
@@ -27,7 +27,7 @@ _FORMS = (
     "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS (in metres), drill, or the path of a mesh"
 )
 _NUMBERS = {"box": 3, "cylinder": 2, "sphere": 1}
-_LARGEST = 2.0
+_LARGEST = 2.0  # of an object's lengths [m]: larger numbers are millimetres by mistake
 _MESHES = (".stl", ".obj")
 _HANDLE = (0.044, 0.048, 0.130)
 """Width, depth and length of a drill's handle [m]; its back and its front are round."""
@@ -82,7 +82,7 @@ class ObjectShape:
     def lowest(self, pose: FloatArray) -> float:
         """Return the height of its lowest point [m] at a pose ``(4, 4)`` in the world.
 
-        A mesh is taken to stand on its origin.
+        The origin of a mesh is taken for its lowest point.
         """
         down = pose[:3, :3].T @ np.array([0.0, 0.0, -1.0])
         match self.kind:
@@ -137,6 +137,7 @@ def drill_parts(scale: float = 1.0) -> tuple[FloatArray, ...]:
     ring = radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
     ends = np.array([[0.0, y, 0.5 * z * _HANDLE[2]] for y in (-flat, flat) for z in (-1, 1)])
     front = 0.5 * _HANDLE[1] + TRIGGER_TRAVEL + 0.5 * _PLATE[1]
+    # The same gaps as in `_add_drill`, which makes the simulated shapes.
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     motor = [0.0, 0.5 * (_MOTOR[1] - _HANDLE[1]), 0.5 * (_HANDLE[2] + _MOTOR[2])]
     trigger = [0.0, front, 0.5 * _HANDLE[2] - 0.5 * _PLATE[2] - 0.002]
@@ -210,6 +211,8 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     )
     radius = 0.5 * grip[0]
     flat = 0.5 * grip[1] - radius
+    # The shares of the mass add up to 1 and put the centre near the top of the handle, below the
+    # motor.
     core = _geom(body, OBJECT, 0.2 * mass)
     core.type = mujoco.mjtGeom.mjGEOM_BOX
     core.size = [radius, flat, 0.5 * grip[2]]
@@ -229,10 +232,13 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     )
     joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     joint.range = [0.0, TRIGGER_TRAVEL]
+    # The stops are as hard as contacts: a finger's force must not push the trigger beyond its
+    # travel.
     joint.solref_limit = [0.004, 1.0]
     joint.solimp_limit = [0.99, 0.999, 0.0005, 0.5, 2.0]
     joint.stiffness = [_SPRING, 0.0, 0.0]
     joint.springref = -_PRELOAD
+    # In N·s/m: a released trigger returns without swinging.
     joint.damping = [2.0, 0.0, 0.0]
     plate = _geom(trigger, TRIGGER, 0.05 * mass)
     plate.type = mujoco.mjtGeom.mjGEOM_BOX

@@ -14,12 +14,12 @@ class SimOptions(BaseModel):
         timestep: Step of the simulation [s]; several steps make one exchange. Unless given 2 ms,
             and 1 ms for hands whose fingertips are fast.
         gravity: Gravity along the world's z axis [m/s²].
-        friction: Friction of every contact of the hand, with objects above all; unless given 1.0 at
+        friction: Friction of every contact of the hand, mainly with objects; unless given 1.0 at
             fingertips and 0.8 elsewhere.
         density: Density for links without mass [kg/m³].
         stiffness: Position error at which an actuator of unknown gain exerts its full effort [rad],
             or, for a prismatic one, a hundredth of it [m].
-        bandwidth: How fast a servo follows [Hz], where its inertia is not known.
+        bandwidth: Bandwidth of a servo [Hz], where its inertia is not known.
         armature: Least inertia of motor and gear seen at a joint [kg·m²]; a thousand times as many
             kg at a prismatic one.
         joint_damping: Damping of every joint [N·m·s/rad].
@@ -34,7 +34,7 @@ class SimOptions(BaseModel):
         support: What carries the object before the grasp: ``held``: a yielding hand, which lets go
             when two links have touched it for a while; ``table``; ``floating``: it never weighs
             anything while it is supported.
-        carrier: What carries the hand: nothing moves it, or a vertical lift, or an arm with six
+        carrier: What carries the hand: a fixed mount, a vertical lift, or an arm with six
             degrees of freedom that follows a script. A hand that is carried reaches down, else
             the base frame is the world's.
     """

@@ -11,13 +11,13 @@ from rtee.drivers.mujoco.contacts import make_pair_hard
 from rtee.drivers.mujoco.couplings import motor_joint
 from rtee.errors import ModelError
 from rtee.hand.model import Hand
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 LINK = "link/"
-"""What the name of a link's body begins with; a link may well be called ``world``."""
+"""Prefix of the name of a link's body: a link may be called ``world``, MuJoCo's own body."""
 
-_INTERPENETRATING = 5e-3  # depth of two fingers in each other at rest that no model means [m]
-_OUTER = 0.6  # links beyond this part of a finger's reach are its outer ones
+_INTERPENETRATING = 5e-3  # depth [m] of two fingers in each other at rest: an error of the model
+_OUTER = 0.6  # share of a finger's reach beyond which its shapes count as outer ones
 
 
 def leave_pairs_out(
@@ -134,6 +134,7 @@ def _exclude_touching_at_rest(
     touching: dict[tuple[str, str], float] = {}
     for contact in data.contact:
         bodies = (model.geom_bodyid[contact.geom1], model.geom_bodyid[contact.geom2])
+        # In a fixed order, so that a pair is found again whichever link MuJoCo names first.
         names = sorted(model.body(int(b)).name.removeprefix(LINK) for b in bodies)
         pair = (names[0], names[1])
         if names[0] == names[1] or frozenset(pair) in left_out:

@@ -18,7 +18,8 @@ from rtee.hand.allowed_collisions import touch_at_rest
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
-from rtee.types import FloatArray, from_rest
+from rtee.sample import FloatArray
+from rtee.types import from_rest
 
 _INERTIA = (20.0, 20.0, 20.0, 1.0, 1.0, 1.0)  # of the carrier's axes [kg, kg·m²]: a small arm's
 _STIFFNESS = (2e5, 2e5, 2e5, 1e4, 1e4, 1e4)  # of its servos [N/m, N·m/rad]: 100 N bend it by 0.5 mm
@@ -27,7 +28,7 @@ _TABLE = (0.6, 0.6, 0.02)  # half sizes of the table's top [m]
 CONTAINER_SIZE = (0.34, 0.34, 0.04)
 """Length, width and height of an open container [m]: an open hand fits between its walls."""
 
-_WALL = 0.004
+_WALL = 0.004  # thickness of its walls [m]: that of a plastic crate
 
 _FARTHEST_OUT = 0.08
 """How far an object is moved out of the hand at most [m]: fingertips reach no farther over it."""
@@ -111,6 +112,7 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, turn.ravel())
     mount.quat = quat
+    # The carrier is moved by its servos alone; its weight would only make them sag.
     mount.gravcomp = 1.0
     for index, axis in enumerate(AXES):
         if options.carrier == "lift" and axis != "z":
@@ -200,6 +202,7 @@ def _clear_of_palm(
             met = _links_inside(model, data)
             if met:
                 break
+        # Found in all postures: only fingertips, or nothing, are in the object.
         if met <= free:
             moved = place.copy()
             moved[:3, 3] += out * way
@@ -216,6 +219,7 @@ def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
     for contact in data.contact:
         bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
         of_object = [model.body(model.body_rootid[body]).name == OBJECT for body in bodies]
+        # The object's skin reports contacts before anything touches; those have a distance above 0.
         if contact.dist < 0.0 and any(of_object):
             found |= {
                 model.body(b).name for b, own in zip(bodies, of_object, strict=True) if not own

@@ -26,14 +26,14 @@ from rtee.object_description import (
     ObjectDescription,
     ObjectPart,
 )
-from rtee.types import FloatArray
+from rtee.sample import FloatArray
 
 _LEAST_FORCE: Final = 1e-3
 """Weaker contacts are left out [N]: they cannot be seen, and touching links have many."""
 
 
 class SeenChannels:
-    """Reads where the object is, where the hand is carried to, and what presses on what.
+    """Reads the poses of the object and of the carried hand, and the contact forces.
 
     Args:
         model: The compiled model.
@@ -63,12 +63,13 @@ class SeenChannels:
         self._contacts: FloatArray = np.zeros(0)
 
     def read(self) -> dict[str, FloatArray]:
-        """Return the channels; see `rtee.object_description`. Contacts are renewed now and then."""
+        """Return the channels; see `rtee.object_description`. Contacts come at `CONTACT_RATE`."""
         found: dict[str, FloatArray] = {}
         if self._around.has_object:
             found[OBJECT_POSE] = self._around.pose
         if self._carried:
             found[BASE_POSE] = pose_vector(self._around.base_pose)
+        # A reset sets the time back to 0; then they are renewed too.
         if not 0.0 <= self._data.time - self._renewed < 1.0 / CONTACT_RATE - 1e-9:
             self._renewed = self._data.time
             self._contacts = self._forces()
@@ -90,6 +91,7 @@ class SeenChannels:
         force[second] *= -1.0
         link = np.where(second, links[:, 1], links[:, 0])
         strength = np.linalg.norm(force, axis=1)
+        # Stable, so that equal forces keep their order and two runs give equal recordings.
         order = np.argsort(-strength, kind="stable")[:MOST_CONTACTS]
         order = order[strength[order] >= _LEAST_FORCE]
         base = self._around.base_pose
@@ -126,7 +128,7 @@ def describe(
 
 
 def _name(options: SimOptions) -> str:
-    """Return how the object is called; of a mesh only its file's name, since clients see it."""
+    """Return the object's name; of a mesh only its file's name, since clients see it."""
     if not options.object:
         return OBJECT
     shape = parse_object(options.object).scaled(options.object_scale)

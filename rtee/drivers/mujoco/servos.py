@@ -21,10 +21,10 @@ PRISMATIC = 1000.0
 the inverse square of a lever of about 30 mm."""
 
 _LINEAR_EFFORT = 100.0
-"""A missing effort limit in N, for one in N·m."""
+"""Factor of a missing effort limit in N for one in N·m: the force at a lever of 10 mm."""
 
 _LINEAR_SPAN = 0.01
-"""The position error at full effort in m, for one in rad."""
+"""Factor of the position error at full effort in m for one in rad: the same lever [m/rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Servo:
         actuator: Name of the actuator.
         limit: Effort limit [N·m | N].
         kp: Position gain [N·m/rad | N/m].
-        kd: Damping gain [N·m·s/rad | N·s/m]; ``None``: what damps its motion critically.
+        kd: Damping gain [N·m·s/rad | N·s/m]; ``None``: critical damping.
         ki: Integral gain [N·m/(rad·s) | N/(m·s)].
         armature: Inertia of motor and gear at the joint [kg·m² | kg].
         damping: Viscous friction [N·m·s/rad | N·s/m].
@@ -82,6 +82,7 @@ def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
         derived.append("critical damping")
     armature = known.armature
     if armature is None:
+        # The natural frequency of spring and inertia is to be the bandwidth: ω² = kp / armature.
         following = kp / (2.0 * math.pi * options.bandwidth) ** 2
         armature = max(options.armature * unit, following)
         derived.append("armature")
@@ -100,7 +101,7 @@ def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
 
 
 def add_motor(spec: mujoco.MjSpec, servo: Servo, joint: str) -> None:
-    """Let a servo move a joint of a model."""
+    """Add the actuator by which a servo moves a joint of a model."""
     motor = spec.add_actuator(name=servo.actuator, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     if servo.kd is None:
         motor.set_to_position(kp=servo.kp, dampratio=1.0)

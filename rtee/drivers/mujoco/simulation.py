@@ -16,7 +16,7 @@ from rtee.drivers.mujoco.seen import SeenChannels, describe
 from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.hand.model import Hand
-from rtee.types import BoolArray, FloatArray
+from rtee.sample import BoolArray, FloatArray
 
 
 class Simulation:
@@ -58,6 +58,8 @@ class Simulation:
         self.data = mujoco.MjData(model)
         self.actuators = tuple(actuators)
         self._hand = hand
+        # The step is shortened so that a whole number of steps makes one period exactly; the small
+        # number keeps rounding from adding a step.
         self._substeps = max(1, math.ceil(period / model.opt.timestep - 1e-9))
         model.opt.timestep = period / self._substeps
         self._motor = np.array([model.actuator(name).id for name in actuators])
@@ -69,6 +71,7 @@ class Simulation:
         specs = [hand.actuator(name) for name in actuators]
         self._period = period
         self._fastest: FloatArray = np.array([s.velocity for s in specs])
+        # URDFs without a velocity limit say 0.
         self._fastest[~(self._fastest > 0.0)] = np.inf
         self._target: FloatArray = np.zeros(len(specs))
         self._speed = self._fastest.copy()
@@ -81,6 +84,7 @@ class Simulation:
         self._powered = True
         self.surroundings = Surroundings(model, self.data, options)
         self._seen = SeenChannels(model, self.data, hand, self.surroundings, options)
+        # After all parts have looked the model up, since each of them is reset.
         self.reset()
         self.object_description = describe(model, self.data, options)
 
@@ -98,6 +102,7 @@ class Simulation:
 
     def advance(self) -> None:
         """Step by one period."""
+        # Before the step: the tangents belong to the positions from which it starts.
         self._couplings.renew(self.data.qpos)
         step = self._speed * self._period
         reference = self.data.ctrl[self._motor]
@@ -108,7 +113,7 @@ class Simulation:
         self.surroundings.watch(self.time)
 
     def _integrate(self) -> None:
-        """Add what the integral gains make of the errors; never more than the effort limits."""
+        """Integrate the position errors; the sum stays within the effort limits."""
         motors = self._motor
         error = self.data.ctrl[motors] - self.data.qpos[self._qpos]
         limit = self.model.actuator_forcerange[motors, 1]
@@ -153,7 +158,7 @@ class Simulation:
 
     @property
     def seen(self) -> dict[str, FloatArray]:
-        """What can be seen besides the hand, as channels; see `SeenChannels`."""
+        """The object, the hand's pose and the contacts, as channels; see `SeenChannels`."""
         return self._seen.read()
 
     @property
@@ -195,6 +200,7 @@ class Simulation:
     def hold(self) -> None:
         """Take the present positions for references."""
         self._target = self.position
+        # The slewed reference too, or the actuators would first finish their old motion.
         self.data.ctrl[self._motor] = self._target
 
     def power(self, on: bool) -> None:

@@ -43,7 +43,7 @@ _HUNDREDTH_MM = 1e-5  # m in a register's unit of offsets
 
 
 class Control(IntEnum):
-    """What register 3 asks for."""
+    """Values of register 3, the command."""
 
     NONE = 0
     GRIP = 1
@@ -99,7 +99,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the gripper says: registers 0100 to 0103.
+    """The gripper's state: registers 0100 to 0103.
 
     Attributes:
         busy: It moves or builds up force.
@@ -140,6 +140,7 @@ class Status:
             force_grip=bool(bits & 4),
             calibrated=bool(bits & 8),
             raw_diameter=raw,
+            # The only signed register: an internal grip's offset may exceed the raw diameter.
             diameter=offset - 0x10000 if offset & 0x8000 else offset,
             force=force,
         )
@@ -177,6 +178,7 @@ class Fingers:
         """Return the angle of the pivots for a raw diameter [rad]; ends where the levers end."""
         radius = raw_diameter / 2.0
         cosine = (radius**2 - _PIVOT**2 - self.lever**2) / (2.0 * _PIVOT * self.lever)
+        # Rounding, or a diameter beyond the levers, must not leave the range of the arc cosine.
         return math.acos(min(max(cosine, -1.0), 1.0))
 
     def leverage(self, raw_diameter: float) -> float:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.onrobot_3fg.codec import (
     FIRMWARE,
@@ -45,7 +46,8 @@ from rtee.errors import (
     HandshakeError,
     NotConnected,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, GripForce, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _SAME = 10
 """A diameter this near to the measured one asks for no motion [0.1 mm].
@@ -60,13 +62,13 @@ _STUCK_BUSY = 0.5
 """Busy without moving for this long, it is stopped before it is asked to grip [s]."""
 
 _GRIP_POINTS = 33
-"""Diameters at which the force is worked out: between them it is straight to 1 %."""
+"""Diameters at which the force is computed: linear interpolation between them is off by 1 %."""
 
 _GATEWAY = (0x0A, 0x0B)
 """Exceptions by which the Compute Box reports that no tool answers."""
 
 _CONNECTING = 0.5
-"""Longest time for a question about the gripper while connecting [s]; the box may be slow."""
+"""Longest time for a request about the gripper while connecting [s]; the box may be slow."""
 
 
 class OnRobot3FGOptions(DeviceOptions):
@@ -154,6 +156,7 @@ class OnRobot3FGDriver(BlocksDriver):
         positions = np.linspace(actuator.lower, actuator.upper, _GRIP_POINTS)
         diameters = [metres(1) * scale.position.to_raw(q) for q in positions.tolist()]
         most = tuple(self.options.force * self._fingers.leverage(d) for d in diameters)
+        # The force register counts from 0, so the weakest grip has no force anywhere.
         none = (0.0,) * _GRIP_POINTS
         return GripForce(scale.effort.si, none, most, tuple(positions.tolist()))
 
@@ -178,6 +181,7 @@ class OnRobot3FGDriver(BlocksDriver):
                 count=STATUS_COUNT,
                 deadline=PATIENT,
                 kind=options.exchange,
+                # No document gives a refresh time, so only the wire limits the rate.
                 refresh=0.0,
             ),
         )
@@ -208,6 +212,7 @@ class OnRobot3FGDriver(BlocksDriver):
         unit = self.options.unit
         smallest, largest = await bus.read(unit, LIMITS, 2, deadline=_CONNECTING)
         length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=_CONNECTING)
+        # Other tools of the vendor answer these registers with other contents.
         if hole not in (1, 2, 3) or not smallest < largest:
             raise HandshakeError(
                 self.spec.name,
@@ -300,6 +305,7 @@ class OnRobot3FGDriver(BlocksDriver):
                 return None
             if not self._status.busy:
                 return self._command(force, diameter, Control.GRIP)
+            # Some obstacle keeps the motion from ending, and grip is ignored while it is busy.
             if now - self._moved_at > _STUCK_BUSY:
                 return self._command(force, diameter, Control.STOP)
         return self._motion(diameter, force)
@@ -345,6 +351,7 @@ class OnRobot3FGDriver(BlocksDriver):
         return replace(command, diameter=wanted).to_registers()
 
     def _note(self, status: Status) -> None:
+        # A change of one count may be noise at standstill.
         if abs(status.raw_diameter - self._status.raw_diameter) > 1:
             self._moved_at = time.monotonic()
         self._status = status

@@ -1,4 +1,4 @@
-"""Plays an OnRobot 3FG at the other end of the wire: its registers through the Compute Box or RTU.
+"""Emulates an OnRobot 3FG on the wire: its registers through the Compute Box or RTU.
 
 What no document states is a property here: whether a move is accepted while it is busy, the speed,
 what an unlisted register does, and how a missing tool answers.
@@ -39,7 +39,7 @@ _WRITABLE = ((0x0000, 0x0003), (0x0401, 0x0404))
 
 @dataclass(frozen=True, slots=True)
 class OnRobot3FGProperties:
-    """What the emulated gripper is like.
+    """Properties of the emulated gripper.
 
     Attributes:
         unit: Its number behind the Compute Box or on the line.
@@ -53,7 +53,8 @@ class OnRobot3FGProperties:
         busy_ignores: While busy it ignores only ``grip``, or ``all`` commands but stop.
         target: Whether a target diameter is ``raw``, between the fingertips' centres, or between
             their surfaces, the ``tips``.
-        grip: Which way it closes on an object: ``external``, inwards, or ``internal``, outwards.
+        grip: Direction in which it closes on an object: ``external``, inwards, or ``internal``,
+            outwards.
         position: Raw diameter at power-up [m]; by default open for such a grip.
         product: Its product code.
         serial: Its serial number.
@@ -83,7 +84,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
     Attributes:
         axis: Its fingers; position is the raw diameter [m], effort the force [N].
         moves: Times a motion was started.
-        begun: The force register when that happened last.
+        begun: The force register when the last motion started.
     """
 
     FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | {"calibration_lost", "no_tool"}
@@ -109,6 +110,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         self.moves = 0
         self.begun = 0
         self._now: float | None = None
+        # The factory's fingers in the registers' units: 49 mm, second hole, 6.3 mm offset.
         self._settings = [490, 0, 2, 630]
         self.power_cycle(0.0)
 
@@ -155,6 +157,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         self.axis.obstacle = VirtualObject(diameter, stiffness, closing=-1.0)
         self._targets = [force, round(self.properties.smallest * 1e4), 0, Control.GRIP]
         self._start(Control.GRIP)
+        # Ten seconds, long enough to arrive and to build up the whole force.
         for _ in range(100):
             self._advance_by(0.1)
         self.moves = 0
@@ -191,6 +194,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
             self.fingers = Fingers(settings[0] * 1e-4, settings[2], settings[3] * 1e-5)
             return
         self._targets[address : address + len(values)] = values
+        # Only a write that includes the control register starts anything, as on the device.
         if last == 3:
             self._command(values[-1])
 
@@ -217,7 +221,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         return known
 
     def status(self) -> Status:
-        """Return what the gripper says."""
+        """Return the gripper's state."""
         raw = self.axis.position
         kind = GripType(self._targets[2] & 1)
         force = abs(self.axis.effort) if self._contact else 0.0
@@ -282,6 +286,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         self.axis.advance(dt)
         if not self._busy or self.axis.velocity != 0.0:
             return
+        # Two counts of the diameter register: what the fingers can resolve.
         there = abs(self.axis.target - self.axis.position) < 2e-4
         if there or not self._grips or self.axis.stuck:
             self._busy = False

@@ -24,7 +24,7 @@ TURNAROUND = 1e-3
 """Latency of a USB adapter: time from a request to its answer beyond the wire's [s]."""
 
 _INT16 = tuple(struct.Struct(f">{count}h") for count in range(LONGEST // 2 + 1))
-"""Forms of so many 16-bit integers as a frame can carry."""
+"""Packed forms of 0 to 64 16-bit integers, the most that a frame can carry."""
 
 
 class QbFrameError(ValueError):
@@ -58,7 +58,7 @@ class Frame:
     """One frame, either way; a legacy acknowledgement looks like a command without data.
 
     Attributes:
-        device: Number of the device asked, or that answers.
+        device: Number of the device that is addressed, or that answers.
         command: What it is about.
         data: Its data.
     """
@@ -77,7 +77,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` is, whole and nothing else.
+        """Return the frame that ``raw`` holds, complete and without other bytes.
 
         Raises:
             QbFrameError: if it is none.
@@ -93,7 +93,7 @@ class Frame:
 
 
 class Parser(FramedParser[Frame]):
-    """Finds frames in a stream; a bad one costs itself, not the one that follows."""
+    """Finds frames in a stream; a damaged frame does not cost the one that follows."""
 
     HEADER = HEADER
     HEAD = 4
@@ -101,8 +101,8 @@ class Parser(FramedParser[Frame]):
     LIMIT = 2 * (LONGEST + OVERHEAD)
 
     def _length(self, at: int) -> int:
-        told = self._buffer[at + 3]
-        return told + OVERHEAD if 2 <= told <= LONGEST else 0
+        length = self._buffer[at + 3]
+        return length + OVERHEAD if 2 <= length <= LONGEST else 0
 
     def _decode(self, raw: bytes) -> Frame:
         return Frame.from_bytes(raw)
@@ -111,6 +111,7 @@ class Parser(FramedParser[Frame]):
 def pack_int16(*values: float) -> bytes:
     """Return values as big-endian 16-bit integers, clamped into their range."""
     counts = [round(value) for value in values]
+    # Clamped only where packing fails: almost all values fit, and this runs every cycle.
     try:
         return _INT16[len(counts)].pack(*counts)
     except struct.error:
@@ -159,6 +160,7 @@ def acknowledged(frame: Frame, command: int) -> bool | None:
 
     ``None`` when the frame acknowledges something else.
     """
+    # Legacy firmware: the command byte itself says whether it worked.
     if not frame.data and frame.command in {0, 1}:
         return frame.command == 1
     if frame.command == command and len(frame.data) == 1:
@@ -170,6 +172,7 @@ def watchdog_byte(seconds: float) -> int:
     """Return the watchdog's byte for a period [s]: units of 20 ms, 0 is off, at most 5 s."""
     if seconds <= 0.0:
         return 0
+    # At least 1: a short period must not round to 0, which would switch the watchdog off.
     return min(max(round(seconds / 0.02), 1), 250)
 
 

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
@@ -26,10 +27,11 @@ from rtee.drivers.qb_softhand.link import QbLink
 from rtee.drivers.qb_softhand.parameters import Limits, current_limit, limits
 from rtee.drivers.qb_softhand.synergy import CLOSURE_TICKS, Mapping, OneMotor, TwoMotors
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected, RteeError
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 INACTIVE = 1
-"""Code of the only fault that can be seen, that the motors are inactive; the hand has no codes."""
+"""Code of the only detectable fault, inactive motors; the hand itself has no codes."""
 
 _CURRENT_LIMIT = 1.5
 """Current limit of a hand that does not report its own [A], as from the factory."""
@@ -52,9 +54,9 @@ class QbSoftHandOptions(DeviceOptions):
             19000 if it does not.
         effort_per_ampere: Effort per motor current; else the current limit counts as the actuator's
             effort limit.
-        watchdog: The hand deactivates after so long a silence [s]; only firmware that has a
+        watchdog: The hand deactivates after this time of silence [s]; only firmware that has a
             watchdog does; 0: off.
-        status_every: Whether the motors are active is read every so many exchanges.
+        status_every: Number of exchanges after which it is checked that the motors are active.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
         turnaround: Time between a request and its answer that the wire does not explain [s].
@@ -116,6 +118,8 @@ class QbSoftHandDriver(Driver):
         )
 
     def _exchange_time(self) -> float:
+        # Bytes on the wire: requests are six bytes; answers and the reference follow. Each byte
+        # takes ten bits.
         sizes = [6 + 16, 10] if self.options.motors == 1 else [6 + 14, 6 + 10, 10]
         wire = sum(sizes) * 10.0 / self.options.baudrate
         return wire + self.options.turnaround * (len(sizes) - 1)
@@ -159,23 +163,25 @@ class QbSoftHandDriver(Driver):
             },
         )
 
-    def _adopt(self, told: tuple[Limits, ...]) -> None:
+    def _adopt(self, reported: tuple[Limits, ...]) -> None:
         options = self.options
-        if told and len(told) != options.motors:
+        if reported and len(reported) != options.motors:
             raise HandshakeError(
                 self.spec.name,
                 f"a hand with {options.motors} motor(s)",
-                f"one with {len(told)}",
-                hint=f"set 'motors: {len(told)}'",
+                f"one with {len(reported)}",
+                hint=f"set 'motors: {len(reported)}'",
             )
         if options.motors == 1:
-            ticks = options.closure_ticks or (told[0].upper if told else CLOSURE_TICKS)
+            ticks = options.closure_ticks or (reported[0].upper if reported else CLOSURE_TICKS)
             self.mapping = OneMotor(ticks)
         else:
-            lower = told[0].lower if told else TwoMotors().lower
+            lower = reported[0].lower if reported else TwoMotors().lower
+            # The second synergy needs a range below 0; where a hand reports none, the factory's
+            # counts.
             if lower >= 0:
                 lower = TwoMotors().lower
-            upper = told[0].upper if told else TwoMotors().upper
+            upper = reported[0].upper if reported else TwoMotors().upper
             if options.closure_ticks is not None:
                 upper = options.closure_ticks - lower
             self.mapping = TwoMotors(lower, upper)
@@ -185,6 +191,7 @@ class QbSoftHandDriver(Driver):
         self.connection.link.patient = True
         if self.options.watchdog > 0.0:
             byte = codec.watchdog_byte(self.options.watchdog)
+            # Before the motors are active, so that they are never active without it.
             await self.connection.link.send(Command.SET_WATCHDOG, bytes([byte]))
         held = await self._all_active()
         if not held:
@@ -192,6 +199,7 @@ class QbSoftHandDriver(Driver):
             await self._confirm()
         self._attached.begin(range(self.options.motors) if held else ())
         self._active = True
+        # An actuator that is not commanded keeps this reference.
         self._closure = await self._measured()
         self.connection.link.patient = False
 
@@ -253,7 +261,7 @@ class QbSoftHandDriver(Driver):
             )
 
     async def move(self, reference: Reference) -> None:
-        """Send the references of the motors; nothing answers."""
+        """Send the references of the motors; the hand does not answer."""
         if self._attached:
             # One frame commands both motors.
             if len(self._attached.left(reference, self._here)) == self.options.motors:

@@ -1,4 +1,4 @@
-"""Plays a qb SoftHand at the other end of the wire.
+"""Emulates a qb SoftHand on the wire.
 
 What differs between generations of firmware, or is not known, is an option here: the form of
 acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE, SET_INPUTS_ACK.
@@ -20,12 +20,12 @@ from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
 from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
 
-_TEXT_REQUEST = b"?\r\n"
+_TEXT_REQUEST = b"?\r\n"  # asks for the information text without a frame
 
 
 @dataclass(frozen=True, slots=True)
 class QbOptions:
-    """What the emulated hand is like.
+    """Properties of the emulated hand.
 
     Attributes:
         device: Its number on the line.
@@ -37,13 +37,13 @@ class QbOptions:
         watchdog: SET_WATCHDOG is implemented: silence deactivates the motors.
         inputs_ack: SET_INPUTS_ACK is implemented.
         startup_active: The motors are active after power-up, as from the factory.
-        boot_time: After power-up it is silent for so long [s].
+        boot_time: Time for which it is silent after power-up [s].
         speed: Of a motor [ticks/s].
         current_limit_ma: Of a motor [mA].
         friction_ma: Current of a motor that moves freely [mA].
         gain_ma: Current per tick between reference and position [mA]; no document gives it.
         turnaround: Time between a request and its answer [s]; a USB adapter's latency, mostly.
-        text: Its information text.
+        text: The information text that it reports.
     """
 
     device: Byte = 1
@@ -77,7 +77,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
     """The hand: one or two motors with encoders in ticks.
 
     Attributes:
-        options: What it is like.
+        options: Its properties.
         axes: Its motors.
         baudrate: Rate the line is set to [baud].
         watchdog: Period of the watchdog [s], 0 when it is off.
@@ -165,7 +165,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return sum(axis.enabled << index for index, axis in enumerate(self.axes))
 
     def step(self, now: float) -> list[bytes]:
-        """Let time pass; the hand says nothing unasked."""
+        """Let time pass; the hand sends nothing without a request."""
         passed = 0.0 if self._stepped is None else now - self._stepped
         self._stepped = now
         for index, axis in enumerate(self.axes):
@@ -209,7 +209,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return self._reply(command, bytes([good]))
 
     def _answer(self, frame: Frame) -> bytes | None:
-        """Return the reply to a frame; ``None`` for a command that nothing acknowledges."""
+        """Return the reply to a frame; ``None`` for a command without an acknowledgement."""
         values = self._query(frame.command)
         if values is not None:
             return self._reply(frame.command, values)
@@ -228,6 +228,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
                 return b""
             case Command.GET_ACTIVATE:
                 true_mask = self.options.activation_mask or len(self.axes) > 1
+                # Older firmware reports both bits although there is one motor.
                 return bytes([self.active if true_mask else 3 * self.active])
             case Command.GET_INPUTS:
                 return codec.pack_int16(*self._references)
@@ -291,8 +292,10 @@ class QbSoftHandEmulator(Emulator, Grasps):
     def _long(self, command: int, data: bytes) -> bytes:
         body = bytes([command]) + data
         if self.options.generation == "modern":
+            # The length byte counts blocks of 32 bytes, so the packet is padded to one.
             body += b"\x00" * (-(len(body) + 1) % 32)
             length = (len(body) + 1) // 32
         else:
+            # Longer than a byte can say: the real one is cut off the same way.
             length = (len(body) + 1) & 0xFF
         return HEADER + bytes([self._number, length]) + body + bytes([reduce(xor, body)])

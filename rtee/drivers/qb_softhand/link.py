@@ -1,4 +1,4 @@
-"""The SoftHand's commands over a bus: request and answer, or no answer at all."""
+"""The SoftHand's commands over a bus, with and without an answer."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class QbLink:
         device: The hand's number on it.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        patient: Exchanges may take `PATIENCE`: set-up has no cycle to keep.
+        patient: Exchanges may take `PATIENCE`: during set-up there is no cycle to keep.
     """
 
     def __init__(self, bus: SerialBus, device: int, deadline: float, retries: int) -> None:
@@ -57,7 +57,7 @@ class QbLink:
         return reply.data
 
     def send(self, command: Command, data: bytes = b"") -> Coroutine[Any, Any, None]:
-        """Send a command that nothing answers, when awaited; raises `BusError`."""
+        """Send a command without an answer, when awaited; raises `BusError`."""
         return self.bus.send(Frame(self.device, command, data).to_bytes(), self.deadline)
 
     async def ping(self) -> bool:
@@ -69,7 +69,7 @@ class QbLink:
         return True
 
     async def anybody(self) -> int | None:
-        """Return the number of whatever hand answers, or ``None``; several garble each other."""
+        """Return the number of the hand that answers, or ``None``; several garble each other."""
         ping = Frame(BROADCAST, Command.PING).to_bytes()
         try:
             reply: Frame = await self.bus.transact(ping, self._parser, self.deadline, self.retries)
@@ -81,6 +81,7 @@ class QbLink:
         """Return the hand's parameters by index, or nothing where it does not answer."""
         request = Frame(self.device, Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
         try:
+            # One retry only: the whole list is sent again, and its defaults are known.
             return await self.bus.transact(
                 request, ListParser(self.device), _LIST_DEADLINE, retries=1
             )

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 CLOSURE_TICKS = 19_000
-"""Travel of a Research hand from open to closed [ticks]."""
+"""Travel of the motor of a Research hand from open to closed [ticks], as from the factory."""
 MANIPULATION_TICKS = -4_000
-"""Lower limit of the motors of a two-motor hand [ticks]."""
+"""Lower limit of the motors of a two-motor hand [ticks], as from the factory."""
 
 
 class Mapping(Protocol):

@@ -1,1 +1,1 @@
-"""Plays the states of a recording, as if the recorded hand were there again."""
+"""Plays back the states of a recording as if the recorded hand were connected."""

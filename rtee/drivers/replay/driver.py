@@ -1,4 +1,4 @@
-"""The replay driver: it measures what a recording holds; references change nothing."""
+"""The replay driver: it measures the states of a recording; references change nothing."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
-from rtee.sample import MEASURED
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import MEASURED, ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _PATIENCE = 0.02
-"""An exchange waits this long for what is being read [s]; it must not count as unanswered."""
+"""Longest time that an exchange waits for the file [s]; longer, it would count as unanswered."""
 
-_WORDS: dict[int, bool | None] = {-1: None, 0: False, 1: True}
+_WORDS: dict[int, bool | None] = {-1: None, 0: False, 1: True}  # recorded values of `grasped`
 
 
 class ReplayOptions(BaseModel):
-    """Which recording is played, and how."""
+    """Which recording is played back, and how."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -37,12 +38,12 @@ class ReplayOptions(BaseModel):
 
 
 class ReplayDriver(Driver):
-    """Plays the states of a recording, from the moment it is activated.
+    """Plays back the states of a recording, from the moment it is activated.
 
     Attributes:
         now: The clock that it follows [s].
         ended: Whether the recording has been played to its end.
-        behind: Whether what is to be shown now is still being read; the last state is kept.
+        behind: Whether the state that is due is still being read; the last one is kept.
     """
 
     Options = ReplayOptions
@@ -91,6 +92,7 @@ class ReplayDriver(Driver):
         self._patience = asyncio.get_running_loop().time() + _PATIENCE
         await self._advance(passed * self._options.speed)
         block, row = self._block, self._row
+        # The loop may ask more often than the recording has states.
         fresh, self._shown = row != self._shown, row
         words = block.grasped[row].tolist()
         return ActuatorState(
@@ -102,7 +104,7 @@ class ReplayDriver(Driver):
         )
 
     async def move(self, reference: Reference) -> None:
-        """See `Driver.move`: what was recorded cannot be moved any more."""
+        """See `Driver.move`: a recording cannot be moved, so this does nothing."""
 
     async def close(self) -> None:
         """See `Driver.close`."""
@@ -125,10 +127,11 @@ class ReplayDriver(Driver):
         self._next = None
         self._row, self._shown = 0, -1
         self._first = 0.0 if self._block is None else float(self._block.stamp[0])
+        # In advance: the file is read while the present block is shown.
         self._fetch()
 
     def _fetch(self) -> None:
-        """Have the block after this one read."""
+        """Begin to read the block after this one."""
         self._following = asyncio.ensure_future(anyio.to_thread.run_sync(next, self._blocks, None))
 
     async def _advance(self, played: float) -> None:
@@ -138,6 +141,7 @@ class ReplayDriver(Driver):
                 return
             beginning, self._beginning = self._beginning, None
             beginning.result()
+            # Time starts when the first block has been read, so that nothing of it is skipped.
             self._begin, played = self.now(), 0.0
         wanted = self._first + played
         while self._block is not None:
@@ -163,7 +167,7 @@ class ReplayDriver(Driver):
                 self.ended = True
 
     async def _there(self, reading: asyncio.Future[Any]) -> bool:
-        """Wait for what is being read, but not for long; return whether it is there."""
+        """Wait a moment for what is being read; return whether it has been read."""
         left = self._patience - asyncio.get_running_loop().time()
         done, _ = await asyncio.wait([reading], timeout=max(0.0, left))
         self.behind = not done

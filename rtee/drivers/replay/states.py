@@ -26,12 +26,12 @@ Extras = Mapping[str, FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Some states that follow each other.
+    """Some consecutive states.
 
     Attributes:
         stamp: When they were measured ``(k,)`` [s].
         values: The quantities of `rtee.sample.MEASURED`, in its order ``(k, m, n)``.
-        grasped: The device's own word ``(k, n)``: 1 holding, 0 not, -1 none.
+        grasped: The device's own report ``(k, n)``: 1 holding, 0 not holding, -1 no report.
         extras: Further channels at each of them, such as pressure.
     """
 
@@ -83,6 +83,7 @@ class RecordedStates:
         wanted = log_topic(hand, ACTUATOR_STATES)
         if wanted in topics:
             return wanted
+        # A recording of one other hand will do; of several, none can be chosen for the user.
         if len(topics) != 1:
             raise LogError(f"holds no states of the hand '{hand}'", path=self.path)
         return topics[0]

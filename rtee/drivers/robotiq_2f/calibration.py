@@ -1,4 +1,4 @@
-"""Where one two-finger gripper is fully open and fully closed, as measured."""
+"""Measured end stops of one two-finger gripper: fully open and fully closed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def checked(stops: EndStops, device: str) -> EndStops:
     """Return a calibration unchanged.
 
     Raises:
-        CalibrationError: if the gripper cannot have gone all the way.
+        CalibrationError: if the gripper cannot have moved the whole way.
     """
     found = stops.closed_count - stops.open_count
     if found < _LEAST_RANGE:

@@ -17,14 +17,14 @@ from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
 
 COUNT = 3
-"""Registers of either block that carry something."""
+"""Registers in use of either block; the gripper leaves the rest 0."""
 
 _CURRENT = 0.01
 """Motor current per count of gCU [A]."""
 
 
 class Grasp(IntEnum):
-    """gOBJ: what the fingers met; only meaningful while gGTO is set."""
+    """gOBJ: contact of the fingers; only meaningful while gGTO is set."""
 
     MOVING = 0
     CONTACT_OPENING = 1
@@ -51,7 +51,7 @@ FAULTS: dict[int, Fault] = {
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What distinguishes the models.
+    """The differences between the models.
 
     Attributes:
         name: Its name.
@@ -78,7 +78,7 @@ MODELS: dict[str, Model] = {
 
 @dataclass(frozen=True, slots=True)
 class Command(RobotiqCommand):
-    """What the host asks for: the output block.
+    """The output block, written by the host.
 
     Attributes:
         direction: rARD, the direction of the automatic release.
@@ -114,7 +114,7 @@ class Command(RobotiqCommand):
 
 @dataclass(frozen=True, slots=True)
 class Status(RobotiqStatus):
-    """What the gripper says: the input block.
+    """The input block, written by the gripper.
 
     Attributes:
         grasp: gOBJ.

@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 from pydantic import BaseModel, Field
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import GripForce
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.calibration import (
@@ -31,10 +32,11 @@ from rtee.drivers.robotiq_2f.codec import (
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
-from rtee.types import ActuatorState, DeviceSpec, FloatArray, GripForce, Reference
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
 
 _MORE = 6
-"""Registers that published programs read from a two-finger gripper, too."""
+"""Registers that published programs also read from a two-finger gripper."""
 
 
 class Robotiq2FOptions(RobotiqOptions):
@@ -171,6 +173,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         contact = False
         if status.going:
             if status.grasp is Grasp.CONTACT_CLOSING:
+                # One count short of the end stop: against the stop itself contact is reported too.
                 contact = status.position < self.scale.closed_count - 1
             elif status.grasp is Grasp.CONTACT_OPENING:
                 contact = status.position > self.scale.open_count + 1
@@ -195,6 +198,8 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         if abs(command.position - status.position) <= SAME:
             if self._sent is None:
                 return None
+            # The request beyond the object is what presses on it; the measured position would let
+            # go.
             if _holds(status):
                 command = replace(command, position=self._sent.position)
         self._sent = command
@@ -219,7 +224,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         Args:
             path: File to write.
             rest: Not needed here.
-            ready: Called with what the user is to do; returns when it is done.
+            ready: Called with an instruction for the user; returns when the user has followed it.
 
         Raises:
             BusError: if the line fails.
@@ -230,6 +235,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         self.connection.link.deadline = PATIENT
         self._home_asked = True
         await self.activate()
+        # Closed first, so that the gripper ends open.
         closed = await self._end_stop(255)
         opened = await self._end_stop(0)
         stops = checked(
@@ -240,6 +246,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
 
     async def _end_stop(self, request: int) -> int:
         """Go to an end slowly and weakly; return the count where the gripper stops."""
+        # A quarter of the speed range and the least force: gentle on whatever is in the way.
         command = Command(activate=True, go=True, position=request, speed=64, force=0)
 
         def arrived(status: Status) -> bool:

@@ -1,4 +1,4 @@
-"""Plays a Robotiq two-finger gripper at the other end of the wire.
+"""Emulates a Robotiq two-finger gripper on the wire.
 
 What no manual states is a property here: how long the activation takes and which way the automatic
 release goes.
@@ -26,7 +26,7 @@ _HOTTEST = 85.0
 
 @dataclass(frozen=True, slots=True)
 class Robotiq2FProperties(RobotiqProperties):
-    """What the emulated gripper is like, beside what all of them have.
+    """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:
         model: ``2f_85``, ``2f_140`` or ``hand_e``.
@@ -37,7 +37,7 @@ class Robotiq2FProperties(RobotiqProperties):
             universal controller, whose clients read by function 4.
         input: First register of the input block; likewise.
         release_opens: Which way the automatic release goes; ``None``: as rARD says, 1 is opening.
-        watch: Silence after which it complains [s].
+        watch: Silence after which it reports lost communication [s].
     """
 
     model: Literal["2f_85", "2f_140", "hand_e"] = "2f_85"

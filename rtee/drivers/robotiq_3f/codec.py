@@ -24,7 +24,7 @@ AXES = ("a", "b", "c", "scissor")
 
 
 class Mode(IntEnum):
-    """rMOD and gMOD: how the fingers are placed."""
+    """rMOD and gMOD: the arrangement of the fingers."""
 
     BASIC = 0
     PINCH = 1
@@ -33,7 +33,7 @@ class Mode(IntEnum):
 
 
 class Motion(IntEnum):
-    """gSTA: what the fingers do together."""
+    """gSTA: the motion of all fingers together."""
 
     MOVING = 0
     SOME_SHORT = 1
@@ -42,7 +42,7 @@ class Motion(IntEnum):
 
 
 class Contact(IntEnum):
-    """gDTA to gDTS: what one motor met."""
+    """gDTA to gDTS: the contact of one motor."""
 
     MOVING = 0
     OPENING = 1
@@ -66,7 +66,7 @@ FAULTS: dict[int, Fault] = {
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What one motor is asked for.
+    """The request to one motor.
 
     Attributes:
         position: 0 open to 255 closed.
@@ -81,12 +81,12 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Command(RobotiqCommand):
-    """What the host asks for: the output block.
+    """The output block, written by the host.
 
     Attributes:
         mode: rMOD.
         individual: rICF: the three fingers follow their own requests, else all that of ``a``.
-        scissor: rICS: the scissor follows its own request, whatever the mode.
+        scissor: rICS: the scissor follows its own request in every mode.
         axes: Requests of the four motors, in the order of `AXES`.
     """
 
@@ -122,7 +122,7 @@ class Command(RobotiqCommand):
 
 @dataclass(frozen=True, slots=True)
 class AxisStatus:
-    """What one motor says.
+    """The state of one motor.
 
     Attributes:
         contact: gDTx.
@@ -139,7 +139,7 @@ class AxisStatus:
 
 @dataclass(frozen=True, slots=True)
 class Status(RobotiqStatus):
-    """What the gripper says: the input block.
+    """The input block, written by the gripper.
 
     Attributes:
         mode: gMOD.

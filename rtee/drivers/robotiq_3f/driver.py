@@ -9,6 +9,7 @@ from typing import ClassVar
 from pydantic import BaseModel
 
 from rtee.buses.pool import BusPool
+from rtee.capabilities import GripForce
 from rtee.drivers.options import read_options
 from rtee.drivers.robotiq_3f.codec import (
     AXES,
@@ -27,11 +28,12 @@ from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import DeviceFault, HandshakeError
-from rtee.types import ActuatorState, DeviceSpec, GripForce, Reference
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _PRESSING = (Contact.OPENING, Contact.CLOSING)
 _SIMPLE = 3
-"""Registers that are enough for all fingers together."""
+"""Registers that are enough for all fingers together: action, and the request of finger a."""
 
 
 class Robotiq3FDriver(RobotiqDriver[Status, Command]):
@@ -92,6 +94,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         network, base = self.options.port.startswith("tcp://"), self.options.register_base
         zero = network if base is None else base == 0
         places = (0, 0) if zero else (OUTPUT, INPUT)
+        # On TCP both blocks begin at 0, and the function distinguishes them.
         return *places, self.options.function or (4 if network else 3)
 
     def _identity(self) -> Mapping[str, str]:
@@ -144,6 +147,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         return sum(axis.position for axis in axes) / len(axes)
 
     def _current(self, role: str) -> float:
+        # The largest of the three motors: heat and overload are a matter of one motor.
         return max(axis.raw_current for axis in self._axes(role)) * self.options.current_per_count
 
     def _grasped(self, role: str) -> bool | None:
@@ -159,6 +163,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         """Return whether a motor presses on something, short of its end stops."""
         axis, going = self._status.axes[at], self._status.going
         contact = going and (
+            # Contact near an end stop is the stop itself: some counts of margin for either.
             (axis.contact is Contact.CLOSING and axis.position < 250)
             or (axis.contact is Contact.OPENING and axis.position > 10)
         )
@@ -179,6 +184,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
                 scale.velocity.to_count(float(reference.max_velocity[index])),
                 scale.effort.to_count(float(reference.max_effort[index])),
             )
+            # A reference at the measured position would end a grip; see `_request`.
             stays = abs(request.position - self._position(role)) <= SAME
             moving |= not stays
             for at in (0, 1, 2) if role == "fingers" else (AXES.index(role),):
@@ -215,6 +221,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         axis = self._status.axes[at]
         if axis.contact in _PRESSING:
             first = self._status.axes[0].requested
+            # Together, only finger a echoes a request; the others follow it.
             echo = axis.requested or (first if at < 3 else 0)
             return Request(echo or axis.position, 255, 255)
         return Request(axis.position, 255, 255)

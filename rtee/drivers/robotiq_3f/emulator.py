@@ -1,4 +1,4 @@
-"""Plays Robotiq's three-finger gripper at the other end of the wire.
+"""Emulates Robotiq's three-finger gripper on the wire.
 
 What no manual states, or where its editions differ, is a property here: how long activation and
 change of mode take. The blocks are served in both places that the editions name.
@@ -31,7 +31,8 @@ from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties, fi
 from rtee.drivers.scale import LinearScale
 
 _SCISSOR_OF = {Mode.BASIC: 0x89, Mode.PINCH: 0xDC, Mode.WIDE: 0x19, Mode.SCISSOR: 0x19}
-"""Where the scissor rests [counts]: 0x89 is in the manual's frames, the others are estimates."""
+"""Rest position of the scissor [counts]: 0x89 is in the manual's frames, the others are
+estimates."""
 
 _VELOCITY = LinearScale(COUNTS, (SPEED[0] * 255 / STROKE, SPEED[1] * 255 / STROKE))
 """rSPx to [counts/s] of gPOx."""
@@ -42,16 +43,16 @@ _FORCE = LinearScale(COUNTS, FORCE)
 _OPEN = 6
 """Count of a finger that is fully open, as in the manual's frames."""
 
-_OBSTRUCTED, _MODE_FAILED = 0x0A, 0x0E
+_OBSTRUCTED, _MODE_FAILED = 0x0A, 0x0E  # gFLT: codes of the scissor
 
 
 @dataclass(frozen=True, slots=True)
 class Robotiq3FProperties(RobotiqProperties):
-    """What the emulated gripper is like, beside what all of them have.
+    """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:
-        activation_time: Time of the activation [s].
-        mode_time: Time of a change of mode [s].
+        activation_time: Duration of the activation [s].
+        mode_time: Duration of a change of mode [s].
     """
 
     activation_time: Duration = 3.0
@@ -143,6 +144,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
             super()._apply(command)
 
     def _obey(self, command: Any) -> None:
+        # Until the mode has changed, the fingers do not follow requests made for the new one.
         if command.mode is self._mode:
             super()._obey(command)
 
@@ -193,6 +195,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
 
 def _axis(position: float, lower: int) -> Axis:
     axis = Axis(position, lower=lower, upper=255, time_constant=0.01, friction=2.0, resolution=0.3)
+    # Currents are reported relative to the strongest grip, whatever force is asked for.
     axis.rating = FORCE[1]
     return axis
 

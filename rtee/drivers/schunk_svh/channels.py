@@ -12,7 +12,7 @@ from rtee.types import DeviceSpec
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of the hand, as its homing and its gearing define it.
+    """One channel of the hand: its homing and its gearing.
 
     Encoders are relative: after homing, 0 rad is the open end of the range. Homing drives a channel
     beyond its open stop; ``min_offset`` and ``max_offset`` place the soft limits relative to it.
@@ -25,7 +25,7 @@ class Channel:
         max_offset: Upper soft limit relative to the stop [ticks].
         idle_offset: Where homing leaves it, relative to the stop [ticks].
         range: Travel between the soft limits [rad].
-        reset_factor: Part of the current limit that counts as having met the stop.
+        reset_factor: Part of the current limit at which the stop counts as reached.
         force_slope: Force at the fingertip per current [N/mA]; 0 when it is not known.
         force_offset: Force at no current [N].
         lever: Distance from the joint to the fingertip [m].
@@ -102,15 +102,16 @@ CHANNELS: tuple[Channel, ...] = (
 """The channels in the order of the wire, with the offsets built into the vendor's library."""
 
 HOMING_ORDER: tuple[int, ...] = (3, 5, 1, 0, 8, 4, 2, 6, 7)
-"""Channels in the order in which they may be homed and enabled without getting into each other."""
+"""Channels in the order in which they are homed and enabled without their fingers colliding."""
 
 HOMING_RATE = 0.2
-"""Part of the normal speed at which a channel looks for its stop."""
+"""Part of the normal speed at which a channel looks for its stop: it hits the stop gently."""
 
 
 def channels_for(firmware: tuple[int, int]) -> tuple[Channel, ...]:
     """Return the channels with the offsets that belong to a firmware version."""
     table = list(CHANNELS)
+    # A hand that reports no version, 0.0, is treated like 1.2.
     if firmware in {(0, 0), (1, 2)}:
         table[1] = replace(table[1], min_offset=-105_000)
         table[8] = replace(table[8], min_offset=-57_000)

@@ -1,4 +1,4 @@
-"""The SVH's packets on the wire, what their data says, and a resynchronising parser. No I/O."""
+"""The SVH's packets on the wire, their data, and a resynchronising parser. No I/O."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rtee.buses.parser import FramedParser
 
 BAUDRATE = 921_600  # [baud]; the hand has no other
 CHANNELS = 9  # motors of the hand
-SYNC = b"\x4c\xaa"
+SYNC = b"\x4c\xaa"  # begins every packet
 PAYLOAD = 64
 """Bytes of data in every packet of the host, padded with zeros."""
 PACKET = PAYLOAD + 8
@@ -80,7 +80,7 @@ class Packet:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` is, whole and nothing else.
+        """Return the packet that ``raw`` holds, complete and without other bytes.
 
         Raises:
             SvhFrameError: if it is none.
@@ -102,7 +102,7 @@ class Packet:
 
 
 class Parser(FramedParser[Packet]):
-    """Finds packets in a stream; a bad one costs itself, not the one that follows."""
+    """Finds packets in a stream; a damaged packet does not cost the one that follows."""
 
     HEADER = SYNC
     HEAD = 6
@@ -118,7 +118,7 @@ class Parser(FramedParser[Packet]):
         return Packet.from_bytes(raw)
 
 
-# --- what the data says ----------------------------------------------------------------------
+# --- data of the packets ---------------------------------------------------------------------
 
 _FEEDBACK = struct.Struct("<ih")
 _FEEDBACK_ALL = struct.Struct("<9i9h")
@@ -135,6 +135,7 @@ def _unpack(form: struct.Struct, packet: Packet, what: str) -> tuple[float, ...]
 
 
 def _clip(value: float, bits: int) -> int:
+    # Saturated: a value out of range must not wrap to the other end.
     edge = 1 << (bits - 1)
     return min(max(int(value), -edge), edge - 1)
 
@@ -276,8 +277,8 @@ class ControllerState:
         current_control: 1 when the current controllers run.
     """
 
-    CLEAR: ClassVar[int] = 0x1F
-    SUPPLY: ClassVar[int] = 0x0200
+    CLEAR: ClassVar[int] = 0x1F  # clears all latched bits
+    SUPPLY: ClassVar[int] = 0x0200  # bit of the 12 V supply in both PWM words
 
     pwm_fault: int = 0
     pwm_otw: int = 0
@@ -306,7 +307,7 @@ class ControllerState:
 
 @dataclass(frozen=True, slots=True)
 class FirmwareInfo:
-    """What the hand says about itself; a genuine one says ``SVH``."""
+    """The hand's identification; the name of a genuine one is ``SVH``."""
 
     name: str
     major: int

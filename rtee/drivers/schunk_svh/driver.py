@@ -13,6 +13,7 @@ import numpy as np
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
@@ -38,15 +39,16 @@ from rtee.errors import (
     NotConnected,
     RteeError,
 )
-from rtee.types import ActuatorState, Capabilities, DeviceSpec, FloatArray, Reference
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
 
 
 class SchunkSvhDriver(Driver):
     """A SCHUNK SVH on its serial line.
 
     The answer to a command for all channels carries their positions and currents, so a cycle of
-    sense and move costs one exchange: `sense` hands out what the last `move` brought back, and asks
-    the hand itself only when there was none. Limits of effort and speed are controller settings per
+    sense and move costs one exchange: `sense` returns the answer to the last `move`, and asks the
+    hand only when there was none. Limits of effort and speed are controller settings per
     channel; a changed one is sent before the position of its channel, at most two in a cycle.
 
     Encoders are relative. Without homing there is no position, and a hand that lost its supply has
@@ -116,6 +118,7 @@ class SchunkSvhDriver(Driver):
         self._health.found(state)
         if not self.stops:
             self._adopt_stops(homing.read_stops(options.stops_file))
+        # A stored zero may be of an earlier power-up; a finger beyond its range proves that.
         if self.stops and not homing.plausible(self.stops, self._table, await link.feedback_all()):
             self._adopt_stops({})
         if not set(self._index) <= enabled:
@@ -184,6 +187,7 @@ class SchunkSvhDriver(Driver):
         self._health.off()
         self._adopt_stops({})
         await power.disable(self.connection.link)
+        # Homing needs the current limits: against the stop they are all that protects the gears.
         await self._limits.write(self.connection.link, self._index)
         stops: dict[int, int] = {}
         order = [channel for channel in HOMING_ORDER if channel in self._index]
@@ -204,6 +208,7 @@ class SchunkSvhDriver(Driver):
         homing.write_stops(self.options.stops_file, stops)
 
     async def _enable(self) -> None:
+        # Settings and targets first: when the power comes, nothing may be left of an earlier run.
         await self._limits.write(self.connection.link, self._index)
         await self._seed()
         await self.connection.link.set_targets(self._targets)
@@ -212,14 +217,14 @@ class SchunkSvhDriver(Driver):
         self._check(state)
 
     async def _seed(self) -> None:
-        """Take the measured positions for targets, so that nothing moves when power comes."""
+        """Take the measured positions for targets, so that switching power on moves nothing."""
         self._answer = self._last = None
         self._attached.begin()
         feedback = await self.connection.link.feedback_all()
         self._targets = list(feedback.positions)
 
     async def sense(self) -> ActuatorState:
-        """Return what the hand measures: the answer to the last move where there was one."""
+        """Return the measured state: the answer to the last move, if there was one."""
         self._count += 1
         if self._count % self.options.status_every == 0:
             self._check(await self.connection.link.state())
@@ -303,6 +308,6 @@ class SchunkSvhDriver(Driver):
             await power.disable(self.connection.link)
 
     async def close(self) -> None:
-        """Give the line back; what is enabled stays enabled."""
+        """Give the line back; enabled channels stay enabled."""
         self._answer = None
         await super().close()

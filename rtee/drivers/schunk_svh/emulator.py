@@ -1,6 +1,6 @@
-"""Plays an SVH at the other end of the wire.
+"""Emulates an SVH on the wire.
 
-What is not known of the real hand is an option here: the length of replies, whether they echo the
+Unknown behaviour of the real hand is an option here: the length of replies, whether they echo the
 request's index, what a packet that comes too early does, which channels need the 12 V supply.
 """
 
@@ -22,12 +22,12 @@ from rtee.drivers.schunk_svh.channels import (
 )
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
 
-_ASIDE = ("Thumb_Opposition", "Finger_Spread")
+_ASIDE = ("Thumb_Opposition", "Finger_Spread")  # channels that do not close on an object
 
 
 @dataclass(frozen=True, slots=True)
 class SvhOptions:
-    """What the emulated hand is like.
+    """Properties of the emulated hand.
 
     Attributes:
         name: Name in its firmware information; a genuine hand says ``SVH``.
@@ -71,10 +71,10 @@ class SchunkSvhEmulator(Emulator, Grasps):
     """The hand: nine axes behind cascaded controllers, and one reply to every packet.
 
     Attributes:
-        options: What it is like.
+        options: Its properties.
         channels: Its nine channels.
         packets: Packets answered, by command.
-        early: Packets that came sooner after the previous one than the hand bears.
+        early: Packets that came sooner than `codec.GAP` after the previous one.
     """
 
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
@@ -111,6 +111,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         for old, new in zip(before, self.channels, strict=False):
             thing = old.axis.obstacle
             if thing is not None:
+                # The object stays in place while the encoders start again from 0.
                 new.axis.obstacle = replace(thing, contact=thing.contact - old.axis.position)
         self._state = ControllerState()
         self._fault = 0
@@ -142,6 +143,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         span = spec.max_offset - spec.min_offset
         if spec.direction > 0:
             stop = round(-spec.max_offset + closure * span)
+            # A little play beyond the soft limit at the far end: 2 % of the range.
             lower, upper = stop + spec.min_offset - span // 50, stop
         else:
             stop = round(-spec.min_offset - closure * span)
@@ -191,7 +193,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         )
 
     def step(self, now: float) -> list[bytes]:
-        """Let time pass; the hand says nothing unasked."""
+        """Let time pass; the hand sends nothing without a request."""
         for index, channel in enumerate(self.channels):
             channel.axis.step(now)
             if channel.axis.temperature > self.options.hot:

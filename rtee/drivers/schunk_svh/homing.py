@@ -1,4 +1,4 @@
-"""Homing the SVH's channels, and where the stops that it found are kept."""
+"""Homing of the SVH's channels, and the file that keeps the stops found."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _NEAR = 1_000
 """Distance at which a channel has come back from its stop, as in the vendor's library [ticks]."""
 
 _MOVED = 50
-"""Change of the position that is more than noise [ticks]."""
+"""Change of the position that is motion and not noise [ticks]: some 0.1 % of a channel's range."""
 
 _POLL = 0.005
-"""Pause between two looks at a channel that homes [s]."""
+"""Pause between two exchanges with a channel that homes [s]."""
 
 
 async def home(
@@ -63,6 +63,7 @@ async def home(
         stop = await _seek(link, device, channel, current, timeout)
         await _leave_stop(link, device, channel, channel.idle(stop), timeout)
     finally:
+        # Shielded: also when homing is cancelled, the channel must be switched off.
         ending = asyncio.ensure_future(disable(link))
         ending.add_done_callback(_ended)
         await asyncio.shield(ending)
@@ -71,7 +72,7 @@ async def home(
 
 
 def _ended(task: asyncio.Future[None]) -> None:
-    """Take the error of switching off when nobody waits for it any more."""
+    """Retrieve the error of switching off after the caller was cancelled."""
     if not task.cancelled():
         task.exception()
 
@@ -89,6 +90,7 @@ async def _seek(
     while True:
         feedback = await link.set_target(channel.index, far)
         pressing = abs(feedback.current_ma) >= threshold
+        # One peak of the current is friction; only a lasting one is the stop.
         hits = hits + 1 if pressing else max(0, hits - 1)
         if hits >= _HITS:
             return feedback.position
@@ -148,6 +150,8 @@ def plausible(
     """Return whether every finger is where its stop allows."""
     for index, stop in stops.items():
         low, high = table[index].soft_limits(stop)
+        # A finger may rest a little beyond its soft limits; a tenth of the range is not another
+        # zero.
         slack = (high - low) // 10
         if not low - slack <= feedback.positions[index] <= high + slack:
             return False

@@ -14,14 +14,14 @@ from rtee.errors import HandshakeError
 from rtee.types import Reference
 
 _PER_CYCLE = 2
-"""Changed limits sent in one cycle: each costs an exchange of about 2 ms."""
+"""Most changed limits sent in one cycle: each costs an exchange of about 2 ms."""
 
 _TOLERANCE = 5e-3
-"""Relative change of a limit that is not worth an exchange."""
+"""Relative change of a limit that is not worth an exchange: half a percent cannot be felt."""
 
 
 class Limits:
-    """Keeps what each channel's controllers are set to, and sends what a reference changes.
+    """Keeps the settings of each channel's controllers, and sends those that a reference changes.
 
     Attributes:
         position: Position controllers as they are without limits of a reference, by channel.
@@ -43,7 +43,7 @@ class Limits:
         *,
         device: bool,
     ) -> None:
-        """Take the controllers' settings, from the table or as the device has them.
+        """Take the controllers' settings from the table or from the device.
 
         Args:
             link: The hand.
@@ -53,7 +53,7 @@ class Limits:
             device: Whether to ask the device.
 
         Raises:
-            HandshakeError: if it has none.
+            HandshakeError: if the device has none.
             BusError: if an exchange fails.
         """
         self._settled = None
@@ -126,6 +126,7 @@ class Limits:
     def _current_for(self, channel: Channel, effort: float) -> float:
         most = self.current[channel.index].maximum
         asked = channel.to_current(effort) if math.isfinite(effort) else math.nan
+        # At least 1 mA: a limit of 0 would switch the controller off.
         return most if math.isnan(asked) else min(max(asked, 1.0), most)
 
     def _rate_for(self, channel: Channel, velocity: float) -> float:

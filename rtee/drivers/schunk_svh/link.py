@@ -45,6 +45,7 @@ class SvhLink:
         Raises:
             BusError: if the exchange fails.
         """
+        # 0 to 254, as the vendor's library counts.
         self._index = (self._index + 1) % 255
         request = Packet(command, channel, data, self._index)
 
@@ -65,7 +66,7 @@ class SvhLink:
             raise FrameError(self.bus.name, str(error), reply.data) from error
 
     async def firmware(self) -> codec.FirmwareInfo:
-        """Return what the hand says about itself; learns whether it echoes indices."""
+        """Return the hand's identification; also finds out whether it echoes indices."""
         self.echoes = False
         reply = await self.exchange(Command.GET_FIRMWARE_INFO)
         self.echoes = reply.index == self._index
@@ -77,7 +78,7 @@ class SvhLink:
         return self._read(reply, ControllerState.from_bytes)
 
     async def set_state(self, state: ControllerState) -> ControllerState:
-        """Set the controllers' state and return what the hand makes of it."""
+        """Set the controllers' state and return the state that results."""
         reply = await self.exchange(Command.SET_CONTROLLER_STATE, 0, state.to_bytes())
         return self._read(reply, ControllerState.from_bytes)
 

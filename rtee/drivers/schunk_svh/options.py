@@ -14,13 +14,13 @@ from rtee.drivers.schunk_svh.codec import TURNAROUND
 
 
 class ChannelOptions(BaseModel):
-    """What differs from the built-in table for one channel.
+    """Changes to the built-in table for one channel.
 
     Attributes:
         min_offset: Lower soft limit relative to the stop [ticks].
         max_offset: Upper soft limit relative to the stop [ticks].
         idle_offset: Where homing leaves it, relative to the stop [ticks].
-        reset_factor: Part of the current limit that counts as having met the stop.
+        reset_factor: Part of the current limit at which the stop counts as reached.
         current_limit: Largest current [A].
         effort_per_ampere: Effort per current [N·m/A], where the table has none.
     """
@@ -35,7 +35,7 @@ class ChannelOptions(BaseModel):
     effort_per_ampere: Positive | None = None
 
     def applied_to(self, channel: Channel) -> Channel:
-        """Return the channel with what differs; the current's limit is the controller's."""
+        """Return the changed channel; the current limit is a setting of the controller instead."""
         changes = self.model_dump(exclude_none=True, exclude={"current_limit"})
         per_ampere = changes.pop("effort_per_ampere", None)
         if per_ampere is not None:
@@ -50,13 +50,13 @@ class SchunkSvhOptions(DeviceOptions):
         port: Where it is: a tty, ``socket://host:port`` or ``rfc2217://host:port``.
         home: When it may look for its stops, which moves every finger: ``on_connect`` at the
             first activation, ``on_demand`` only after `recover`.
-        stops_file: Where the stops found are kept, so that a later program can attach to a hand
+        stops_file: File that keeps the stops found, so that a later program can attach to a hand
             that has stayed enabled; empty: nowhere.
         home_timeout: Longest time in which a channel may not move while homing [s].
         settings: Controllers: ``library`` writes the table for firmware 1.x, ``device`` keeps what
             the hand has, ``auto`` decides by firmware.
-        channels: What differs from the table, by channel.
-        status_every: Faults are read every so many exchanges.
+        channels: Changes to the table, by channel.
+        status_every: Number of exchanges after which faults are read.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
         turnaround: Time between a request and its answer that the wire does not explain [s].
@@ -74,7 +74,7 @@ class SchunkSvhOptions(DeviceOptions):
     turnaround: Annotated[float, Field(ge=0.0)] = TURNAROUND
 
     def applied_to(self, table: tuple[Channel, ...]) -> tuple[Channel, ...]:
-        """Return the channels with what differs from the table."""
+        """Return the channels of the table with these changes."""
         return tuple(
             self.channels[channel.name].applied_to(channel)
             if channel.name in self.channels

@@ -1,4 +1,4 @@
-"""Power of the SVH's channels, and what its controllers report of faults, lost power and heat."""
+"""Power of the SVH's channels, and the faults, lost power and heat that its controllers report."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _SUPPLY = ControllerState.SUPPLY
 _SETTLING = 0.002
 """Pause between two steps of enabling, as in the vendor's library [s]."""
 
+# Codes of the driver's own faults, after `homing.HOMING_FAILED`; the hand itself has none.
 NOT_HOMED = 1
 DRIVER_FAULT = 3
 LOST_POWER = 4
-"""Codes of faults; the hand itself has none."""
 
 HOMING = (
     "`rtee recover`, or `rtee run --home`, homes it: every finger moves to its open stop, so "
     "nothing may be in the way"
 )
-"""What to do about a hand that is not homed."""
+"""Hint for a hand that is not homed."""
 
 
 async def disable(link: SvhLink) -> None:
@@ -52,6 +52,7 @@ async def enable(link: SvhLink, channels: Sequence[int], *, already: int = 0) ->
     state = ControllerState()
     for channel in HOMING_ORDER:
         if channel in channels:
+            # One at a time, in the order that keeps fingers from colliding.
             mask |= 1 << channel
             on = _SUPPLY | mask
             state = await link.set_state(ControllerState(_CLEAR, _CLEAR, on, on, 1, 1))
@@ -59,7 +60,7 @@ async def enable(link: SvhLink, channels: Sequence[int], *, already: int = 0) ->
 
 
 class Health:
-    """Compares the controllers' states with what was so when the hand was enabled.
+    """Compares the controllers' states with the state in which the hand was enabled.
 
     Attributes:
         enabled: Mask of the channels that must be on.
@@ -78,7 +79,7 @@ class Health:
         self._baseline = _latched(state)
 
     def begin(self, state: ControllerState, channels: Iterable[int]) -> None:
-        """Ignore the bits that are set now; these channels must stay on."""
+        """Ignore the fault bits that are set now; these channels must stay on from now on."""
         self.enabled = sum(1 << channel for channel in channels)
         self._baseline = state
 
@@ -116,6 +117,6 @@ class Health:
 
 
 def _latched(state: ControllerState) -> ControllerState:
-    """Return the bits that mean nothing: those written to clear latches, if they come back."""
+    """Return the bits without meaning: those written to clear latches, if the hand echoes them."""
     echoed = state.pwm_fault == ControllerState.CLEAR
     return state if echoed else ControllerState()

@@ -1,4 +1,4 @@
-"""What is said over xbot2_zmq: states, commands, service requests, units. No I/O."""
+"""Messages over xbot2_zmq: states, commands, service requests, units. No I/O."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LONGEST = 1_000_000  # bytes of an answer that is read; a robot's joint names t
 
 
 class Control(IntFlag):
-    """Which references of a joint count."""
+    """Bits that select the references of a joint that are in effect."""
 
     POSITION = 1
     VELOCITY = 2
@@ -102,7 +102,7 @@ class Command:
         names: The joints.
         position: Position references.
         effort: Effort references.
-        control: What counts, of each joint.
+        control: The references in effect, of each joint.
     """
 
     names: tuple[str, ...]

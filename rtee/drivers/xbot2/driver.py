@@ -1,4 +1,4 @@
-"""Drives whatever XBot2 drives, over xbot2_zmq: Dagana, the motors of HERI II, any joint."""
+"""Drives joints behind XBot2 over xbot2_zmq: Dagana, the motors of HERI II, any other."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import ClassVar
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
+from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
@@ -30,7 +31,8 @@ from rtee.errors import (
     RteeError,
     suggestion,
 )
-from rtee.types import ActuatorSpec, ActuatorState, Capabilities, DeviceSpec, Reference
+from rtee.sample import ActuatorState
+from rtee.types import ActuatorSpec, DeviceSpec, Reference
 
 _STALE = 0.3
 """A state older than this counts as lost [s]: thirty periods of the server's usual rate."""
@@ -70,7 +72,7 @@ class XBot2Driver(Driver):
         self._signs = [g.effort_sign for g in given]
         pairs = list(zip(given, spec.actuators, strict=True))
         self._commanded = [_scale(g.command, a, spec.name) for g, a in pairs]
-        self._told = [_scale(g.state or g.command, a, spec.name) for g, a in pairs]
+        self._reported = [_scale(g.state or g.command, a, spec.name) for g, a in pairs]
         self.connection: Connection[ZmqBus] = Connection(spec)
         self._undo: Callable[[], None] | None = None
         self._state: State | None = None
@@ -93,6 +95,7 @@ class XBot2Driver(Driver):
 
     async def configure(self) -> None:
         """Connect, see that the server has the joints, and wait for their first state."""
+        # Connecting again starts here too; the old subscription must not stay.
         await self.close()
         options = self.options
         joints = {
@@ -131,6 +134,7 @@ class XBot2Driver(Driver):
         try:
             async with asyncio.timeout(options.deadline):
                 while self._state is None:
+                    # Messages of another kind arrive too, so the state decides and not the event.
                     self._arrived.clear()
                     await self._arrived.wait()
         except TimeoutError:
@@ -182,6 +186,7 @@ class XBot2Driver(Driver):
         if self._stamp == self._seen:
             self._arrived.clear()
             with contextlib.suppress(TimeoutError):
+                # One and a half periods: a state that is only late is still the newest one.
                 async with asyncio.timeout(1.5 / self.options.rate):
                     await self._arrived.wait()
         state = self._state
@@ -189,7 +194,7 @@ class XBot2Driver(Driver):
             bus.counters.timeouts += 1
             raise BusTimeout(bus.name, f"no state for more than {_STALE:g} s")
         fresh, self._seen = self._stamp != self._seen, self._stamp
-        joints = list(zip(self._index, self._told, self._signs, strict=True))
+        joints = list(zip(self._index, self._reported, self._signs, strict=True))
         found = ActuatorState.measured(
             [scale.to_si(state.position[i]) for i, scale, _ in joints],
             self._stamp,
@@ -228,11 +233,11 @@ class XBot2Driver(Driver):
         self.connection.link.send_now(Command(names, positions, efforts, control).to_bytes())
 
     def _asked(self, chosen: list[int], reference: Reference) -> bool:
-        """Return whether anything was ever asked of the joints but to stay where they are."""
+        """Return whether a reference has ever asked the joints for motion."""
         if not self._touched and self._state is not None:
             for i in chosen:
                 actuator = self.spec.actuators[i]
-                here = self._told[i].to_si(self._state.position[self._index[i]])
+                here = self._reported[i].to_si(self._state.position[self._index[i]])
                 span = actuator.upper - actuator.lower
                 near = _SAME * (span if math.isfinite(span) else 1.0)
                 self._touched |= abs(float(reference.position[i]) - here) > near
@@ -243,7 +248,7 @@ class XBot2Driver(Driver):
         if self._state is None:
             return 0.0
         actuator = self.spec.actuators[i]
-        here = self._told[i].to_si(self._state.position[self._index[i]])
+        here = self._reported[i].to_si(self._state.position[self._index[i]])
         error = float(reference.position[i]) - here
         if abs(error) <= self.options.band * (actuator.upper - actuator.lower):
             return 0.0
@@ -254,7 +259,7 @@ class XBot2Driver(Driver):
 
     def _send_positions(self, chosen: list[int], positions: list[float]) -> None:
         names = tuple(self._names[i] for i in chosen)
-        told = tuple(
+        raw = tuple(
             self._commanded[i].to_raw(position)
             for i, position in zip(chosen, positions, strict=True)
         )
@@ -266,7 +271,7 @@ class XBot2Driver(Driver):
         control = tuple(
             Control.POSITION | Control.EFFORT if given else Control.POSITION for given in limited
         )
-        command = Command(names, told, efforts if any(limited) else (), control)
+        command = Command(names, raw, efforts if any(limited) else (), control)
         self.connection.link.send_now(command.to_bytes())
 
     async def stop(self) -> None:
@@ -277,7 +282,7 @@ class XBot2Driver(Driver):
             self._send_positions(list(range(n)), [float(q) for q in state.position])
 
     async def recover(self) -> None:
-        """Nothing of XBot2's can be reset from here; see that it still publishes."""
+        """Check that XBot2 still publishes; a client cannot reset anything of it."""
         await self.sense()
 
 
@@ -288,5 +293,6 @@ def _scale(ends: tuple[float, float] | None, actuator: ActuatorSpec, device: str
             raise ConfigError(
                 f"device '{device}': '{actuator.name}' has no limits that could be mapped"
             )
+        # An unlimited joint is not mapped: the server's units are the actuator's.
         return LinearScale((0.0, 1.0), (0.0, 1.0))
     return LinearScale((lower, upper) if ends is None else ends, (lower, upper))

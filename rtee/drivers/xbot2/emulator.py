@@ -1,4 +1,4 @@
-"""Plays XBot2 with some joints behind it, at the level of xbot2_zmq.
+"""Emulates XBot2 with some joints behind it, at the level of xbot2_zmq.
 
 Only that level is known: what the boards below say to XBot2 is not public. References are slewed
 as the real one interpolates them; the sign of an effort is an option of the driver, not known.
@@ -21,7 +21,7 @@ from rtee.drivers.xbot2.messages import XBot2FrameError
 
 @dataclass(frozen=True, slots=True)
 class ServerProperties:
-    """What the emulated server is like.
+    """Properties of the emulated server.
 
     Attributes:
         joints: Its joints.
@@ -46,7 +46,7 @@ class XBot2Emulator(Emulator, Grasps):
     """The server.
 
     Attributes:
-        properties: What it is like.
+        properties: Its properties.
         axes: Its joints by name.
         commands: Commands taken.
     """
@@ -143,6 +143,7 @@ class XBot2Emulator(Emulator, Grasps):
             elif control & Control.EFFORT and command.effort:
                 effort = command.effort[i]
                 axis.max_effort = min(abs(effort), self.properties.effort)
+                # A target far beyond the stop makes the axis push with its whole effort limit.
                 axis.target = axis.position if effort == 0.0 else 1e9 * effort
         return []
 

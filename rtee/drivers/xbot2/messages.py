@@ -70,7 +70,7 @@ JointState = _message("JointState")
 JointCommand = _message("JointCommand")
 """Command of some joints; lists in the order of ``name``."""
 GenericRxMsg = _message("GenericRxMsg")
-"""What the server publishes."""
+"""The message that the server publishes."""
 
 
 def read(kind: type[Any], data: bytes) -> Any:

@@ -49,12 +49,12 @@ class XBot2Options(DeviceOptions):
         service_port: Where it answers requests.
         command_port: Where it takes commands.
         joints: The joint of each actuator, where it differs from the defaults.
-        control: ``position`` sends positions only. ``limited`` sends the effort limit beside each
+        control: ``position`` sends positions only. ``limited`` sends the effort limit with each
             position, as the joint's effort reference, for boards that take it so, such as those of
             HERI II. ``effort`` closes and opens with the effort limit, and holds by position where
             it is to stay.
         rate: Rate at which the server publishes [Hz].
-        band: In effort control, an error that asks for no motion, as part of the range.
+        band: In effort control, the largest error that asks for no motion, as part of the range.
         deadline: Longest time to wait for an answer or the first state [s].
     """
 

@@ -20,8 +20,7 @@ from rtee.gui.history import (
 )
 from rtee.gui.wording import short_names, units
 from rtee.hand.model import Hand
-from rtee.sample import MEASURED
-from rtee.types import FloatArray
+from rtee.sample import MEASURED, FloatArray
 
 _SHOWN = frozenset({"position", "velocity", "effort", *JOINT_QUANTITIES})
 """Quantities shown at first; those of joints appear once a joint is chosen."""

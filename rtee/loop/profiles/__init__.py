@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from rtee.errors import ConfigError
+from rtee.hand.config_schema import ProfileKind, ProfileSettings
 from rtee.loop.motion import Limits
 from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.s_curve import SCurve
 from rtee.loop.profiles.stepwise import Filter, Step
-from rtee.loop.settings import ProfileKind, ProfileSettings
 
 __all__ = ["Profile", "make_profile"]
 

@@ -1,4 +1,4 @@
-"""What every profile does: turn set-points into a smooth reference, one period after the other."""
+"""Base class of the profiles, which turn set-points into a smooth reference, period by period."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rtee.loop.motion import Limits
 
 
 class Profile(ABC):
-    """Moves the references of all actuators of a hand; pure: time passes by `advance` only.
+    """Moves the references of all actuators of a hand; pure: only `advance` lets time pass.
 
     Args:
         limits: Limits of the actuators.
@@ -60,11 +60,12 @@ class Profile(ABC):
             self.position[index] = self.target[index] = position
             self.velocity[index] = velocity
         self._seeded(states)
+        # Not simply at rest there: a jump in velocity would exceed the limits.
         self.go({}, brake=states)
 
     @abstractmethod
     def _seeded(self, indices: Collection[int]) -> None:
-        """Forget the motion of these actuators but for position and velocity."""
+        """Forget the motion of these actuators except for position and velocity."""
 
     @abstractmethod
     def go(

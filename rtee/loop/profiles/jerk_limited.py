@@ -1,4 +1,4 @@
-"""The default profile: as fast as velocity, acceleration and jerk limits allow, all together."""
+"""The default profile: as fast as velocity, acceleration and jerk limits allow, synchronised."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rtee.loop.motion import Limits
 from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.stepwise import Step
 
-_SLACK = 1e-9  # what rounding puts an extremum beyond a limit [rad | m]
+_SLACK = 1e-9  # how far rounding may put an extremum beyond a limit [rad | m]
 
 
 class JerkLimited(Profile):
@@ -85,6 +85,7 @@ class JerkLimited(Profile):
         self._time = 0.0
         self.moving = True
         self._plain = None
+        # Together first; where that fails, each as fast as it can is still within all limits.
         for synchronisation in (together, [Synchronization.No] * self.size):
             given.per_dof_synchronization = synchronisation
             try:

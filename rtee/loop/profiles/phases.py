@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 _SEARCH = 40
-"""Steps of a search at most; five to ten are usual, and a bisection would need this many."""
+"""Largest number of steps of a search; five to ten are usual, and a bisection would need 40."""
 
 _NOTHING = 1e-12
 """A way this short counts as none [rad | m]: it is far below what any device resolves."""
@@ -77,6 +77,7 @@ class Motion:
 
     def at(self, time: float) -> State:
         """Return the state at a time, which must not fall from call to call."""
+        # Kept between calls: time only goes forward, so no search is needed.
         while time >= self._ends[self._phase] and self._phase + 1 < len(self._ends):
             self._phase += 1
         k = self._phase
@@ -91,6 +92,7 @@ def velocity_change(velocity: float, acceleration: float, to: float, bounds: Bou
     by_itself = velocity + acceleration * abs(acceleration) / (2.0 * jerk)
     sign = 1.0 if to >= by_itself else -1.0
     rise, begin = sign * (to - velocity), sign * acceleration
+    # The velocity gained while the acceleration goes from begin to peak and back to zero.
     peak = math.sqrt(max(0.0, jerk * rise + begin * begin / 2.0))
     even = 0.0
     if peak > most:
@@ -112,10 +114,10 @@ def stopping_time(velocity: float, bounds: Bounds) -> float:
 
 
 class Approach:
-    """All ways from a state to a target that change to one velocity, keep it, and stop from it.
+    """All motions from a state to a target that change to one velocity, keep it, and stop from it.
 
-    The faster that velocity, the sooner the motion ends, up to the one at which nothing is left to
-    be kept: that motion is the fastest.
+    The faster that velocity, the sooner the motion ends, up to the velocity that is reached but not
+    kept: that motion is the fastest.
 
     Args:
         state: Where it begins.
@@ -147,12 +149,14 @@ class Approach:
         """Return the motion that takes a time.
 
         Args:
-            duration: The time [s]; ``None``, or less than the fastest takes: the fastest. So it is,
-                too, where a slower motion would pass the target: coming fast, just before it.
+            duration: The time [s]; ``None``, or less than the fastest takes: the fastest. The
+                fastest is also returned where a slower motion would pass the target: fast, and just
+                    before it.
         """
         if duration is None or duration <= self.duration + self._fine or self.velocity == 0.0:
             return Motion(self._state, self._phases(self.velocity))
         if self._rest:  # the same motion, drawn out, is slower in everything
+            # Time stretched by s: velocity falls by s, acceleration by s², jerk by s³.
             slower = self.duration / duration
             drawn = self._phases(self.velocity)
             return Motion(
@@ -233,6 +237,7 @@ class Approach:
                 high, left_high = self._sign * by_itself, left
         side = 0
         for _ in range(_SEARCH):
+            # Coasting over what is left at this speed takes no longer than `fine`.
             if left_low <= low * self._fine:
                 break
             # The secant, weighted as in the Illinois method so that no end stays where it is.
@@ -255,6 +260,7 @@ class Approach:
     def _speed_for(self, duration: float) -> float:
         """Return the speed with which the motion takes a time; duration is about c + d / speed."""
         fast = abs(self.velocity)
+        # Searched over 1 / speed, on which the duration depends almost linearly.
         low, late_low = 1.0 / fast, self.duration - duration
         high = 2.0 * low
         for _ in range(_SEARCH):
@@ -291,6 +297,7 @@ def cube_root(value: float) -> float:
     if value == 0.0:
         return 0.0
     mantissa, exponent = math.frexp(value)
+    # value = mantissa · 2^shift · 8^k, whose cube root is that of the first two, times 2^k.
     shift = exponent % 3
     root = math.ldexp(1.0, (exponent - shift) // 3)
     mantissa = math.ldexp(mantissa, shift)  # 0.5 to 4: six steps from 1 reach the last digit

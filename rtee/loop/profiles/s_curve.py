@@ -1,4 +1,4 @@
-"""A jerk-limited profile that needs no library: the default where ruckig is not installed."""
+"""A jerk-limited profile in pure Python: the default where ruckig is not installed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.phases import Approach, Bounds, Motion, State, velocity_change
 
 _FINE = 0.1
-"""Actuators that start together arrive within this share of a period of each other."""
+"""Actuators that start together arrive within this share of a period of each other: a tenth is not
+seen by any device, and saves steps of the search."""
 
 
 class SCurve(Profile):
@@ -19,8 +20,8 @@ class SCurve(Profile):
     are drawn out. A new target continues position, velocity and acceleration. An actuator that goes
     on is not planned again.
 
-    The position limits need no look: wherever a motion is interrupted, it can still stop before its
-    target, and no way to another target goes further out than that stop.
+    Position limits need no check: wherever a motion is interrupted, it can still stop before its
+    target, and no motion to another target goes further out than that stop.
     """
 
     def __init__(self, limits: Limits, period: float) -> None:
@@ -53,6 +54,7 @@ class SCurve(Profile):
         """See `Profile.go`."""
         before = list(self._top)
         self._aim(targets, velocity)
+        # Under way to an old target, but with another velocity limit: these are planned again.
         others = {index for index in velocity or () if self._top[index] != before[index]}
         for index in brake:
             self._braking[index] = True

@@ -1,4 +1,4 @@
-"""Profiles that are computed period by period: the second-order filter and the bare step."""
+"""Profiles that are computed period by period: the second-order filter and the plain step."""
 
 from __future__ import annotations
 
@@ -87,9 +87,10 @@ class Step(Stepwise):
 
 
 _AHEAD = 5.0
-"""The target is smoothed this many times faster than the filter answers."""
+"""The target is smoothed this many times faster than the filter responds: fast enough not to be
+noticed, slow enough to keep the acceleration continuous."""
 
-_NEAR = 1e-6  # the filter snaps to a target this near [rad | m]; it would creep for ever
+_NEAR = 1e-6  # the filter snaps to a target this near [rad | m]; it would creep on forever
 
 
 class Filter(Stepwise):
@@ -109,6 +110,7 @@ class Filter(Stepwise):
     def __init__(self, limits: Limits, period: float, bandwidth: float = 2.0) -> None:
         super().__init__(limits, period)
         self._omega = 2.0 * math.pi * bandwidth
+        # The exact solution over a period: stable at any rate, unlike Euler's method.
         self._decay = math.exp(-self._omega * period)
         self._lag = math.exp(-_AHEAD * self._omega * period)
         self._input = [0.0] * self.size
@@ -131,6 +133,7 @@ class Filter(Stepwise):
         velocity: Mapping[int, float] | None = None,
     ) -> None:
         """See `Profile.go`."""
+        # With damping 1, this is where the filter stops by itself.
         rest = {i: self.position[i] + self.velocity[i] / self._omega for i in brake}
         super().go({**targets, **rest}, velocity=velocity)
         for i in velocity or ():
@@ -143,6 +146,7 @@ class Filter(Stepwise):
         target, dt = self.target[i], self.period
         ahead = self._input[i] = target + (self._input[i] - target) * self._lag
         left = self.position[i] - target
+        # A thousandth of what one period can change: the snap is then imperceptible.
         slow = abs(self.velocity[i]) < 1e-3 * self.limits.acceleration[i] * dt
         if slow and abs(left) < _NEAR and abs(ahead - target) < _NEAR:
             self._input[i], self._next[i] = target, 0.0
@@ -183,4 +187,5 @@ class Filter(Stepwise):
         self._change[i] = allowed - self.velocity[i]
         self._held[i] = self._held[i] or allowed != wanted
         super()._move(i, wanted, allowed)
+        # Where a limit took over, the filter goes on from what was really done.
         self._slope[i] = self._next[i] if allowed == wanted and wanted != 0.0 else allowed

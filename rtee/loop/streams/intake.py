@@ -1,4 +1,4 @@
-"""The way of a sample into the loop: checked where it arrives, in any thread, and bounded."""
+"""Bring samples into the loop: checked where they arrive, in any thread, and bounded in number."""
 
 from __future__ import annotations
 
@@ -16,35 +16,39 @@ if TYPE_CHECKING:
     from rtee.loop.controller import Controller
 
 MAX_RATE = 500.0
-"""Most samples per second [Hz]: faster than gloves and planners are, and what a hand's computer
-decodes beside its loop."""
+"""Largest rate of samples [Hz]: faster than gloves and planners are, and what a hand's computer can
+decode beside its loop."""
 
 _LONGEST_DEADLINE = 10.0
-"""Longest deadline [s]: beyond it nobody would call it a stream."""
+"""Longest deadline [s]: samples further apart are goals, not a stream."""
 
 _LEAST_PERIODS = 1.5
-"""A deadline must be longer than so many periods, or each sample would end in a pause."""
+"""A deadline must be longer than this many periods, or each sample would end in a pause."""
 
 _BURST = 20.0
-"""So many samples may come at once: those of 0.4 s at 50 Hz, which a stalled network held back."""
+"""This many samples may come at once: those of 0.4 s at 50 Hz, which a stalled network held
+back."""
 
 _FASTER = 1.5
 """Samples may come faster than the stream's rate by this factor, since clocks and timers differ."""
 
 _AHEAD = 0.5
-"""A stamp may lead the hand's clock by this more than those before [s]."""
+"""A stamp may lead the hand's clock by this much more than those before [s]: clocks do not jump,
+and a network does not get that much faster."""
 
 _BEHIND = 1.0
-"""A stamp this much older than the one before is no sample out of order but a mistake [s]."""
+"""A stamp this much older than the one before is not a sample out of order but a mistake [s]."""
 
 _LEAK = 1e-3
-"""The least offset of the clocks is let go by this much per second: far more than clocks drift."""
+"""The least offset of the clocks rises by this much per second [s/s]: far more than clocks
+drift."""
 
 _QUIET = 0.1
-"""After a refusal, further ones are only counted for this long [s]."""
+"""After a refusal, further ones are only counted for this long [s]: a stream that is wrong is wrong
+in every sample."""
 
 _MOST_KEPT = 32
-"""Sets of names whose meaning is kept."""
+"""Sets of names whose meaning is kept: more than a client alternates between, and bounded."""
 
 
 class StreamIntake:
@@ -90,7 +94,7 @@ class StreamIntake:
 
         Args:
             stream: Its identifier, without spaces.
-            rate: Samples per second that are meant to come [Hz].
+            rate: Samples per second that the client means to send [Hz].
             deadline: Without a sample for this long the hand brakes and holds [s]; ``None``: as
                 configured.
 
@@ -125,13 +129,14 @@ class StreamIntake:
         self._append(BeginStream(stream, rate, within, math.inf if longest is None else longest))
 
     def admit(self) -> bool:
-        """Return whether one more sample may be read now; cheap, so that a flood costs little.
+        """Return whether one more sample may be read now; it is cheap, so a flood costs little.
 
         Raises:
-            GoalRejected: if not, unless it was said a moment ago.
+            GoalRejected: if not, unless that was reported a moment ago.
         """
         now = self._now()
         rate = _FASTER * self._rate
+        # A token bucket: the rate in the long run, bursts up to its size.
         self._tokens = min(self._tokens + (now - self._filled) * rate, _BURST)
         self._filled = now
         if self._tokens >= 1.0:
@@ -183,6 +188,7 @@ class StreamIntake:
 
     def status(self) -> StreamStatus:
         """Return how the open stream is doing."""
+        # Read once: the loop may end the stream at any time.
         player = self._controller.stream
         if player is None or player.name != self._open:
             return StreamStatus()
@@ -208,6 +214,7 @@ class StreamIntake:
                 self._known.clear()
             self._known[names] = targets
         found = targets.resolve(sample.targets, sample.velocity)
+        # Last: a sample that is refused for its targets says nothing about the clocks.
         self._check_stamp(sample.stamp, now)
         return found
 

@@ -1,15 +1,15 @@
-"""Between the samples of a stream: a smooth way, however late or irregular they come.
+"""Interpolate smoothly between the samples of a stream, however late or irregular they are.
 
-The way between two samples is a cubic Hermite polynomial. Where velocities are not given, they are
+The path between two samples is a cubic Hermite polynomial. Where velocities are not given, they are
 those of the parabola through the last three samples, limited so that nothing swings beyond the
 samples: the shape-preserving end condition of PCHIP (Moler, "Numerical Computing with MATLAB",
 section 3.6; Fritsch and Carlson 1980).
 
-After the newest sample its velocity goes on for a period and then falls smoothly to nothing.
-Whenever that makes the way jump (a sample comes after its turn, a stream begins), the difference of
-position and velocity is kept as an error that falls to nothing along a polynomial of degree five,
-so that what is wanted never jumps. Finally each actuator follows what is wanted within its limits
-on velocity, acceleration and position, by itself: none waits for another one.
+After the newest sample its velocity continues for a period and then falls smoothly to zero.
+Whenever that makes the path jump (a sample comes late, a stream begins), the difference in
+position and velocity is kept as an error that falls to zero along a polynomial of degree five,
+so that the wanted position never jumps. Finally each actuator follows it within its limits on
+velocity, acceleration and position, independently: none waits for another one.
 """
 
 from __future__ import annotations
@@ -23,23 +23,26 @@ from rtee.loop.motion import Limits, approach, bounded
 from rtee.loop.profiles.phases import cube_root
 
 _MOST = 64
-"""Samples kept ahead of their turn; further ones push out the oldest."""
+"""Samples kept ahead of time; further ones push out the oldest: an eighth of a second at 500 Hz,
+more than a usual lag holds."""
 
 _LONGEST = 0.25
-"""An error falls to nothing within this time [s] at most; limits may make it take longer."""
+"""An error falls to zero within this time [s] at most: longer would feel like a lag. Limits may
+still make it take longer."""
 
 _COAST = 1.0
-"""After the newest sample its velocity goes on for so many periods: one sample may be lost …"""
+"""After the newest sample its velocity continues for this many periods: one sample may be lost …"""
 
 _BRAKED = 5.0
-"""… and is nothing after so many at most."""
+"""… and is zero after this many at most: a stream that falls silent must not carry the hand
+away."""
 
 _SHARE = 0.5
-"""Share of the acceleration limit with which an actuator makes up for what it lags behind; the rest
-is left for what the stream itself asks."""
+"""Share of the acceleration limit with which an actuator catches up with what it lags behind; the
+rest is left for what the stream itself asks for."""
 
 _SPIKE = 10.0
-"""A sample is an outlier if it asks for so many times the velocity limit, and beyond that …"""
+"""A sample is an outlier if it asks for this many times the velocity limit, and beyond that …"""
 
 _SPIKE_RANGE = 0.05
 """… for more than this share of the range: faster than any hand moves on purpose."""
@@ -53,7 +56,7 @@ class _Knot:
 
 
 class Interpolator:
-    """The way of some actuators between the samples of a stream; pure.
+    """The path of some actuators between the samples of a stream; pure.
 
     Args:
         limits: Limits of all actuators of the hand.
@@ -96,11 +99,12 @@ class Interpolator:
         self._wanted.append(position)
         self._error.append((0.0, 0.0, 0.0, 0.0))
         for knot in self._knots:
+            # As if it had been at its reference all the time.
             knot.position.append(position)
             knot.velocity.append(0.0)
 
     def outlying(self, positions: Mapping[int, float], time: float) -> bool:
-        """Return whether a sample is too far from the newest one to be meant."""
+        """Return whether a sample is too far from the newest one to be intended."""
         if not self._knots:
             return False
         last, limits = self._knots[-1], self._limits
@@ -135,6 +139,7 @@ class Interpolator:
             now: The time [s, the hand's].
             period: Time between samples [s].
         """
+        # A new sample changes the path even at the present, since its velocity changes the tangent.
         before = self._base(play, period) if self._knots else [(0.0, 0.0)] * len(self.indices)
         for place, speed in self._fresh.items():
             before[place] = (self._wanted[place], speed)
@@ -148,7 +153,7 @@ class Interpolator:
                 self._jump(place, index, before[place], after[place], now, period)
 
     def jumped(self, play: float, to: float, now: float, period: float) -> None:
-        """Keep what is wanted where it is although the stream's time jumps from one to another."""
+        """Keep the wanted position unchanged although the stream's time jumps."""
         if not self._knots:
             return
         before, after = self._base(play, period), self._base(to, period)
@@ -186,6 +191,7 @@ class Interpolator:
         before = last.time - other.time
         earlier = (last.position[place] - other.position[place]) / before
         velocity = slope + (slope - earlier) * step / (step + before)
+        # The conditions of PCHIP at an end: no overshoot beyond the samples.
         if velocity * slope <= 0.0:
             return 0.0
         if slope * earlier < 0.0 and abs(velocity) > 3.0 * abs(slope):
@@ -193,14 +199,14 @@ class Interpolator:
         return velocity
 
     def _forget(self, play: float) -> None:
-        """Forget the samples that have had their turn; two before it tell the velocity."""
+        """Forget the samples that have been played; the two before now give the velocity."""
         while len(self._knots) > 3 and self._knots[2].time <= play:
             self._knots.popleft()
 
     # --- the way -----------------------------------------------------------------------------
 
     def _base(self, play: float, period: float) -> list[tuple[float, float]]:
-        """Return position and velocity of the way between the samples, without the error."""
+        """Return position and velocity of the path between the samples, without the error."""
         knots = self._knots
         newest = knots[-1]
         if play >= newest.time:
@@ -213,6 +219,7 @@ class Interpolator:
         if play <= first.time:
             ahead = play - first.time
             return [(p + v * ahead, v) for p, v in zip(first.position, first.velocity, strict=True)]
+        # From the newest: the lag is a period or two.
         right = len(knots) - 1
         while knots[right - 1].time > play:
             right -= 1
@@ -237,7 +244,7 @@ class Interpolator:
         now: float,
         period: float,
     ) -> None:
-        """Let the error that a jump of the way makes fall to nothing, within limits if possible."""
+        """Let the error that a jump of the path makes fall to zero, within limits if possible."""
         error, slope = self._error_at(place, now)
         error += before[0] - after[0]
         slope += before[1] - after[1]
@@ -293,7 +300,7 @@ class Interpolator:
             into: Takes the positions to be sent, of those that move [rad | m].
         """
         limits, dt, wanted = self._limits, self._tick, self._wanted
-        # After missed ticks what is wanted is further away, but not faster.
+        # After missed ticks the wanted position is further away, but not faster.
         passed, self._now = max(now - self._now, dt), now
         base = self._base(play, period)
         for place, index in enumerate(self.indices):

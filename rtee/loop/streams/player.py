@@ -1,4 +1,4 @@
-"""A stream in the loop: which samples are taken, when it pauses, and what it asks for at a tick."""
+"""Play a stream in the loop: accept samples, pause without them, and give each tick's positions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from rtee.commands import BeginStream, StreamSample, StreamStatus
 from rtee.loop.motion import Limits
 from rtee.loop.streams.interpolator import Interpolator
 from rtee.loop.streams.playout import Playout
-from rtee.types import FloatArray, readonly
+from rtee.sample import FloatArray
+from rtee.types import readonly
 
 CHANNEL = "stream/lag"
 """The channel of the state that has lag and jitter of a stream [s], while it plays."""
@@ -66,9 +67,10 @@ class StreamPlayer:
         )
 
     def taken(self, sample: StreamSample, positions: Mapping[int, float]) -> bool:
-        """Return whether a sample is to be taken; one that is dropped is counted.
+        """Return whether to take a sample; one that is dropped is counted.
 
-        A sample far from the one before is dropped once; if the next one is, too, it was meant.
+        A sample far from the one before is dropped once; if the next one is far, too, it was
+        intended.
 
         Args:
             sample: The sample.

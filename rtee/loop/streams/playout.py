@@ -1,4 +1,4 @@
-"""When a sample's turn is: the client's clock, the jitter of its way, and the lag that covers it.
+"""Decide when a sample is played: the client's clock, the network's jitter, and the lag for it.
 
 A sample with the stamp s arrives at a. The least a - s over the last seconds is the offset of the
 clocks and the shortest delay together (a minimum filter, as in NTP's clock filter, RFC 5905
@@ -16,23 +16,23 @@ _SPAN = 0.5
 """The least offset is kept for spans of this length [s] …"""
 
 _SPANS = 8
-"""… and taken over so many of them: 4 s, in which clocks drift by 0.4 ms at most (100 ppm)."""
+"""… and taken over this many of them: 4 s, in which clocks drift by 0.4 ms at most (100 ppm)."""
 
 _SHARE = 1.0 / 16.0
 """Weight of a sample in the means: as in RFC 3550, fast enough for a network that changes and slow
 enough for a single late sample."""
 
 _SETTLE = 0.3
-"""The lag comes to a new value within about this time [s]."""
+"""The lag reaches a new value within about this time [s]: faster would be felt as a jerk."""
 
 _FASTEST = 0.1
-"""Meanwhile the stream is played faster or slower by this share at most."""
+"""Meanwhile the stream is played faster or slower by at most this share, which nobody notices."""
 
 _JUMP = 0.25
-"""With a larger error than this [s] the clocks have jumped: the stream goes on from there."""
+"""With a larger error than this [s] the clocks have jumped: the stream continues from there."""
 
 LAG_PERIODS = 1.2
-"""The default for the longest lag: so many periods …"""
+"""The default for the longest lag: this many periods …"""
 
 LAG_MARGIN = 4e-3
 """… and this [s], a millisecond less than what is promised, for the tick and the way to the hand.
@@ -91,6 +91,7 @@ class Playout:
         offset = arrival - stamp
         if arrival >= self._span_ends:
             self._span_ends = arrival + _SPAN
+            # A new span: the oldest falls out, and with it what the clocks have drifted since.
             self._least.append(offset)
         elif offset < self._least[-1]:
             self._least[-1] = offset
@@ -125,5 +126,6 @@ class Playout:
         if abs(error) > _JUMP:
             self.time = aim
             return True
+        # Never a step: what is wanted of the hand moves on smoothly while the lag changes.
         self.time += passed * (1.0 + min(max(error / _SETTLE, -_FASTEST), _FASTEST))
         return False

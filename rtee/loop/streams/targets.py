@@ -1,7 +1,7 @@
-"""What the names in the samples of a stream mean: actuators, joints, or actions with elements.
+"""Resolve the names in the samples of a stream: actuators, joints, or actions with elements.
 
-A blend of actions adds the ways from rest of all of them, each scaled by its intensity, and clamps
-the sum into the limits: as postures are combined from synergies (Santello, Flanders and Soechting
+A blend of actions adds up their displacements from rest, each scaled by its intensity, and clamps
+the sum into the limits, as postures are combined from synergies (Santello, Flanders and Soechting
 1998) and eigengrasps (Ciocarlie and Allen 2009).
 """
 
@@ -27,13 +27,14 @@ _FAR = 0.5
 for radians; a nearer one, as a glove's, is clamped."""
 
 _FAST = 20.0
-"""A velocity of more than so many times the limit is a mistake, too; a lower one is clamped."""
+"""A velocity of more than this many times the limit is a mistake, too; a lower one is clamped."""
 
 _AGREE = 1e-2
-"""Two joints of one actuator may mean positions of it that differ by this share of its range."""
+"""Two joints of one actuator may ask for positions that differ by this share of its range: clients
+round their numbers."""
 
 _STEPS = 60
-"""Halvings of a range in which a joint's position is looked for: to the last digit of a number."""
+"""Halvings of a range in which a joint's position is searched: to the last digit of a double."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class _Joint:
     coupling: Coupling | None
 
     def actuator(self, value: float, spec: ActuatorSpec) -> float:
-        """Return the actuator's position for the joint's [rad | m]."""
+        """Return the actuator's position for one of the joint [rad | m]."""
         coupling = self.coupling
         if coupling is None:
             return value
@@ -67,10 +68,11 @@ class _Joint:
         return 0.5 * (low + high)
 
     def rate(self, velocity: float, at: float) -> float:
-        """Return the actuator's velocity for the joint's [rad/s | m/s]."""
+        """Return the actuator's velocity for one of the joint [rad/s | m/s]."""
         if self.coupling is None:
             return velocity
         slope = self.coupling.dual(at)[1]
+        # Where the joint turns round, no velocity of the actuator gives it one.
         return velocity / slope if slope else math.nan
 
 

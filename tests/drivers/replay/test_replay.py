@@ -18,7 +18,8 @@ from rtee.messages.codec import header
 from rtee.messages.schema import message_type
 from rtee.messages.state import actuator_state_fields
 from rtee.messages.topics import log_topic
-from rtee.types import ActuatorSpec, ActuatorState, DeviceSpec, JointKind, Reference
+from rtee.sample import ActuatorState
+from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 
 pytestmark = pytest.mark.anyio
 KIND = message_type("rtee_msgs/msg/ActuatorState")

@@ -1,0 +1,139 @@
+"""`rtee deploy`: a hand as a service of this computer, or of an image."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import Hand
+
+if TYPE_CHECKING:
+    from rtee.deploy.install import Installation, State
+    from rtee.deploy.needs import Needs
+
+app = typer.Typer(no_args_is_help=True, help="Make a hand a service that starts with the computer.")
+
+Root = Annotated[
+    Path, typer.Option(metavar="DIR", help="The system: an image's folder; by default this one.")
+]
+Serial = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="DEVICE=NUMBER", help="Serial number of a device's adapter: its port gets a name."
+    ),
+]
+Program = Annotated[
+    str | None,
+    typer.Option(metavar="PATH", help="The rtee that the service starts; by default this one."),
+]
+Realtime = Annotated[
+    bool,
+    typer.Option("--realtime", help="Also set the CPUs' governor, and isolate those of hand.yaml."),
+]
+THIS_SYSTEM = Path("/")
+
+
+@app.command()
+def plan(
+    hand: Hand,
+    root: Root = THIS_SYSTEM,
+    serial: Serial = None,
+    program: Program = None,
+    realtime: Realtime = False,
+) -> None:
+    """Print what `install` would write, and what it leaves to you."""
+    from rtee.deploy.files import words_of
+
+    installation, needs, files, copies = _wanted(hand, root, serial, program, realtime)
+    for line in words_of(files):
+        print(line)
+    _print_states(installation, installation.compare(needs.hand, files | copies))
+    _advise(needs, installation, program, realtime)
+
+
+@app.command()
+def install(
+    hand: Hand,
+    root: Root = THIS_SYSTEM,
+    serial: Serial = None,
+    program: Program = None,
+    realtime: Realtime = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what it would do.")] = False,
+) -> None:
+    """Write unit, user, udev rules and limits for a hand, and enable its service.
+
+    Example: sudo rtee deploy install robotiq_2f_85 --serial gripper=FT4XXXXX
+    """
+    installation, needs, files, copies = _wanted(hand, root, serial, program, realtime)
+    if dry_run:
+        _print_states(installation, installation.compare(needs.hand, files | copies))
+        return
+    _check_rights(installation, f"install {needs.hand}")
+    _print_states(installation, installation.install(needs.hand, files | copies))
+    for problem in (installation.make_user(), *installation.reload()):
+        if problem:
+            print(f"! {problem}")
+    _advise(needs, installation, program, realtime)
+
+
+@app.command()
+def uninstall(hand: Hand, root: Root = THIS_SYSTEM) -> None:
+    """Take away what `install` has written for a hand; its recordings stay."""
+    from rtee.deploy.install import Installation
+    from rtee.hand.names import check_name
+
+    installation = Installation(root)
+    _check_rights(installation, f"uninstall {hand}")
+    check_name(hand, "hand")
+    if hand in {each for hands in installation.manifest.hands.values() for each in hands}:
+        installation.stop(hand)
+    _print_states(installation, installation.uninstall(hand))
+    for problem in (installation.remove_user(), *installation.reload()):
+        if problem:
+            print(f"! {problem}")
+
+
+def _wanted(
+    hand: str, root: Path, serial: list[str] | None, program: str | None, realtime: bool
+) -> tuple[Installation, Needs, dict[str, bytes], dict[str, bytes]]:
+    """Return the system, what the hand needs, system files, and copies of the hand's own."""
+    from rtee.deploy.files import hand_files, own_program, system_files
+    from rtee.deploy.install import Installation
+    from rtee.deploy.needs import Needs
+    from rtee.errors import ConfigError
+    from rtee.run import RunOptions, prepare
+
+    pairs = [text.partition("=") for text in serial or ()]
+    wrong = next((name for name, _, number in pairs if not name or not number), None)
+    if wrong is not None:
+        raise ConfigError(f"--serial should be DEVICE=NUMBER, not '{wrong}'")
+    installation = Installation(root)
+    prepared = prepare(hand, RunOptions(driver="devices"))
+    needs = Needs.of(prepared, {name: number for name, _, number in pairs})
+    files = system_files(needs, program or own_program(), realtime=realtime)
+    return installation, needs, files, hand_files(needs, installation.root)
+
+
+def _check_rights(installation: Installation, command: str) -> None:
+    from rtee.errors import ConfigError
+
+    if installation.live and os.geteuid() != 0:
+        raise ConfigError(f"the system's files are root's; type: sudo rtee deploy {command}")
+
+
+def _print_states(installation: Installation, states: dict[str, State]) -> None:
+    for path, state in states.items():
+        print(f"{state}: {installation.root / path.lstrip('/')}")
+
+
+def _advise(needs: Needs, installation: Installation, program: str | None, realtime: bool) -> None:
+    """Print what is left to the user."""
+    from rtee.deploy.files import KERNEL_LINE, advice
+
+    for line in advice(needs, program, realtime=realtime, live=installation.live):
+        print(f"- {line}")
+    if realtime and needs.cpus:
+        print(f"- for {KERNEL_LINE}: sudo update-grub, and restart")

@@ -1,0 +1,118 @@
+"""Whether a hand's service is still as it was installed, for the doctor."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from rtee.deploy.files import STATE, drop_in, hand_files, link_of
+from rtee.deploy.install import USER, Installation, State
+from rtee.deploy.needs import Needs
+from rtee.drivers.diagnosis.checks import Check, ok, warning, wrong
+from rtee.errors import ConfigError
+
+
+def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
+    """Return what was found about a hand's service; one line if it was never installed.
+
+    Args:
+        needs: What the hand needs now.
+        root: Where the system's files are.
+    """
+    again = f"sudo rtee deploy install {needs.hand}"
+    try:
+        installation = Installation(root)
+    except ConfigError as error:
+        return [wrong("service", str(error), f"restore it, or remove it and type: {again}")]
+    if not installation.manifest.of(needs.hand):
+        return [ok("service", f"none for {needs.hand}; `{again}` makes it one")]
+    return [
+        _files(needs, installation, again),
+        _user(installation, again),
+        *_ports(needs),
+        _recordings(needs, installation.root),
+        *_kernel(needs, installation.root),
+    ]
+
+
+def _files(needs: Needs, installation: Installation, again: str) -> Check:
+    states = {path: installation.written(path) for path in installation.manifest.of(needs.hand)}
+    lost = [path for path, state in states.items() if state is State.NEW]
+    if lost:
+        return wrong("service", f"missing: {', '.join(lost)}", again)
+    changed = [path for path, state in states.items() if state is State.KEPT]
+    if changed:
+        text = f"changed by hand: {', '.join(changed)}"
+        return warning("service", text, f"if that was not meant, remove it and type: {again}")
+    wanted = drop_in(needs) | hand_files(needs, installation.root)
+    behind = [path for path, content in wanted.items() if installation.content(path) != content]
+    if behind:
+        text = f"the hand was changed since it was installed: {', '.join(behind)}"
+        return warning("service", text, again)
+    return ok("service", f"{len(states)} files as installed")
+
+
+def _user(installation: Installation, again: str) -> Check:
+    if not installation.has_user():
+        return wrong("service's user", f"there is no user {USER}", again)
+    return ok("service's user", USER)
+
+
+def _ports(needs: Needs) -> list[Check]:
+    """Say which serial ports have names that may be another adapter's at the next start."""
+    return [
+        warning(
+            f"name of {port.path}",
+            "it is given to whichever adapter comes first",
+            f"sudo rtee deploy install {needs.hand} --serial {port.device}=NUMBER   "
+            f"# and in hand.yaml: port: {link_of(port, needs.hand)}; "
+            f"the number: udevadm info {port.path} | grep SERIAL_SHORT",
+        )
+        for port in needs.ports
+        if port.kind in ("ttyUSB", "ttyACM")
+    ]
+
+
+def _recordings(needs: Needs, root: Path) -> Check:
+    folder = root / str(STATE / needs.log).lstrip("/")
+    while not folder.exists() and folder != root:
+        folder = folder.parent
+    space = shutil.disk_usage(folder)
+    wanted = f"{needs.log_size / 1e9:.0f} GB of recordings are kept"
+    if space.free < needs.log_size:
+        return warning(
+            "recordings",
+            f"{wanted}, {space.free / 1e9:.0f} GB are free",
+            "set log: {max_total_size: BYTES} in hand.yaml",
+        )
+    return ok("recordings", f"{wanted}, {space.free / 1e9:.0f} GB are free")
+
+
+def _kernel(needs: Needs, root: Path) -> list[Check]:
+    """Say whether the CPUs of the loop are its alone."""
+    if not needs.cpus:
+        return []
+    try:
+        text = (root / "sys/devices/system/cpu/isolated").read_text("ascii").strip()
+    except (OSError, ValueError):
+        text = ""
+    alone = {cpu for part in text.split(",") if part for cpu in _cpus(part)}
+    shared = [str(cpu) for cpu in needs.cpus if cpu not in alone]
+    if not shared:
+        return [ok("CPUs of the loop", f"{text}, isolated")]
+    return [
+        warning(
+            "CPUs of the loop",
+            f"{', '.join(shared)}: other programs run there, too",
+            f"sudo rtee deploy install {needs.hand} --realtime; sudo update-grub   # then restart",
+        )
+    ]
+
+
+def _cpus(part: str) -> range:
+    """Return the CPUs in a part of a kernel's list, ``2`` or ``2-3``."""
+    first, _, last = part.partition("-")
+    if not (first.isdecimal() and (last or first).isdecimal()):
+        return range(0)
+    return range(int(first), min(int(last or first), os.cpu_count() or 1) + 1)

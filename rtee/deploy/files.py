@@ -1,0 +1,245 @@
+"""The system files of a robot PC: as they come with rtee, and as a hand needs them."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rtee.deploy.needs import Needs, Port, checked_path
+from rtee.errors import ConfigError
+from rtee.hand.files import make_folder, write_atomically
+
+PROGRAM = "/opt/rtee/bin/rtee"
+"""The program in the unit as it comes with rtee."""
+
+HANDS = "/etc/rtee/hands"
+"""Where the service looks hands up."""
+
+UNIT = "/etc/systemd/system/rtee@.service"
+RULES = "/etc/udev/rules.d/99-rtee.rules"
+LIMITS = "/etc/security/limits.d/rtee.conf"
+ACCOUNTS = "/etc/sysusers.d/rtee.conf"
+GOVERNOR = "/etc/tmpfiles.d/rtee-realtime.conf"
+KERNEL_LINE = "/etc/default/grub.d/rtee.cfg"
+
+_SHIPPED = {RULES: "99-rtee.rules", LIMITS: "limits.conf", UNIT: "rtee@.service"}
+
+STATE = Path("/var/lib/rtee")
+"""Working directory of the service."""
+
+_ALLOWED_PORTS = ("ttyUSB", "ttyACM", "ttyS", "ttyAMA")
+"""Serial ports that the unit permits for every hand."""
+
+_USER = """\
+# The user that runs hands. Written by rtee deploy.
+u rtee - "rtee hands" /var/lib/rtee
+m rtee dialout
+"""
+
+_PERFORMANCE = """\
+# The clock of the CPUs does not slow down between ticks. Written by rtee deploy.
+w- /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor - - - - performance
+"""
+
+
+def shipped() -> Path:
+    """Return the folder of the files that come with rtee.
+
+    Raises:
+        ConfigError: if this installation has none.
+    """
+    package = Path(__file__).resolve().parents[1]
+    # In a wheel they stand beside the code, in a checkout beside the package.
+    for place in (package / "_deploy", package.parent / "deploy"):
+        if (place / _SHIPPED[UNIT]).is_file():
+            return place
+    raise ConfigError("this installation of rtee holds no files for a robot PC")
+
+
+def own_program() -> str:
+    """Return the ``rtee`` of this environment."""
+    return str(Path(sys.executable).parent / "rtee")
+
+
+def write_files(folder: Path) -> list[Path]:
+    """Write the files that come with rtee; the service starts the `rtee` of this environment.
+
+    Args:
+        folder: Where to; made if it is not there.
+
+    Returns:
+        The files written.
+
+    Raises:
+        ConfigError: if this installation has none, or they cannot be written.
+    """
+    source = shipped()
+    make_folder(folder)
+    written = []
+    for name in _SHIPPED.values():
+        text = (source / name).read_text("utf-8").replace(PROGRAM, own_program())
+        write_atomically(folder / name, text)
+        written.append(folder / name)
+    return written
+
+
+def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, bytes]:
+    """Return what is to be written for a hand, by path.
+
+    Args:
+        needs: What the hand needs.
+        program: The ``rtee`` that the service starts.
+        realtime: Also set the CPUs' governor, and isolate those of the loop.
+    """
+    source = shipped()
+    program = checked_path(program, "the program")
+    files = {
+        path: (source / name).read_text("utf-8").replace(PROGRAM, program)
+        for path, name in _SHIPPED.items()
+    } | {
+        ACCOUNTS: _USER,
+        f"/etc/udev/rules.d/90-rtee-{needs.hand}.rules": _rules(needs),
+    }
+    if realtime:
+        files[GOVERNOR] = _PERFORMANCE
+        if needs.cpus:
+            files[KERNEL_LINE] = (
+                "# CPUs for the loop alone. Written by rtee deploy; update-grub reads it.\n"
+                'GRUB_CMDLINE_LINUX_DEFAULT="$GRUB_CMDLINE_LINUX_DEFAULT '
+                f'{kernel_words(needs.cpus)}"\n'
+            )
+    return {path: text.encode() for path, text in files.items() if text} | drop_in(needs)
+
+
+def drop_in(needs: Needs) -> dict[str, bytes]:
+    """Return what is added to the unit for a hand, by path; nothing where it needs nothing more.
+
+    Raises:
+        ConfigError: if the folder of the recordings can't stand in a unit.
+    """
+    lines = [f"# What {needs.hand} needs besides. Written by rtee deploy.", "[Service]"]
+    kinds = sorted({port.kind for port in needs.ports} - {"", *_ALLOWED_PORTS})
+    lines += [f"DeviceAllow=char-{kind} rw" for kind in kinds]
+    lines += [f"IPAddressAllow={address}" for address in needs.addresses]
+    if needs.ethercat:
+        lines += [
+            "RestrictAddressFamilies=AF_PACKET",
+            "CapabilityBoundingSet=CAP_NET_RAW",
+            "AmbientCapabilities=CAP_NET_RAW",
+        ]
+    if needs.log.is_absolute() and not needs.log.is_relative_to(STATE):
+        lines.append(f"ReadWritePaths=-{checked_path(needs.log, 'log: directory')}")
+    if not lines[2:]:
+        return {}
+    path = f"/etc/systemd/system/rtee@{needs.hand}.service.d/10-hand.conf"
+    return {path: ("\n".join(lines) + "\n").encode()}
+
+
+def kernel_words(cpus: Sequence[int], of: int | None = None) -> str:
+    """Return what keeps everything else off some CPUs, for the kernel's command line.
+
+    Args:
+        cpus: The CPUs.
+        of: Number of CPUs there are; with it, interrupts are kept off, too.
+    """
+    these = ",".join(map(str, cpus))
+    words = f"isolcpus={these} nohz_full={these} rcu_nocbs={these}"
+    others = [str(cpu) for cpu in range(of or 0) if cpu not in cpus]
+    return f"{words} irqaffinity={','.join(others)}" if others else words
+
+
+def link_of(port: Port, hand: str) -> str:
+    """Return the name that a rule gives to a port whose serial number is known."""
+    return port.path if port.has_own_name else f"/dev/rtee/{hand}-{port.device}"
+
+
+def hand_files(needs: Needs, root: Path) -> dict[str, bytes]:
+    """Return the files of a hand that the service could not read where they are, by path.
+
+    Nothing for hands that come with the rtee of the service or are in `HANDS` already.
+
+    Raises:
+        ConfigError: if one can't be read.
+    """
+    folder = needs.folder.resolve()
+    inside = Path(__file__).resolve().parents[1] / "_config"
+    if folder.is_relative_to(inside) or folder == (root / HANDS[1:] / needs.hand).resolve():
+        return {}
+    found: dict[str, bytes] = {}
+    for path in sorted(needs.folder.rglob("*")):
+        name = path.relative_to(needs.folder)
+        hidden = any(part.startswith((".", "__")) for part in name.parts)
+        # A link may lead to what is not for everybody's eyes.
+        if hidden or path.is_symlink() or not path.is_file():
+            continue
+        try:
+            found[f"{HANDS}/{needs.hand}/{name.as_posix()}"] = path.read_bytes()
+        except OSError as error:
+            raise ConfigError(f"cannot be read: {error.strerror}", path=path) from error
+    return found
+
+
+def _rules(needs: Needs) -> str:
+    lines = [f"# Names and buses of {needs.hand}. Written by rtee deploy."]
+    for port in needs.ports:
+        if port.serial:
+            name = link_of(port, needs.hand).removeprefix("/dev/")
+            lines.append(
+                f'SUBSYSTEM=="tty", ENV{{ID_SERIAL_SHORT}}=="{port.serial}", SYMLINK+="{name}",'
+                ' GROUP="dialout", MODE="0660"'
+            )
+    for name, bitrate in needs.can.items():
+        # restart-ms: the controller comes back after bus-off.
+        lines.append(
+            f'ACTION=="add", SUBSYSTEM=="net", KERNEL=="{name}", RUN+="/usr/bin/env ip link set'
+            f' {name} up type can bitrate {bitrate} restart-ms 100"'
+        )
+    return "\n".join(lines) + "\n" if lines[1:] else ""
+
+
+def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> list[str]:
+    """Return in sentences what a person has to do, or may do, beside what is written.
+
+    Args:
+        needs: What the hand needs.
+        program: The ``rtee`` that was asked for; ``None``: that of this environment.
+        realtime: Whether real-time hints are written, too.
+        live: Whether it is the system that runs.
+    """
+    found: list[str] = []
+    if (program or own_program()).startswith(("/home/", "/root/", "/run/user/")):
+        found.append("the service sees no homes: install rtee in /opt/rtee, or give --program")
+    for port in needs.ports:
+        name = link_of(port, needs.hand)
+        if port.serial and name != port.path:
+            found.append(f"in hand.yaml, at '{port.device}': port: {name}")
+        elif not port.serial and port.has_own_name:
+            found.append(f"{port.path} needs a rule: --serial {port.device}=NUMBER makes it")
+    if needs.addresses:
+        found.append(f"its network is open to: {', '.join(needs.addresses)}")
+    found.append(
+        f"recordings: {STATE / needs.log}, at most {needs.log_size / 1e9:g} GB"
+        " (log: max_total_size in hand.yaml)"
+    )
+    if not realtime:
+        found.append("real time: --realtime sets the CPUs' governor to performance")
+        words = kernel_words(needs.cpus, os.cpu_count() if live else None)
+        found.append(
+            f"real time: on the kernel's command line: {words}"
+            if needs.cpus
+            else "real time: a CPU for the loop alone: realtime: {cpus: [N]} in hand.yaml"
+        )
+    if live:
+        found.append(f"start it: sudo systemctl start rtee@{needs.hand}")
+        found.append("people who command hands: sudo usermod -aG rtee USER, and log in again")
+    return found
+
+
+def words_of(files: Mapping[str, bytes]) -> list[str]:
+    """Return the text of system files for a reader, a heading before each."""
+    lines: list[str] = []
+    for path, content in files.items():
+        lines += [f"# {path}", *content.decode("utf-8", "replace").splitlines(), ""]
+    return lines

@@ -1,0 +1,391 @@
+"""Writing a hand's service into a system, and taking exactly that away again."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path, PurePosixPath
+
+from rtee.deploy.files import ACCOUNTS, HANDS, UNIT
+from rtee.errors import ConfigError
+from rtee.hand.files import write_atomically
+from rtee.hand.names import check_name
+
+MANIFEST = "/etc/rtee/deploy.json"
+"""What was written, for which hands; only root may change it."""
+
+USER = "rtee"
+WANTS = "/etc/systemd/system/multi-user.target.wants"
+
+# Files elsewhere are not touched, whatever the manifest says.
+_PLACES = (
+    "/etc/systemd/system/",
+    "/etc/udev/rules.d/",
+    "/etc/security/limits.d/",
+    "/etc/sysusers.d/",
+    "/etc/tmpfiles.d/",
+    "/etc/default/grub.d/",
+    f"{HANDS}/",
+)
+_LIMIT = 1_000_000  # largest manifest that is read [byte]: some thousand files
+
+
+class State(StrEnum):
+    """What becomes, or became, of a file."""
+
+    NEW = "new"
+    SAME = "unchanged"
+    CHANGED = "updated"
+    KEPT = "kept: it was changed by hand"
+    REMOVED = "removed"
+
+
+@dataclass(slots=True)
+class Manifest:
+    """What was written into a system.
+
+    Attributes:
+        files: SHA-256 of each file as it was written, by path.
+        hands: The hands that need each file, by path.
+        folders: Folders that were made, each after those it lies in.
+        user: Whether the user was made.
+    """
+
+    files: dict[str, str] = field(default_factory=dict)
+    hands: dict[str, list[str]] = field(default_factory=dict)
+    folders: list[str] = field(default_factory=list)
+    user: bool = False
+
+    @classmethod
+    def read(cls, root: Path) -> Manifest:
+        """Return the manifest of a system; an empty one if nothing was written there.
+
+        Raises:
+            ConfigError: if it can't be read or is none.
+        """
+        path = root / MANIFEST[1:]
+        try:
+            with path.open("rb") as file:
+                document = json.loads(file.read(_LIMIT))
+            files = {str(k): str(v["sha256"]) for k, v in document["files"].items()}
+            hands = {
+                str(k): [check_name(hand, "hand") for hand in v["hands"]]
+                for k, v in document["files"].items()
+            }
+            folders = [str(each) for each in document["folders"]]
+            if any(not _is_ours(each) for each in files):
+                raise ValueError("a path is none of rtee's")
+            return cls(files, hands, folders, bool(document["user"]))
+        except FileNotFoundError:
+            return cls()
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ConfigError(f"cannot be used: {error}; nothing was changed", path=path) from error
+
+    def of(self, hand: str) -> list[str]:
+        """Return the paths of the files that a hand needs."""
+        return [path for path, hands in self.hands.items() if hand in hands]
+
+    def document(self) -> str:
+        """Return it as JSON."""
+        files = {
+            path: {"sha256": digest, "hands": self.hands[path]}
+            for path, digest in self.files.items()
+        }
+        whole = {"files": files, "folders": self.folders, "user": self.user}
+        return json.dumps(whole, indent=2) + "\n"
+
+
+class Installation:
+    """The services of hands in a system.
+
+    Args:
+        root: Where its files are: ``/``, or the folder of an image.
+
+    Raises:
+        ConfigError: if it is no folder, or its manifest can't be used.
+    """
+
+    def __init__(self, root: Path = Path("/")) -> None:
+        if not root.is_dir():
+            raise ConfigError("is no folder", path=root)
+        self.root = root.resolve()
+        self.manifest = Manifest.read(self.root)
+
+    @property
+    def live(self) -> bool:
+        """Whether it is the system that runs."""
+        return self.root == Path("/")
+
+    def compare(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
+        """Return what `install` would do to each file; nothing is changed.
+
+        Raises:
+            ConfigError: if a file is there already that rtee did not write, or a folder of the
+                system leads out of it.
+        """
+        states: dict[str, State] = {}
+        for path, content in files.items():
+            state = self._state(path, content)
+            if state is None:
+                raise ConfigError(
+                    "is there already and not from `rtee deploy`; move it away first",
+                    path=self._place(path),
+                )
+            states[path] = state
+        link = self._link(hand)
+        states[f"{WANTS}/{link.name}"] = State.SAME if link.is_symlink() else State.NEW
+        return states
+
+    def written(self, path: str) -> State:
+        """Return whether a file is as it was written: new means that it is gone."""
+        place = self._place(path)
+        if not place.is_symlink() and not place.exists():
+            return State.NEW
+        if path.startswith(f"{WANTS}/"):
+            same = place.is_symlink() and os.readlink(place) == UNIT
+        else:
+            same = _digest(place) == self.manifest.files[path]
+        return State.SAME if same else State.KEPT
+
+    def content(self, path: str) -> bytes:
+        """Return what a file holds; nothing if it can't be read."""
+        with contextlib.suppress(OSError):
+            return self._place(path).read_bytes()
+        return b""
+
+    def has_user(self) -> bool:
+        """Return whether there is the user that runs hands."""
+        return self._listed("passwd")
+
+    def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
+        """Write the files of a hand and enable its service; what is there already stays.
+
+        Args:
+            hand: The hand's name.
+            files: Contents by path.
+
+        Returns:
+            What became of each.
+
+        Raises:
+            ConfigError: if something can't be written; what was is in the manifest.
+        """
+        states = self.compare(hand, files)
+        stale = [path for path in self.manifest.of(hand) if path not in states]
+        manifest = self.manifest
+        wanted = [Path(path).parent for path in (*states, MANIFEST)]
+        with _usual_permissions():
+            self._make_folders(wanted)
+            # Known before it is written: an installation that was interrupted can be undone, too.
+            for path, state in states.items():
+                if path in files and state is not State.KEPT:
+                    manifest.files[path] = hashlib.sha256(files[path]).hexdigest()
+                hands = manifest.hands.setdefault(path, [])
+                manifest.files.setdefault(path, "")
+                if hand not in hands:
+                    hands.append(hand)
+            self._save()
+            for path, state in states.items():
+                if path in files and state in (State.NEW, State.CHANGED):
+                    write_atomically(self._place(path), files[path])
+            link = self._link(hand)
+            if not link.is_symlink():
+                link.symlink_to(UNIT)
+        states |= self._drop(hand, stale)
+        return states
+
+    def uninstall(self, hand: str) -> dict[str, State]:
+        """Remove what was written for a hand and no other needs; what was changed since stays.
+
+        Raises:
+            ConfigError: if the hand was not installed, or something can't be removed.
+        """
+        paths = self.manifest.of(hand)
+        if not paths:
+            installed = sorted({each for hands in self.manifest.hands.values() for each in hands})
+            raise ConfigError(
+                f"hand '{hand}' was not installed by `rtee deploy`;"
+                f" installed are: {', '.join(installed) or 'none'}"
+            )
+        return self._drop(hand, paths)
+
+    def make_user(self) -> str:
+        """Make the user that runs hands, unless there is one.
+
+        Returns:
+            In a sentence what must be done by hand; empty: nothing.
+        """
+        if self.has_user():
+            return ""
+        problem = self._call("systemd-sysusers", *self._in_root("--root={}"), Path(ACCOUNTS).name)
+        if problem:
+            return f"the user was not made ({problem}); at its next start the system makes it"
+        self.manifest.user = True
+        with _usual_permissions():
+            self._save()
+        return ""
+
+    def remove_user(self) -> str:
+        """Remove the user if `make_user` made it and no hand is left. Returns as `make_user`."""
+        if not self.manifest.user or self.manifest.files:
+            return ""
+        problem = self._call("userdel", *self._in_root("--prefix", "{}"), USER)
+        # Its group stays where userdel is configured so, or others are in it.
+        if not problem and self._listed("group"):
+            problem = self._call("groupdel", *self._in_root("--prefix", "{}"), USER)
+        if problem:
+            return f"the user was not removed ({problem}); type: userdel {USER}"
+        self.manifest.user = False
+        self._tidy()
+        return ""
+
+    def reload(self) -> list[str]:
+        """Have the running system read what was written. Returns sentences about what failed."""
+        if not self.live:
+            return []
+        commands = (
+            ("systemctl", "daemon-reload"),
+            ("udevadm", "control", "--reload"),
+            ("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=usb-serial"),
+        )
+        failed = [(words, self._call(*words)) for words in commands]
+        return [f"{' '.join(words)}: {problem}" for words, problem in failed if problem]
+
+    def stop(self, hand: str) -> str:
+        """End the service of a hand; it brings the hand to rest. Returns as `make_user`."""
+        if not self.live:
+            return ""
+        return self._call("systemctl", "stop", f"rtee@{hand}.service")
+
+    # --- within the system -------------------------------------------------------------------
+
+    def _place(self, path: str) -> Path:
+        """Return where a file of the system is.
+
+        Raises:
+            ConfigError: if links lead out of it.
+        """
+        return self._folder(str(Path(path).parent)) / Path(path).name
+
+    def _folder(self, path: str) -> Path:
+        place = self.root / path.lstrip("/")
+        if not place.resolve().is_relative_to(self.root):
+            raise ConfigError("leads out of the system by a link", path=place)
+        return place
+
+    def _link(self, hand: str) -> Path:
+        return self._place(f"{WANTS}/rtee@{hand}.service")
+
+    def _state(self, path: str, content: bytes) -> State | None:
+        """Return what is to be done to a file; ``None``: it is somebody else's."""
+        place = self._place(path)
+        if not place.is_symlink() and not place.exists():
+            return State.NEW
+        there = _digest(place)
+        if there == hashlib.sha256(content).hexdigest() and path in self.manifest.files:
+            return State.SAME
+        if path not in self.manifest.files:
+            return None
+        return State.CHANGED if there == self.manifest.files[path] else State.KEPT
+
+    def _make_folders(self, folders: Sequence[Path]) -> None:
+        for folder in folders:
+            for each in (*reversed(folder.parents), folder):
+                place = self._folder(str(each))
+                if place.is_dir():
+                    continue
+                try:
+                    place.mkdir()
+                except OSError as error:
+                    raise ConfigError(f"cannot be made: {error.strerror}", path=place) from error
+                if str(each) not in self.manifest.folders:
+                    self.manifest.folders.append(str(each))
+
+    def _drop(self, hand: str, paths: Sequence[str]) -> dict[str, State]:
+        """Take a hand from what needs some files, and remove those that nothing needs any more."""
+        states: dict[str, State] = {}
+        manifest = self.manifest
+        for path in paths:
+            manifest.hands[path].remove(hand)
+            if manifest.hands[path]:
+                continue
+            place, there = self._place(path), self.written(path)
+            if there is State.SAME:
+                try:
+                    place.unlink()
+                except OSError as error:
+                    manifest.hands[path].append(hand)
+                    self._save()
+                    raise ConfigError(f"cannot be removed: {error.strerror}", path=place) from error
+                states[path] = State.REMOVED
+            elif there is State.KEPT:
+                states[path] = there
+            del manifest.hands[path], manifest.files[path]
+        self._tidy()
+        return states
+
+    def _tidy(self) -> None:
+        """Remove folders that were made and are empty, and a manifest that says nothing."""
+        needed = bool(self.manifest.files or self.manifest.user)
+        if not needed:
+            self._place(MANIFEST).unlink(missing_ok=True)
+        for folder in sorted(self.manifest.folders, key=len, reverse=True):
+            with contextlib.suppress(OSError):  # others have put something there
+                self._folder(folder).rmdir()
+                self.manifest.folders.remove(folder)
+        if needed:
+            with _usual_permissions():
+                self._save()
+
+    def _save(self) -> None:
+        write_atomically(self._place(MANIFEST), self.manifest.document())
+
+    def _listed(self, name: str) -> bool:
+        with contextlib.suppress(OSError):
+            text = self._place(f"/etc/{name}").read_text("utf-8", "replace")
+            return any(line.startswith(f"{USER}:") for line in text.splitlines())
+        return False
+
+    def _in_root(self, *words: str) -> list[str]:
+        return [] if self.live else [word.replace("{}", str(self.root)) for word in words]
+
+    def _call(self, *words: str) -> str:
+        """Run a program; return why that failed, empty if it did not."""
+        program = shutil.which(words[0], path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
+        if program is None:
+            return f"there is no {words[0]} here"
+        done = subprocess.run([program, *words[1:]], capture_output=True, text=True)
+        said = (done.stderr or done.stdout).strip().splitlines()
+        return "" if done.returncode == 0 else (said[-1] if said else f"status {done.returncode}")
+
+
+def _is_ours(path: str) -> bool:
+    normal = str(PurePosixPath(path))
+    plain = normal == path and ".." not in path.split("/")
+    return plain and path.startswith(_PLACES) and "rtee" in path
+
+
+def _digest(place: Path) -> str:
+    """Return the SHA-256 of a regular file; empty for anything else."""
+    if place.is_symlink() or not place.is_file():
+        return ""
+    with contextlib.suppress(OSError), place.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+    return ""
+
+
+@contextlib.contextmanager
+def _usual_permissions() -> Iterator[None]:
+    """Make files that everybody may read and their owner may change, whatever the shell says."""
+    before = os.umask(0o022)
+    try:
+        yield
+    finally:
+        os.umask(before)

@@ -1,0 +1,176 @@
+"""What a hand needs from the computer that it runs on, read from its hand.yaml."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from rtee.drivers.registry import find_driver
+from rtee.errors import ConfigError
+from rtee.prepare import PreparedHand
+
+CAN_BITRATE = 1_000_000
+"""Bits per second of a CAN bus whose driver has no setting for it."""
+
+# What may stand in a rule or a unit: nothing there ends a line, a value or a word.
+_WORD = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:+@-]*\Z")
+_PATH = re.compile(r"(/[A-Za-z0-9_.][A-Za-z0-9_.:+@-]*)+\Z")
+_KERNEL_NAME = re.compile(r"/dev/(tty[A-Za-z]*?)\d+\Z")
+_OWN_NAME = re.compile(r"/dev/(?!serial/|tty)[A-Za-z0-9_][A-Za-z0-9_./-]*\Z")
+
+
+def checked_word(value: str, what: str) -> str:
+    """Return a word that may go into a system file.
+
+    Raises:
+        ConfigError: if it holds anything but letters, digits and ``_ . : + @ -``.
+    """
+    if not _WORD.match(value):
+        raise ConfigError(f"{what} must be of letters, digits and _ . : + @ -, not '{value}'")
+    return value
+
+
+def checked_path(value: Path | str, what: str) -> str:
+    """Return an absolute path that may go into a system file.
+
+    Raises:
+        ConfigError: if it is relative, or holds characters that mean something there.
+    """
+    text = str(value)
+    if not _PATH.match(text) or ".." in Path(text).parts:
+        raise ConfigError(
+            f"{what} must be an absolute path of letters, digits and _ . : + @ -, not '{text}'"
+        )
+    return text
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """A serial port of a device.
+
+    Attributes:
+        device: The device's name.
+        path: As hand.yaml has it.
+        serial: Serial number of its adapter; empty: not given.
+    """
+
+    device: str
+    path: str
+    serial: str = ""
+
+    @property
+    def kind(self) -> str:
+        """The kernel's name of such ports without the number, ``ttyUSB``; empty for others."""
+        found = _KERNEL_NAME.match(self.path)
+        return found[1] if found else ""
+
+    @property
+    def has_own_name(self) -> bool:
+        """Whether a rule must make its name: it is neither the kernel's nor udev's."""
+        return bool(_OWN_NAME.match(self.path))
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What a hand needs from its computer.
+
+    Attributes:
+        hand: The hand's name.
+        folder: Where its files are.
+        ports: Serial ports.
+        can: Bit rates of CAN interfaces by name.
+        ethercat: Whether a device is on an EtherCAT bus, which needs raw frames.
+        addresses: Networks beyond this computer that it talks to; ``any``: all of them.
+        cpus: CPUs that its loop runs on; empty: all.
+        log: Folder of the recordings.
+        log_size: The most that they take of the disk [byte].
+    """
+
+    hand: str
+    folder: Path
+    ports: tuple[Port, ...]
+    can: Mapping[str, int]
+    ethercat: bool
+    addresses: tuple[str, ...]
+    cpus: tuple[int, ...]
+    log: Path
+    log_size: float
+
+    @classmethod
+    def of(cls, prepared: PreparedHand, serials: Mapping[str, str]) -> Needs:
+        """Return the needs of a hand.
+
+        Args:
+            prepared: The hand, prepared with the driver ``devices``.
+            serials: Serial numbers of the adapters of devices, by the device's name.
+
+        Raises:
+            ConfigError: if a serial number is of no port, or a value can't stand in a system file.
+        """
+        ports: list[Port] = []
+        can: dict[str, int] = {}
+        ethercat = False
+        addresses: set[str] = set()
+        for device in prepared.devices:
+            spec = device.spec
+            options = _options(find_driver(spec.driver, source=spec.source), spec.options)
+            port, host = options.get("port"), options.get("host") or options.get("address")
+            if isinstance(port, str) and port.startswith("/"):
+                path = checked_path(port, f"the port of '{spec.name}'")
+                serial = serials.get(spec.name, "")
+                serial = serial and checked_word(serial, f"the serial number of '{spec.name}'")
+                ports.append(Port(spec.name, path, serial))
+            elif isinstance(port, str):
+                host = port
+            if isinstance(host, str):
+                addresses |= _beyond(host)
+            channel, interface = options.get("channel"), options.get("interface")
+            if channel and interface == "socketcan":
+                name = checked_word(str(channel), f"the CAN channel of '{spec.name}'")
+                can[name] = int(options.get("bitrate") or CAN_BITRATE)
+            ethercat |= bool(interface) and channel is None
+        unknown = set(serials) - {port.device for port in ports}
+        if unknown:
+            names = ", ".join(port.device for port in ports) or "none"
+            raise ConfigError(
+                f"--serial {min(unknown)}: no device with a serial port; there are: {names}"
+            )
+        for endpoint in (*prepared.config.remote.listen, *prepared.config.remote.connect):
+            addresses |= _beyond(endpoint.partition("/")[2], listens=True)
+        return cls(
+            hand=prepared.hand.name,
+            folder=prepared.folder,
+            ports=tuple(ports),
+            can=can,
+            ethercat=ethercat,
+            addresses=("any",) if "any" in addresses else tuple(sorted(addresses)),
+            cpus=tuple(prepared.config.realtime.cpus),
+            log=prepared.config.log.directory,
+            log_size=prepared.config.log.max_total_size,
+        )
+
+
+def _options(driver: type[Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a device's options with the defaults of its driver."""
+    model = driver.Options
+    fields = {} if model is None else model.model_fields
+    return {name: field.default for name, field in fields.items()} | dict(given)
+
+
+def _beyond(address: str, *, listens: bool = False) -> set[str]:
+    """Return the address if it is not of this computer; ``any`` unless it is one by number."""
+    host = urlsplit(address if "://" in address else f"//{address}").hostname or ""
+    if host == "localhost":
+        return set()
+    try:
+        found = ipaddress.ip_address(host)
+    except ValueError:
+        return {"any"}
+    if found.is_loopback:
+        return set()
+    return {"any" if listens else str(found)}

@@ -1,0 +1,130 @@
+"""The loop as a service: systemd hears that it runs, and the loop's ticks feed its watchdog.
+
+The protocol is that of sd_notify(3): datagrams of ``NAME=value`` lines to the socket that
+``NOTIFY_SOCKET`` names.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections.abc import Callable, MutableMapping, Sequence
+from typing import Self
+
+from rtee.loop.observer import Observer
+from rtee.sample import TickRecord
+from rtee.types import DeviceStatus, LoopStatistics
+
+FEEDS = 10
+"""Feeds in each time that the watchdog waits: a loop that hangs is found within 90 % to 100 %."""
+
+MAX_STATUS = 1000
+"""Longest status line [characters]: a datagram is not split."""
+
+
+class Service:
+    """Tells the service manager how the hands of this process are doing.
+
+    It has no thread or timer: everything is sent by the ticks of the hands, so a loop that hangs
+    feeds nothing. With several hands, each must have ticked since the watchdog was last fed. A
+    message that the manager does not take at once is dropped, and sent again at a later tick.
+
+    Args:
+        address: The manager's socket: a path, or a name in the abstract namespace after ``@``.
+        watchdog: Time after which the manager ends a process that does not feed it [s]; 0: never.
+    """
+
+    def __init__(self, address: str, watchdog: float = 0.0) -> None:
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        self._socket.setblocking(False)  # the loop sends, and never waits for the manager
+        self._every = watchdog / FEEDS
+        self._hands: dict[str, str] = {}
+        self._waits_for: set[str] = set()
+        self._ready = False
+        self._stopping = False
+        self._due = 0.0
+        self._said = ""
+
+    @classmethod
+    def of(cls, environ: MutableMapping[str, str] = os.environ) -> Self | None:
+        """Return the service that the environment describes; ``None``: this process is not one.
+
+        The variables are removed: programs that this one starts are not the service.
+        """
+        address = environ.pop("NOTIFY_SOCKET", "")
+        patience = environ.pop("WATCHDOG_USEC", "")
+        process = environ.pop("WATCHDOG_PID", "")
+        if not address.startswith(("/", "@")):
+            return None
+        watched = patience.isdecimal() and process in ("", str(os.getpid()))
+        return cls(address, int(patience) * 1e-6 if watched else 0.0)
+
+    def watch(self, name: str) -> Observer:
+        """Return what has to observe a hand; add it as the last observer.
+
+        What runs before it in a tick must have come to its end for the tick to count.
+        """
+        self._hands[name] = "connecting"
+        self._waits_for.add(name)
+        return _Watched(name, self._ticked, self._describe)
+
+    def stopping(self) -> None:
+        """Say that the hands are brought to rest: no more ticks are waited for."""
+        self._stopping = True
+        self._send("STOPPING=1", f"STATUS={self._said}")
+
+    def __enter__(self) -> Self:
+        """Return it."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _ticked(self, name: str, stamp: float) -> None:
+        self._waits_for.discard(name)
+        if self._waits_for or self._stopping or (self._ready and stamp < self._due):
+            return
+        lines = ["WATCHDOG=1"] if self._every else []
+        if not self._ready:
+            lines += ["READY=1", f"STATUS={self._status()}"]
+        if not lines or self._send(*lines):
+            self._ready = True
+            self._due = stamp + self._every
+            self._waits_for.update(self._hands)
+
+    def _describe(self, name: str, statuses: Sequence[DeviceStatus]) -> None:
+        self._hands[name] = ", ".join(f"{each.name} {each.lifecycle}" for each in statuses)
+        text = self._status()
+        if self._ready and text != self._said and self._send(f"STATUS={text}"):
+            self._said = text
+
+    def _status(self) -> str:
+        text = "; ".join(f"{name}: {said}" for name, said in self._hands.items())
+        return " ".join(text.split())[:MAX_STATUS]
+
+    def _send(self, *lines: str) -> bool:
+        with contextlib.suppress(OSError):
+            self._socket.sendto("\n".join(lines).encode(), self._address)
+            return True
+        return False
+
+
+class _Watched(Observer):
+    def __init__(
+        self,
+        name: str,
+        ticked: Callable[[str, float], None],
+        describe: Callable[[str, Sequence[DeviceStatus]], None],
+    ) -> None:
+        self._name = name
+        self._ticked = ticked
+        self._describe = describe
+
+    def on_tick(self, record: TickRecord) -> None:
+        self._ticked(self._name, record.stamp)
+
+    def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
+        self._describe(self._name, statuses)

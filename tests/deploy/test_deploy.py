@@ -1,0 +1,381 @@
+"""`rtee deploy` writes into a system what a hand needs, and takes exactly that away again."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rtee.deploy.check import check_service
+from rtee.deploy.files import drop_in, hand_files, system_files
+from rtee.deploy.install import MANIFEST, Installation, State
+from rtee.deploy.needs import Needs
+from rtee.drivers.diagnosis.checks import Verdict
+from rtee.errors import ConfigError
+from rtee.prepare import RunOptions, prepare
+
+URDF = """<robot name="{name}">
+  <link name="palm"/>
+  <link name="jaw"><collision><geometry><box size="0.01 0.01 0.05"/></geometry></collision></link>
+  <joint name="drive" type="revolute">
+    <parent link="palm"/><child link="jaw"/><axis xyz="0 1 0"/>
+    <limit lower="0" upper="0.8" velocity="2" effort="10"/>
+  </joint>
+</robot>
+"""
+DEVICE = "devices:\n  gripper:\n    driver: {driver}\n    options: {options}\n"
+UNIT = "/etc/systemd/system/rtee@.service"
+PROGRAM = "/opt/rtee/bin/rtee"
+
+
+def write_hand(
+    folder: Path,
+    name: str = "jaw",
+    *,
+    driver: str = "robotiq_2f",
+    options: str = "{port: /dev/ttyUSB0}",
+    more: str = "",
+) -> Path:
+    hand = folder / "hands" / name
+    hand.mkdir(parents=True, exist_ok=True)
+    (hand / f"{name}.urdf").write_text(URDF.format(name=name))
+    device = DEVICE.format(driver=driver, options=options)
+    (hand / "hand.yaml").write_text(f"name: {name}\nurdf: {name}.urdf\n{device}{more}")
+    return hand
+
+
+def needs_of(hand: Path, **serials: str) -> Needs:
+    return Needs.of(prepare(str(hand), RunOptions(driver="devices")), serials)
+
+
+def install(root: Path, hand: Path, *, realtime: bool = False, **serials: str) -> dict[str, State]:
+    needs = needs_of(hand, **serials)
+    installation = Installation(root)
+    files = system_files(needs, PROGRAM, realtime=realtime)
+    return installation.install(needs.hand, files | hand_files(needs, installation.root))
+
+
+def tree(root: Path) -> dict[str, tuple[int, bytes]]:
+    """Return all files of a system with their permissions and contents."""
+    return {
+        str(path.relative_to(root)): (
+            path.lstat().st_mode,
+            os.readlink(path).encode()
+            if path.is_symlink()
+            else path.read_bytes()
+            if path.is_file()
+            else b"",
+        )
+        for path in root.rglob("*")
+    }
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    system = tmp_path / "system"
+    (system / "etc" / "udev" / "rules.d").mkdir(parents=True)
+    (system / "etc" / "udev" / "rules.d" / "10-other.rules").write_text("# another's\n")
+    (system / "etc" / "passwd").write_text("root:x:0:0:root:/root:/bin/bash\n")
+    (system / "etc" / "group").write_text("root:x:0:\ndialout:x:20:\n")
+    return system
+
+
+@pytest.fixture
+def hand(tmp_path: Path) -> Path:
+    return write_hand(tmp_path)
+
+
+def test_uninstall_takes_away_exactly_what_install_wrote(root: Path, hand: Path) -> None:
+    before = tree(root)
+    states = install(root, hand, realtime=True)
+    assert set(states.values()) == {State.NEW}
+    written = tree(root)
+    assert f"ExecStart={PROGRAM} run" in (root / UNIT[1:]).read_text()
+    link = root / "etc/systemd/system/multi-user.target.wants/rtee@jaw.service"
+    assert os.readlink(link) == UNIT
+    assert written["etc/rtee/hands/jaw/hand.yaml"][1] == (hand / "hand.yaml").read_bytes()
+    modes = {mode & 0o777 for name, (mode, _) in written.items() if name not in before}
+    assert modes <= {0o644, 0o755, 0o777}, "others may read and not write"
+    removed = Installation(root).uninstall("jaw")
+    assert set(removed.values()) == {State.REMOVED}
+    assert tree(root) == before
+
+
+def test_installing_again_changes_nothing(root: Path, hand: Path) -> None:
+    install(root, hand)
+    before = {path: path.lstat().st_mtime_ns for path in root.rglob("*") if path.is_file()}
+    del before[root / MANIFEST[1:]]
+    assert set(install(root, hand).values()) == {State.SAME}
+    assert {path: path.lstat().st_mtime_ns for path in before} == before
+
+
+def test_a_hand_that_was_changed_is_brought_up_to_date(root: Path, tmp_path: Path) -> None:
+    can = {"driver": "cia402", "options": "{channel: can1, bitrate: 500000}"}
+    hand = write_hand(tmp_path, **can)
+    rule = "/etc/udev/rules.d/90-rtee-jaw.rules"
+    install(root, hand)
+    assert "ip link set can1 up type can bitrate 500000" in (root / rule[1:]).read_text()
+    write_hand(tmp_path)
+    states = install(root, hand)
+    assert states["/etc/rtee/hands/jaw/hand.yaml"] is State.CHANGED
+    assert states[rule] is State.REMOVED
+    assert not (root / rule[1:]).exists()
+
+
+def test_hands_share_files_until_the_last_one_goes(root: Path, tmp_path: Path) -> None:
+    before = tree(root)
+    for name in ("left", "right"):
+        install(root, write_hand(tmp_path, name), gripper=f"FT{name}")
+    assert UNIT not in Installation(root).uninstall("left")
+    assert (root / UNIT[1:]).exists()
+    assert not (root / "etc/udev/rules.d/90-rtee-left.rules").exists()
+    assert "FTright" in (root / "etc/udev/rules.d/90-rtee-right.rules").read_text()
+    assert UNIT in Installation(root).uninstall("right")
+    assert tree(root) == before
+
+
+def test_what_was_changed_by_hand_stays(root: Path, hand: Path) -> None:
+    install(root, hand)
+    copy = root / "etc/rtee/hands/jaw/hand.yaml"
+    copy.write_text("# mine\n")
+    (hand / "hand.yaml").write_text((hand / "hand.yaml").read_text() + "title: Jaw\n")
+    assert install(root, hand)["/etc/rtee/hands/jaw/hand.yaml"] is State.KEPT
+    assert Installation(root).uninstall("jaw")["/etc/rtee/hands/jaw/hand.yaml"] is State.KEPT
+    assert copy.read_text() == "# mine\n"
+    assert not (root / UNIT[1:]).exists()
+
+
+def test_the_files_of_others_are_not_touched(root: Path, hand: Path) -> None:
+    place = root / UNIT[1:]
+    place.parent.mkdir(parents=True)
+    place.write_text("# somebody's\n")
+    before = tree(root)
+    with pytest.raises(ConfigError, match="is there already and not from `rtee deploy`"):
+        install(root, hand)
+    assert tree(root) == before
+
+
+@pytest.mark.parametrize("folder", ["etc/udev/rules.d", "etc/systemd", "etc/rtee"])
+def test_links_out_of_an_image_are_refused(
+    root: Path, hand: Path, tmp_path: Path, folder: str
+) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    shutil.rmtree(root / folder, ignore_errors=True)
+    (root / folder).symlink_to(outside)
+    with pytest.raises(ConfigError, match="leads out of the system by a link"):
+        install(root, hand)
+    assert list(outside.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/etc/passwd", "/etc/systemd/system/../../passwd", "/etc/udev/rules.d/10-other.rules", "rtee"],
+)
+def test_a_manifest_that_was_tampered_with_removes_nothing(
+    root: Path, hand: Path, path: str
+) -> None:
+    install(root, hand)
+    manifest = root / MANIFEST[1:]
+    document = json.loads(manifest.read_text())
+    document["files"][path] = {"sha256": "", "hands": ["jaw"]}
+    manifest.write_text(json.dumps(document))
+    before = tree(root)
+    with pytest.raises(ConfigError, match="none of rtee's; nothing was changed"):
+        Installation(root).uninstall("jaw")
+    assert tree(root) == before
+
+
+def test_links_among_the_files_of_a_hand_are_not_followed(
+    root: Path, hand: Path, tmp_path: Path
+) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("secret")
+    (hand / "notes.txt").symlink_to(secret)
+    (hand / ".hidden").write_text("")
+    install(root, hand)
+    assert sorted(path.name for path in (root / "etc/rtee/hands/jaw").iterdir()) == [
+        "hand.yaml",
+        "jaw.urdf",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "serials", "reason"),
+    [
+        (r'{port: "/dev/ttyUSB0\", RUN+=\"/bin/sh"}', {}, "port of 'gripper' must be an absolute"),
+        (r'{port: "/dev/a\nDeviceAllow=/dev/sda"}', {}, "port of 'gripper' must be an absolute"),
+        ("{port: /dev/../etc/passwd}", {}, "port of 'gripper' must be an absolute"),
+        ("{port: /dev/ttyUSB0}", {"gripper": 'X", RUN+="/bin/sh'}, "serial number of 'gripper'"),
+        ("{port: /dev/ttyUSB0}", {"griper": "X"}, "no device with a serial port; .*: gripper"),
+    ],
+)
+def test_no_value_gets_out_of_its_place_in_a_file(
+    tmp_path: Path, options: str, serials: dict[str, str], reason: str
+) -> None:
+    hand = write_hand(tmp_path, options=options)
+    with pytest.raises(ConfigError, match=reason):
+        needs_of(hand, **serials)
+
+
+def text_for(hand: Path, path: str) -> str:
+    return system_files(needs_of(hand), PROGRAM, realtime=True)[path].decode()
+
+
+def test_a_port_with_a_name_of_its_own_gets_it(tmp_path: Path) -> None:
+    hand = write_hand(tmp_path, options="{port: /dev/gripper_left}")
+    files = system_files(needs_of(hand, gripper="FT4ABC"), PROGRAM, realtime=False)
+    rule = files["/etc/udev/rules.d/90-rtee-jaw.rules"].decode()
+    assert 'ENV{ID_SERIAL_SHORT}=="FT4ABC", SYMLINK+="gripper_left"' in rule
+
+
+@pytest.mark.parametrize(
+    ("options", "more", "lines"),
+    [
+        ("{port: /dev/ttyUSB0}", "", []),
+        ("{port: /dev/ttyTHS1}", "", ["DeviceAllow=char-ttyTHS rw"]),
+        ("{port: 'socket://192.168.1.7:7000'}", "", ["IPAddressAllow=192.168.1.7"]),
+        ("{port: 'socket://localhost:7000'}", "", []),
+        ("{port: 'socket://gateway:7000'}", "", ["IPAddressAllow=any"]),
+        ("{}", "remote: {listen: ['tcp/127.0.0.1:7447']}\n", []),
+        ("{}", "remote: {listen: ['tcp/0.0.0.0:7447']}\n", ["IPAddressAllow=any"]),
+        ("{}", "log: {directory: /data/logs}\n", ["ReadWritePaths=-/data/logs"]),
+    ],
+)
+def test_the_unit_is_opened_as_far_as_the_hand_needs(
+    tmp_path: Path, options: str, more: str, lines: list[str]
+) -> None:
+    hand = write_hand(tmp_path, options=options, more=more)
+    [text] = drop_in(needs_of(hand)).values() or [b"\n\n"]
+    assert text.decode().splitlines()[2:] == lines
+
+
+def test_ethercat_gets_raw_frames(tmp_path: Path) -> None:
+    hand = write_hand(tmp_path, driver="heri_ethercat", options="{interface: eth1}")
+    pytest.importorskip("pysoem")
+    [text] = drop_in(needs_of(hand)).values()
+    assert b"RestrictAddressFamilies=AF_PACKET\nCapabilityBoundingSet=CAP_NET_RAW\n" in text
+
+
+def test_the_kernel_leaves_cpus_to_the_loop(tmp_path: Path) -> None:
+    hand = write_hand(tmp_path, more="realtime: {cpus: [2, 3]}\n")
+    text = text_for(hand, "/etc/default/grub.d/rtee.cfg")
+    assert "isolcpus=2,3 nohz_full=2,3 rcu_nocbs=2,3" in text
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+def test_systemd_understands_what_is_added_to_the_unit(tmp_path: Path) -> None:
+    pytest.importorskip("pysoem")
+    more = "remote: {listen: ['tcp/0.0.0.0:7447']}\nlog: {directory: /data/logs}\n"
+    hand = write_hand(tmp_path, driver="heri_ethercat", options="{interface: eth1}", more=more)
+    files = system_files(needs_of(hand), "/bin/true", realtime=False)
+    units = tmp_path / "units"
+    for path, content in files.items():
+        if path.startswith("/etc/systemd/system/"):
+            place = units / Path(path).relative_to("/etc/systemd/system")
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(content)
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "rtee@jaw.service"],
+        env=os.environ | {"SYSTEMD_UNIT_PATH": f"{units}:"},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert "AF_PACKET" in (units / "rtee@jaw.service.d/10-hand.conf").read_text()
+
+
+# --- the doctor ----------------------------------------------------------------------------------
+
+
+def verdicts(root: Path, hand: Path) -> dict[str, tuple[Verdict, str]]:
+    found = check_service(needs_of(hand), root)
+    return {check.subject: (check.verdict, check.remedy) for check in found}
+
+
+def test_the_doctor_looks_at_every_part(root: Path, tmp_path: Path) -> None:
+    hand = write_hand(tmp_path, more="realtime: {cpus: [1]}\nlog: {max_total_size: 1e18}\n")
+    assert verdicts(root, hand) == {"service": (Verdict.OK, "")}
+    install(root, hand)
+    again = "sudo rtee deploy install jaw"
+    found = verdicts(root, hand)
+    assert found["service"] == (Verdict.OK, "")
+    assert found["service's user"] == (Verdict.WRONG, again)
+    assert f"{again} --serial gripper=NUMBER" in found["name of /dev/ttyUSB0"][1]
+    assert found["recordings"] == (
+        Verdict.WARNING,
+        "set log: {max_total_size: BYTES} in hand.yaml",
+    )
+    assert found["CPUs of the loop"][0] is Verdict.WARNING
+    isolated = root / "sys/devices/system/cpu/isolated"
+    isolated.parent.mkdir(parents=True)
+    isolated.write_text("0-1\n")
+    assert verdicts(root, hand)["CPUs of the loop"][0] is Verdict.OK
+    (hand / "hand.yaml").write_text((hand / "hand.yaml").read_text() + "title: Jaw\n")
+    assert verdicts(root, hand)["service"] == (Verdict.WARNING, again)
+    (root / "etc/security/limits.d/rtee.conf").write_text("# mine\n")
+    assert again in verdicts(root, hand)["service"][1]
+    (root / UNIT[1:]).unlink()
+    assert verdicts(root, hand)["service"] == (Verdict.WRONG, again)
+    (root / MANIFEST[1:]).write_text("{")
+    assert verdicts(root, hand)["service"][0] is Verdict.WRONG
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def rtee(
+    *words: str | Path, python: str = sys.executable, path: str = "", **more: object
+) -> subprocess.CompletedProcess[str]:
+    repository = str(Path(__file__).parents[2])
+    return subprocess.run(
+        [python, "-m", "rtee", "deploy", *map(str, words)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (repository, path)))},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        **more,  # type: ignore[call-overload]
+    )
+
+
+def test_plan_and_dry_run_print_and_write_nothing(root: Path, hand: Path) -> None:
+    before = tree(root)
+    planned = rtee("plan", hand, "--root", root, "--serial", "gripper=FT4ABC")
+    assert planned.returncode == 0, planned.stderr
+    assert "Type=notify" in planned.stdout
+    assert 'SYMLINK+="rtee/jaw-gripper"' in planned.stdout
+    assert "- in hand.yaml, at 'gripper': port: /dev/rtee/jaw-gripper" in planned.stdout
+    dry = rtee("install", hand, "--root", root, "--dry-run")
+    assert f"new: {root / UNIT[1:]}" in dry.stdout
+    assert tree(root) == before
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="accounts are made by root")
+@pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="no systemd-sysusers here")
+def test_the_command_makes_the_user_and_takes_it_away(root: Path, hand: Path) -> None:
+    accounts = [root / "etc/passwd", root / "etc/group"]
+    before = [path.read_text() for path in accounts]
+    done = rtee("install", hand, "--root", root)
+    assert done.returncode == 0, done.stderr
+    assert "rtee:x:" in accounts[0].read_text()
+    assert "dialout:x:20:rtee" in accounts[1].read_text()
+    assert rtee("install", hand, "--root", root).stdout.count("new: ") == 0
+    done = rtee("uninstall", "jaw", "--root", root)
+    assert (done.returncode, "!" in done.stdout) == (0, False), done.stdout
+    assert [path.read_text() for path in accounts] == before
+    again = rtee("uninstall", "jaw", "--root", root)
+    assert again.returncode == 2
+    assert "was not installed by `rtee deploy`; installed are: none" in again.stderr
+
+
+@pytest.mark.parametrize("name", ["../jaw", "/etc/passwd", "", "jaw\n"])
+def test_a_name_is_no_path(root: Path, hand: Path, name: str) -> None:
+    install(root, hand)
+    before = tree(root)
+    assert rtee("uninstall", name, "--root", root).returncode == 2
+    assert tree(root) == before
