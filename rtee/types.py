@@ -359,7 +359,8 @@ class Result:
         opening: Opening of the fingertips at the end [m]; ``None``: not known.
         force: Estimated force between the fingertips [N]; ``None``: not known.
         force_error: How far the estimate may be off [N].
-        force_source: What it is estimated from: ``tip forces``, ``effort`` or ``effort limit``.
+        force_source: What it is estimated from: ``device``, the force that it measures by its
+            sheet; ``tip forces``, ``effort`` or ``effort limit``.
         within: Something is held, and the opening is the object's width within the tolerance.
         touched: Fingers that touched something, where they were to do something about it.
     """

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtee.actions.naming import label, normalise
-from rtee.actions.types import Action, Timed
+from rtee.actions.types import Action, Primitive, Timed
 from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
@@ -39,6 +39,23 @@ _WORD: Final = 16
 """Characters of a fingerprint: 64 bits."""
 
 _WHAT: Final = "the openings"
+
+MARGIN: Final = 0.01
+"""Before it closes, a hand opens wider than the object by this, or as far as it can [m]."""
+
+_SQUARE: Final = 0.1
+"""Actions whose tips move to the object at angles that differ by less than this are as good as one
+another [rad]."""
+
+_STRONGER: Final = 1.5
+"""An action that gives less than this many times the force of another is as good: other things then
+matter more."""
+
+_WEAKEST: Final = 1e-3
+"""Forces are compared from here [N] to its reciprocal: actuators without limits know none."""
+
+_TAKES_PART: Final = 0.1
+"""Actuators whose lever is smaller than this share of the largest one do not press."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +131,22 @@ class Opening:
         """Return how squarely the tips move towards each other at an intensity [rad]."""
         return float(np.interp(intensity, self.intensity, self.angle))
 
+    def strongest(self, hand: Hand, intensity: float) -> float:
+        """Return the force that the effort limits allow at an intensity [N], by virtual work.
+
+        Args:
+            hand: The hand.
+            intensity: The intensity.
+        """
+        levers = {name: abs(lever) for name, lever in self.levers_at(intensity).items()}
+        most = max(levers.values())
+        forces = [
+            hand.actuator(name).effort / lever
+            for name, lever in levers.items()
+            if lever > _TAKES_PART * most
+        ]
+        return min(forces, default=0.0)
+
     def corrected(self, pairs: Iterable[tuple[float, float]]) -> Opening:
         """Return the table with what was measured on the real hand.
 
@@ -148,6 +181,45 @@ class Opening:
             readonly(np.interp(grid[keep], self.intensity, self.angle)),
             self.note,
         )
+
+
+def doubtful(action: Action) -> bool:
+    """Return whether links collide at a primitive's posture, or its tips would not hold a ball."""
+    if not (isinstance(action, Primitive) and action.evidence):
+        return False
+    evidence = action.evidence[0]
+    opposed = evidence.opposition is None or evidence.opposition.force_closure
+    return not (evidence.clear and opposed)
+
+
+def suitability(
+    hand: Hand, action: Action, opening: Opening, width: float, margin: float = MARGIN
+) -> tuple[float, ...]:
+    """Return how well an action suits an object of a width [m]; the least suits best.
+
+    What was found clear and in force closure comes first; then where the hand opens by the whole
+    margin; then, in coarse classes, the strongest force in the direction in which the tips are to
+    press; then the tips that meet the object most squarely; then the fewest actuators.
+
+    Args:
+        hand: The hand.
+        action: The action.
+        opening: Its opening.
+        width: The width [m], inside of the opening's range.
+        margin: How much wider the hand is to open before it closes [m].
+    """
+    at = opening.intensity_at(width)
+    angle = opening.angle_at(at)
+    force = opening.strongest(hand, at) * math.cos(min(angle, math.pi / 2.0))
+    force = min(max(force, _WEAKEST), 1.0 / _WEAKEST)
+    strength = math.log(force) / math.log(_STRONGER)
+    return (
+        doubtful(action),
+        width + margin > opening.widest,
+        -round(strength),
+        round(angle / _SQUARE),
+        len(opening.actuators),
+    )
 
 
 def fingerprint_of(hand: Hand, action: Action) -> str:

@@ -8,6 +8,8 @@ command ends, and the next time goes on from there.
 from __future__ import annotations
 
 import asyncio
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -171,12 +173,39 @@ class _Blocks:
         return result.grasped or result.stalled
 
 
-async def _asked(text: str) -> str:
-    """Return a line that was typed; the end of the input is an empty line."""
+async def _readable(descriptor: int) -> None:
+    """Wait until something can be read."""
+    loop, ready = asyncio.get_running_loop(), asyncio.Event()
     try:
-        return (await asyncio.to_thread(input, text)).strip()
-    except EOFError:
-        return ""
+        loop.add_reader(descriptor, ready.set)
+    except PermissionError:  # a file is always readable
+        return
+    try:
+        await ready.wait()
+    finally:
+        loop.remove_reader(descriptor)
+
+
+_typed = bytearray()
+"""What was typed, and not asked for yet."""
+
+
+async def _asked(text: str) -> str:
+    """Return a line that was typed; the end of the input is an empty line.
+
+    No thread waits for it: one that reads the terminal would keep Ctrl-C from ending the command.
+    """
+    print(text, end="", flush=True)
+    ours = sys.stdin.fileno()
+    while b"\n" not in _typed:
+        await _readable(ours)
+        read = os.read(ours, 4096)
+        if not read:
+            break
+        _typed.extend(read)
+    line, _, rest = bytes(_typed).partition(b"\n")
+    _typed[:] = rest
+    return line.decode(errors="replace").strip()
 
 
 def write_pairs(home: Path, words: str, pairs: Sequence[tuple[float, float]]) -> Path:

@@ -23,7 +23,11 @@ _COLUMNS = {name: COLUMNS[name] for name in (*MEASURED, "reference_position")}
 def state(
     hand: RunningOption = None,
     connect: ConnectOption = None,
-    once: Annotated[bool, typer.Option("--once", help="Show it once.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Show it once, on a terminal, too.")] = False,
+    follow: Annotated[
+        bool,
+        typer.Option("--follow", "-f", help="Go on, where the output goes to no terminal, too."),
+    ] = False,
     rate: Annotated[
         float, typer.Option(min=0.1, help="States per second that are shown or printed.")
     ] = 10.0,
@@ -31,10 +35,15 @@ def state(
         bool, typer.Option("--json", help="Print JSON, one object per line and state.")
     ] = False,
 ) -> None:
-    """Show the hand's state: live until Ctrl-C, or once."""
+    """Show the hand's state: on a terminal live until Ctrl-C; elsewhere once, unless --follow.
+
+    Example: rtee state --json --follow --rate 50 > states.jsonl
+    """
+    if once and follow:
+        raise typer.BadParameter("--once and --follow exclude each other")
 
     async def execute(remote: RemoteHand) -> None:
-        if once:
+        if once or not (follow or on_terminal()):
             _print(remote.name, await remote.state(), as_json)
         elif as_json or not on_terminal():
             async for found in remote.states(rate):
@@ -55,7 +64,6 @@ async def _live(remote: RemoteHand, rate: float) -> None:
 
 
 def _print(name: str, found: State, as_json: bool) -> None:
-
     if as_json:
         print(to_json(_plain(name, found)), flush=True)
     else:
@@ -75,6 +83,7 @@ def _plain(name: str, found: State) -> dict[str, Any]:
         "opening": found.opening,
         "force": found.force,
         "force_error": found.force_error,
+        "force_source": found.force_source,
         "joints": found.joints,
         "channels": {channel: values.tolist() for channel, values in found.channels.items()},
     }
@@ -90,6 +99,7 @@ def _table(name: str, found: State) -> Table:
         title += f"; opening {1e3 * found.opening:.1f} mm"
     if not math.isnan(found.force):
         title += f", force {found.force:.1f} ± {found.force_error:.1f} N"
+        title += f" by the {found.force_source}"
     # Quantities that no actuator measures are left out.
     measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
     columns = [Column("actuator", whole=True)]

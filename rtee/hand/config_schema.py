@@ -230,6 +230,8 @@ class LoopSection(Section):
     """Rate of the loop [Hz]."""
     goal_timeout: Positive = 10.0
     """Longest time a goal may take [s]."""
+    opening_tolerance: Positive = 0.0005
+    """An opening is reached when it is off by no more than this [m]."""
     stall: StallSettings = StallSettings()
     """When an actuator counts as stalled."""
     grasp: GraspSettings = GraspSettings()

@@ -111,6 +111,7 @@ class Controller:
         self._executor = Executor(
             hand, settings, self._profile, self._contact, self._plausible, self._reflexes, report
         )
+        self.max_velocity = self._executor.max_velocity
         self.active = [False] * n
         self._accepts = [True] * n
         self._seeding: set[int] = set()
@@ -120,13 +121,9 @@ class Controller:
         self._settling: dict[int, float] = {}
         self._thermal_due = -math.inf
         self._limited_reported = -math.inf
-        rest = dict(enumerate(hand.rest.tolist()))
-        self._profile.seed(rest)
-        for i, position in rest.items():
-            self._limiter.seed(i, position)
+        self._seed(dict(enumerate(hand.rest.tolist())))
         nothing = [math.nan] * n
         self._measured = Measured(nothing, nothing, nothing, [False] * n, [-1] * n)
-        self.max_velocity = list(limits.velocity)
         self.reference_position = self._limiter.position
         self.reference_velocity = self._limiter.velocity
         self.reference_effort = [0.0] * n
@@ -173,7 +170,7 @@ class Controller:
     def accept(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted, and a stream ends."""
         self._end_stream(stamp, f"{plan.action} took over")
-        self._let_go(plan.involved)
+        self._let_go(plan.legs[0].targets)
         self._leave_hold(plan.involved)
         self._goal_effort = {
             i: e for i, e in self._goal_effort.items() if i not in plan.involved
@@ -182,25 +179,31 @@ class Controller:
         self._kept -= plan.involved
         if plan.goal.force is not None:
             self._kept |= plan.involved
-        self.max_velocity[:] = [plan.goal.speed * a.velocity for a in self.hand.actuators]
         self._executor.start(plan, stamp, self._measured)
         self._set_efforts()
-        lost = [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]
-        if lost:
+        if lost := [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]:
             why = f"the device of {lost[0]} is not active any more"
             self._fail(list(plan.involved), stamp, why)
 
-    def _let_go(self, indices: Iterable[int]) -> None:
-        """Restart references that press with a force from where the actuators are.
+    def _let_go(self, targets: Mapping[int, float]) -> None:
+        """Restart references that press on something from where the actuators are.
 
-        They lie deep inside the object: on the way back from there, they would press with all
-        the effort that the next goal allows.
+        They lie inside what is held: on the way back from there, they would press with whatever
+        effort is allowed. Where targets are further inside, what is held is not let go.
         """
-        pressing = self._kept.union(self._reflexes.held)
-        there = {i: self._measured.position[i] for i in pressing.intersection(indices)}
-        there = {i: position for i, position in there.items() if math.isfinite(position)}
-        self._profile.seed(there)
-        for i, position in there.items():
+        there: dict[int, float] = {}
+        for i, target in targets.items():
+            here = self._measured.position[i]
+            ahead = self._limiter.position[i] - here
+            blocked = self._contact.blocked(i) or i in self._kept or i in self._reflexes.held
+            if blocked and math.isfinite(here) and ahead * (target - here) <= 0.0:
+                there[i] = here
+        self._seed(there)
+
+    def _seed(self, positions: Mapping[int, float]) -> None:
+        """Restart references, at rest, from positions by actuator."""
+        self._profile.seed(positions)
+        for i, position in positions.items():
             self._limiter.seed(i, position)
 
     def apply(self, command: Command, stamp: float) -> None:
@@ -421,9 +424,7 @@ class Controller:
                 if active:
                     allowed.append(i)
         if start:
-            self._profile.seed(start)
-            for i, position in start.items():
-                self._limiter.seed(i, position)
+            self._seed(start)
         if allowed:  # a goal may have come between the permission and this tick
             self._executor.seeded(allowed, stamp, measured)
 

@@ -10,6 +10,7 @@ from typing import TypedDict
 
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.opening_plan import closing_speed
 from rtee.loop.plan import Leg, Plan
 from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import Profile
@@ -56,6 +57,7 @@ class _Run:
     reached: list[bool] = field(default_factory=list)
     stalled: list[bool] = field(default_factory=list)
     shares: dict[int, float] = field(default_factory=dict)
+    angle: float = 0.0
     length: float = 0.0
     reported: float = -math.inf
     touched: tuple[float, ...] = ()
@@ -76,6 +78,9 @@ class Executor:
         plausible: Says whether what is measured can be believed.
         reflexes: Act when fingers touch something.
         report: Called with feedback, and with the result of every goal, exactly once.
+
+    Attributes:
+        max_velocity: Velocity limits of the last leg, by actuator [rad/s | m/s].
     """
 
     def __init__(
@@ -89,6 +94,7 @@ class Executor:
         report: Callable[[Feedback | Result], None],
     ) -> None:
         self._hand = hand
+        self.max_velocity = [actuator.velocity for actuator in hand.actuators]
         self._settings = settings
         self._profile = profile
         self._contact = contact
@@ -290,9 +296,14 @@ class Executor:
     def _set_out(self, run: _Run, stamp: float, measured: Measured) -> None:
         run.phase = Phase.MOVING
         leg, goal = run.present, run.plan.goal
-        top = {i: goal.speed * actuator.velocity for i, actuator in enumerate(self._hand.actuators)}
+        last = run.leg + 1 == len(run.plan.legs)
+        speed = closing_speed(run.plan.goal, self._hand, run.plan.grip) if last else goal.speed
+        for i, actuator in enumerate(self._hand.actuators):
+            self.max_velocity[i] = speed * actuator.velocity
+        top = dict(enumerate(self.max_velocity))
         self._profile.go(leg.targets, brake=self._moving(except_for=leg.targets), velocity=top)
-        run.length = self._length_tolerance(leg.targets, goal.tolerance)
+        run.angle = self._tolerance(run.plan)
+        run.length = self._length_tolerance(leg.targets, run.angle)
         run.shares = self._shares(run)
         # After `go`: what a stalled actuator did before belongs to another motion.
         self._contact.begin(leg.targets, run.shares, stamp)
@@ -326,9 +337,8 @@ class Executor:
 
     def _progress(self, run: _Run, error: tuple[float, float]) -> float:
         left = 0.0
-        tolerance = run.plan.goal.tolerance
         for now, first in zip(error, run.first_error, strict=True):
-            if first > tolerance:
+            if first > run.angle:
                 left = max(left, now / first)
         done = 1.0 - left
         # NaN: an actuator has no measured position yet.
@@ -348,6 +358,14 @@ class Executor:
                 angle += error * error
         return math.sqrt(angle), math.sqrt(length)
 
+    def _tolerance(self, plan: Plan) -> float:
+        """Return the norm of the error that counts as none [rad | m]."""
+        goal, grip = plan.goal, plan.grip
+        if goal.opening is None or grip is None:
+            return goal.tolerance
+        at = grip.intensity_at(goal.opening)
+        return grip.error_of(self._settings.opening_tolerance, at)
+
     def _length_tolerance(self, targets: Iterable[int], tolerance: float) -> float:
         spans = [
             self._hand.actuators[i].upper - self._hand.actuators[i].lower
@@ -357,7 +375,7 @@ class Executor:
         return min(tolerance, _RANGE_SHARE * min(spans)) if spans else tolerance
 
     def _within(self, run: _Run, error: tuple[float, float]) -> bool:
-        return error[0] <= run.plan.goal.tolerance and error[1] <= run.length
+        return error[0] <= run.angle and error[1] <= run.length
 
     def _settled(self, run: _Run) -> bool:
         """Return whether the reference has come to the targets and isn't just passing them."""
@@ -373,7 +391,7 @@ class Executor:
 
     def _shares(self, run: _Run) -> dict[int, float]:
         """Return each actuator's tolerance: if all are within theirs, so is the norm."""
-        targets, tolerance = run.present.targets, run.plan.goal.tolerance
+        targets, tolerance = run.present.targets, run.angle
         lengths = sum(self._prismatic[i] for i in targets)
         angles = len(targets) - lengths
         return {

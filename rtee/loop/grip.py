@@ -23,6 +23,9 @@ from rtee.sample import TickRecord
 TIPS: Final = "tip forces"
 """The force is the sum of what sensors at the fingertips measure."""
 
+DEVICE: Final = "device"
+"""The force is what the device measures, in newtons by its sheet."""
+
 EFFORT: Final = "effort"
 """The force is estimated from the efforts that the devices measure."""
 
@@ -189,6 +192,19 @@ class Grip:
         way = self.intensity[high] - self.intensity[low]
         return (self.width[low] - self.width[high]) / way
 
+    def error_of(self, width: float, intensity: float) -> float:
+        """Return how far actuators may be off where the opening is off by a width [m].
+
+        Args:
+            width: How far the opening may be off [m].
+            intensity: Where.
+
+        Returns:
+            The norm of the errors of all actuators [rad | m], whichever way they are off.
+        """
+        levers = self._levers(intensity)
+        return width / max(math.sqrt(sum([lever * lever for lever in levers])), _LEAST_TRAVEL)
+
     def _cell(self, intensity: float) -> tuple[int, float]:
         grid = self.intensity
         k = min(max(bisect_right(grid, intensity) - 1, 0), len(grid) - 2)
@@ -283,6 +299,20 @@ class Grip:
         chosen = self.squeezing(min(max(share, self.intensity[0]), self.intensity[-1]))
         return any(abs(effort[i]) >= _PRESSES * limits[i] for _, i, _ in chosen)
 
+    def tip_force(self, touch: Sequence[float]) -> float:
+        """Return the force that sensors at the fingertips measure [N]; ``NaN``: there are not all.
+
+        Two sides press equally on what they hold: what one side measures more is fingers, or links
+        of a finger, that press against one another.
+
+        Args:
+            touch: Forces at the fingertips [N], if they are measured.
+        """
+        if not touch or max(*self.fingers, *self.others) >= len(touch):
+            return math.nan
+        one, other = (sum([touch[i] for i in side]) for side in (self.fingers, self.others))
+        return one + other if self.around else min(one, other) if one == one else one
+
     def force(
         self,
         position: Sequence[float],
@@ -300,11 +330,9 @@ class Grip:
             touch: Forces at the fingertips [N], if they are measured.
             pressing: Whether actuators are known to be blocked, so that they exert their limits.
         """
-        tips = [touch[i] for i in (*self.fingers, *self.others) if i < len(touch)]
-        if tips and all(tip == tip for tip in tips):
-            # Between two sides, each force is measured twice, once on either side.
-            total = sum(tips) if self.around else sum(tips) / 2.0
-            return total, _TIP_SHARE * total, TIPS
+        felt = self.tip_force(touch)
+        if felt == felt:
+            return felt, _TIP_SHARE * felt, TIPS
         share = self._nearest(position)
         if share != share:
             return math.nan, math.nan, ""
@@ -313,7 +341,7 @@ class Grip:
         if self.sheet is not None and effort[self.indices[0]] == effort[self.indices[0]]:
             i = self.indices[0]
             found = self.sheet.force_for(abs(effort[i]), position[i])
-            return found, _EFFORT_SHARE * found, EFFORT
+            return found, _EFFORT_SHARE * found, DEVICE
         if chosen and all(effort[i] == effort[i] for _, i, _ in chosen):
             return self._from_efforts(chosen, effort)
         if pressing and chosen and all(math.isfinite(limits[i]) for _, i, _ in chosen):

@@ -14,6 +14,7 @@ from rtee.loop.grip import Grip
 from rtee.loop.opening_plan import (
     DeviceForces,
     check_opening,
+    closing_time,
     plan_opening,
     wants_opening,
 )
@@ -181,7 +182,8 @@ def _opening_plan(
     posture = found.action.waypoints[-1]
     legs = tuple(Leg("", _targets(posture, hand, at)) for at in found.intensities)
     plan = _made(found.goal, found.action, legs, {**effort, **found.effort}, settings, False)
-    return replace(plan, elements=found.action.elements, grip=found.grip)
+    timeout = plan.timeout if goal.timeout is not None else plan.timeout + closing_time(goal)
+    return replace(plan, timeout=timeout, elements=found.action.elements, grip=found.grip)
 
 
 def _check_numbers(goal: Goal) -> None:

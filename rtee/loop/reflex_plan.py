@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
+from rtee.actions.openings import doubtful
 from rtee.actions.types import Action, Primitive
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.grip import Grip
-from rtee.loop.opening_plan import DeviceForces, doubtful, tip_speed_share
+from rtee.loop.opening_plan import DeviceForces, tip_speed_share
 from rtee.types import Goal, Stage
 
 if TYPE_CHECKING:

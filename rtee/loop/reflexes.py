@@ -13,6 +13,7 @@ from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.free_motion import FreeMotion
+from rtee.loop.grip import Grip
 from rtee.loop.limiter import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile
@@ -33,6 +34,16 @@ _RESOLUTION = 0.01
 """Less than this share of an actuator's effort limit is not a contact: devices measure no
 better."""
 
+_LIGHT = 2.0
+"""An approach may take this many thresholds of a contact besides friction: less would hide it."""
+
+_LAGS = 0.5
+"""On its way to a contact, an actuator that moves by less than this share of its reference, and is
+behind it, needs more effort."""
+
+_LOOKED_AT = 0.02
+"""How it moves is looked at this often [s]: at 1 kHz, the ways of a tick are rounding errors."""
+
 _SLOW = 0.1
 """Where efforts cannot be limited, a squeeze closes at this share of the velocity limits: slow
 enough for the object to centre itself between the fingers."""
@@ -52,6 +63,11 @@ class _Watched:
     began: float = math.nan
     over: int = 0
     touched: bool = False
+    in_effort: bool = False
+    limit: float = math.inf
+    looked: float = math.nan
+    was: float = math.nan
+    reference: float = math.nan
 
 
 @dataclass(slots=True)
@@ -63,14 +79,22 @@ class _Approach:
         sides: Fingers of which one each must touch before the force is built up.
         most: Effort limit that a slip may raise to, by actuator [N·m | N].
         first: All of them stop at the first contact.
-        kept: The goal asked for the force: it is not eased.
+        force: The force that was asked for, which is not eased; ``None``: none was.
+        grip: Tells the force, where it was asked for.
+        pressing: Actuators whose effort makes the force.
+        slips: Slips are answered and reported.
+        speed: Share of the velocity limits at which it squeezes.
     """
 
     watched: dict[int, _Watched]
     sides: tuple[frozenset[str], ...] = ()
     most: Mapping[int, float] = field(default_factory=dict)
     first: bool = False
-    kept: bool = False
+    force: float | None = None
+    grip: Grip | None = None
+    pressing: frozenset[int] = frozenset()
+    slips: bool = True
+    speed: float = 1.0
 
 
 class Reflexes:
@@ -167,12 +191,15 @@ class Reflexes:
         self.forget(targets)
         # The first leg of a grasp only opens wide around the object.
         usual = self._grasp.on_contact
+        # A device with a force of its own in its sheet builds it up by itself.
+        if goal.force is not None and plan.grip is not None and plan.grip.sheet is None:
+            usual = usual or OnContact.SQUEEZE
         if not (goal.on_contact or goal.touch or usual) or (goal.grasp and leg == 0):
             return
         watched: dict[int, _Watched] = {}
         for i, target in targets.items():
             spec, here = self._hand.actuators[i], measured.position[i]
-            mode = OnContact.STOP if goal.touch else self._mode(goal.on_contact, i)
+            mode = OnContact.STOP if goal.touch else self._mode(goal.on_contact, i, usual)
             # From rest outwards: hands close so; a hand that opens touches nothing on purpose.
             closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
             if mode is not None and closes:
@@ -198,12 +225,34 @@ class Reflexes:
             )
             if goal.max_force is not None:
                 most = plan.grip.efforts(goal.max_force, at)
-        self._approach = _Approach(watched, sides, most, goal.touch, goal.force is not None)
+        slips = bool(goal.on_contact or self._grasp.on_contact or most)
+        pressing = frozenset(plan.effort)
+        self._approach = _Approach(
+            watched, sides, most, goal.touch, goal.force, plan.grip, pressing, slips, goal.speed
+        )
         self.active = True
+        for i, each in watched.items():
+            if each.mode is OnContact.SQUEEZE or goal.touch:
+                self._begin_lightly(i, each, plan.grip, measured.position[i])
 
-    def _mode(self, wanted: Mapping[str, OnContact], i: int) -> OnContact | None:
-        """Return what an actuator does on contact: the most careful of its fingers' reactions."""
-        usual = wanted.get("", self._grasp.on_contact)
+    def _begin_lightly(self, i: int, each: _Watched, grip: Grip | None, here: float) -> None:
+        """Have an actuator approach with little effort, unless it presses on something already."""
+        full = self._limit(i)
+        if not math.isfinite(full) or (grip is not None and grip.sheet is not None):
+            return
+        if (self._limiter.position[i] - here) * each.ahead > each.tolerance:
+            return  # what it holds would be lost
+        known = self._hand.dynamics.get(self._hand.actuators[i].name)
+        friction = (known.dry_friction if known is not None else None) or 0.0
+        each.limit = min(friction + _LIGHT * each.threshold, full)
+        self.effort[i] = each.limit
+        self.changed = True
+
+    def _mode(
+        self, wanted: Mapping[str, OnContact], i: int, usual: OnContact | None
+    ) -> OnContact | None:
+        """Return what an actuator does on contact: of its fingers' words the most careful one."""
+        usual = wanted.get("", usual)
         fingers = self._hand.actuators[i].fingers
         words = {wanted.get(finger, usual) for finger in fingers} or {usual}
         return next((word for word in OnContact if word in words), None)
@@ -221,7 +270,11 @@ class Reflexes:
         if approach is None:
             return
         for i, watched in approach.watched.items():
-            if watched.touched or not measured.fresh[i] or not self._touches(i, stamp, measured):
+            if watched.touched or not measured.fresh[i]:
+                continue
+            if not self._touches(i, stamp, measured):
+                if watched.limit < math.inf:
+                    self._strengthen(i, watched, stamp, measured)
                 continue
             self._note(i, watched, stamp, measured)
             if approach.first:
@@ -244,9 +297,29 @@ class Reflexes:
             return min(forces) >= least if every else max(forces) >= least
         return self._pushes(i, watched, stamp, measured) or self._contact.blocked(i)
 
+    def _strengthen(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
+        """Give an actuator that falls behind on its way more effort, up to that of the goal."""
+        here, reference = measured.position[i], self._limiter.position[i]
+        if not stamp - watched.looked < _LOOKED_AT:
+            moved, wanted = here - watched.was, reference - watched.reference
+            behind = (reference - here) * watched.ahead > watched.tolerance
+            full, time = self._limit(i), self._grasp.squeeze_time
+            if behind and not moved * watched.ahead >= _LAGS * wanted * watched.ahead:
+                share = (stamp - watched.looked) / time if time > 0.0 else 1.0
+                watched.limit = min(watched.limit + share * full, full)
+            elif watched.in_effort and self._free[i].known:
+                light = self._free[i].most + _LIGHT * watched.threshold
+                watched.limit = min(max(watched.limit, light), full)
+            self.changed = self.changed or self.effort.get(i) != watched.limit
+            self.effort[i] = watched.limit
+        elif watched.looked == watched.looked:
+            return
+        watched.looked, watched.was, watched.reference = stamp, here, reference
+
     def _pushes(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> bool:
         """Return whether an actuator needs more effort than it does to move freely."""
         signal, threshold = measured.effort[i], watched.threshold
+        watched.in_effort = signal == signal
         if signal != signal:
             if not measured.current:
                 return False
@@ -308,7 +381,12 @@ class Reflexes:
 
     def _light(self, i: int, watched: _Watched) -> float:
         """Return the effort that overcomes friction and presses lightly [N·m | N]."""
-        return min(self._free[i].most + watched.threshold, self._limit(i))
+        full = self._limit(i)
+        if watched.limit < full:
+            return watched.limit
+        # What was learned from currents is no effort.
+        free = self._free[i].most if watched.in_effort else 0.0
+        return min(free + watched.threshold, full)
 
     # --- the force ---------------------------------------------------------------------------
 
@@ -342,7 +420,8 @@ class Reflexes:
                 spec = self._hand.actuators[i]
                 floor = max(floor, self._grasp.grip_effort * spec.effort / full)
                 most = min(most, approach.most.get(i, full) / full)
-                self._profile.go({i: each.target})
+                # The slowness of the approach is for the impact alone.
+                self._profile.go({i: each.target}, velocity={i: approach.speed * spec.velocity})
             else:
                 # Its effort cannot be limited: at least it arrives slowly.
                 top = _SLOW * self._hand.actuators[i].velocity
@@ -351,10 +430,14 @@ class Reflexes:
             self._contact.unpin(i, stamp)
         self.busy.update(held)
         most = max(most, 1.0) if math.isfinite(most) else 1.0
-        floor = 1.0 if approach.kept else min(floor, 1.0)
+        floor = 1.0 if approach.force is not None else min(floor, 1.0)
         squeeze = Squeeze(
             self._hand, self._grasp, self._profile, self._contact, self._report, held, floor, most
         )
+        squeeze.answers_slips = approach.slips
+        if approach.force is not None:
+            squeeze.force, squeeze.grip = approach.force, approach.grip
+            squeeze.pressing = approach.pressing.intersection(held)
         self._squeeze = squeeze if held else None
         approach.watched = {
             i: each for i, each in approach.watched.items() if each.mode is not OnContact.SQUEEZE

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
 from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.grip import Grip
 from rtee.loop.profiles import Profile
 from rtee.types import Event
 
@@ -43,6 +44,26 @@ _DROP = 0.7
 
 _TOLD_EVERY = 0.5
 """Slips are reported at most this often [s]: one event for people, not one for each step."""
+
+_FOLLOW = 0.1
+"""Time constant with which a measured force is brought to the one that was asked for [s]: slower
+than motors answer, so that nothing oscillates."""
+
+_AT_LIMIT = 0.9
+"""From this share of its effort limit on, an actuator is at it."""
+
+_THERE = 0.02
+"""A force that is off by less than this share of the one that was asked for is there."""
+
+_CORRECTED = 3.0
+"""It is corrected for this long at most after the fingers have come to rest [s]."""
+
+_BELIEVED = 2.0
+"""A measured force changes effort limits by this factor at most: sensors break, too."""
+
+_FELT = 0.5
+"""Below this share of the force that was asked for, nothing is corrected: what is held is lost, or
+only a part of the force is felt."""
 
 _CONFIRMED = 2
 """A force has changed in this many measurements in succession: a single one may be noise."""
@@ -94,6 +115,10 @@ class Squeeze:
         held: The actuators, by index.
         effort: Their effort limits [N·m | N].
         built: The force has been built up.
+        answers_slips: Slips are answered and reported.
+        force: The force that was asked for [N]; ``NaN``: none was.
+        grip: Tells the force that is measured at the fingertips, if it is.
+        pressing: Those of the actuators whose effort makes the force.
     """
 
     def __init__(
@@ -112,6 +137,12 @@ class Squeeze:
         self.held = held
         self.effort = {i: each.start for i, each in held.items()}
         self.built = False
+        self.answers_slips = True
+        self.force = math.nan
+        self.grip: Grip | None = None
+        self.pressing: frozenset[int] = frozenset()
+        self._factor, self._corrected = 1.0, math.nan
+        self._correct_until, self._there = -math.inf, math.inf
         self._floor, self._most = floor, most
         self._level = 1.0
         self._since = self._settled = self._ease = math.inf
@@ -121,6 +152,7 @@ class Squeeze:
         """Forget an actuator."""
         self.held.pop(i, None)
         self.effort.pop(i, None)
+        self.pressing -= {i}
 
     def begin(self, stamp: float) -> None:
         """Begin to build up the force at a time [s]."""
@@ -134,8 +166,14 @@ class Squeeze:
             measured: What was measured.
         """
         if not self.built:
-            self._build(stamp)
+            self._build(stamp, measured)
             return True
+        if self.grip is not None and stamp < self._correct_until:
+            corrected = self._correct(self.grip, stamp, measured)
+            self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
+            return corrected
+        if not self.answers_slips:
+            return False
         if not any(self._contact.grasping(i) for i in self.held):
             self._settled = stamp + _SETTLE
             return False
@@ -155,14 +193,59 @@ class Squeeze:
             return True
         return False
 
-    def _build(self, stamp: float) -> None:
+    def _correct(self, grip: Grip, stamp: float, measured: Measured) -> bool:
+        """Bring the force that sensors measure to the one that was asked for.
+
+        Adaptive fingers bend and touch elsewhere than the levers have it. Without sensors at the
+        fingertips of both sides, the levers count alone. Once the force is there, it is corrected
+        no more: what pulls at the object is felt, too, and must not loosen the grasp.
+        """
+        felt = grip.tip_force(measured.touch)
+        time, self._corrected = stamp - self._corrected, stamp
+        wanted = self.force
+        still = all(
+            self._contact.blocked(i) and self._exerted(i, measured) >= _AT_LIMIT * self._factor
+            for i in self.pressing
+        )
+        if still and self._correct_until == math.inf:
+            self._correct_until = stamp + _CORRECTED
+        if not (still and abs(felt - wanted) <= _THERE * wanted):
+            self._there = stamp
+        if felt != felt or stamp - self._there >= _SETTLE:
+            self._correct_until = stamp
+        if not (felt >= _FELT * wanted and time > 0.0 and self.pressing):
+            return False
+        factor = self._factor
+        if felt > wanted:
+            # Where the limit is not reached yet, lowering it would do nothing for a while.
+            factor = min([factor, *(self._exerted(i, measured) for i in self.pressing)])
+        elif not still:
+            return False  # still on the way to the present limit
+        factor *= 1.0 + min(time / _FOLLOW, 1.0) * (1.0 - felt / wanted)
+        self._factor = min(max(factor, 1.0 / _BELIEVED), _BELIEVED)
+        self._apply()
+        return True
+
+    def _exerted(self, i: int, measured: Measured) -> float:
+        """Return what an actuator exerts as a share of its effort limit without correction."""
+        share = abs(measured.effort[i]) / (self._level * self.held[i].full)
+        return share if share == share else math.inf
+
+    def _build(self, stamp: float, measured: Measured) -> None:
         time = self._grasp.squeeze_time
         share = min((stamp - self._since) / time, 1.0) if time > 0.0 else 1.0
         for i, held in self.held.items():
             self.effort[i] = held.start + share * (held.full - held.start)
-        if share >= 1.0:
+        there = self.grip is not None and self.grip.tip_force(measured.touch) >= self.force
+        if share >= 1.0 or there:
             self.built = True
+            if there:  # with less effort than the levers have it
+                shares = (self._exerted(i, measured) for i in self.pressing)
+                self._factor = max(min(shares, default=1.0), 1.0 / _BELIEVED)
+                self._factor = min(self._factor, 1.0)
+                self._apply()
             self._ease = stamp + self._grasp.grip_after
+            self._correct_until, self._there = math.inf, stamp
             for i in self.held:
                 self._contact.unpin(i, stamp)
 
@@ -202,5 +285,9 @@ class Squeeze:
     def _set_level(self, level: float, stamp: float) -> None:
         self._level = level
         self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
+        self._apply()
+
+    def _apply(self) -> None:
         for i, held in self.held.items():
-            self.effort[i] = level * held.full
+            factor = self._factor if i in self.pressing else 1.0
+            self.effort[i] = self._level * factor * held.full

@@ -23,8 +23,8 @@ STATE = message_type("rtee_msgs/msg/State")
 ACTUATOR_COLUMNS = (*MEASURED, "grasped", "fresh")
 """The quantities in a ``rtee_msgs/ActuatorState``, in order."""
 
-UNKNOWN_GRIP = (math.nan, math.nan, math.nan)
-"""Opening, force and its error, where none is known."""
+UNKNOWN_GRIP = (math.nan, math.nan, math.nan, "")
+"""Opening, force, its error and what it is estimated from, where none is known."""
 
 _GRIP_FIELDS = ("opening", "force", "force_error")
 _TICK = struct.Struct("<Q")
@@ -45,6 +45,7 @@ class State(TickRecord):
             known.
         force: Estimated force between them [N]; ``NaN``: not known.
         force_error: How far that may be off [N].
+        force_source: What it is estimated from, as in `rtee.types.Result`.
     """
 
     names: tuple[str, ...]
@@ -53,6 +54,7 @@ class State(TickRecord):
     opening: float = math.nan
     force: float = math.nan
     force_error: float = math.nan
+    force_source: str = ""
 
     @property
     def positions(self) -> dict[str, float]:
@@ -102,15 +104,16 @@ class StateEncoder:
         self._fields = _fields(names, COLUMNS)
         self._fields |= {"joint": list(joints), "joint_position": np.zeros(len(joints))}
         self._fields |= dict.fromkeys(_GRIP_FIELDS, 0.0)
-        self._templates: dict[tuple[tuple[str, int], ...], Template] = {}
+        self._templates: dict[tuple[str, tuple[tuple[str, int], ...]], Template] = {}
 
-    def _template(self, channels: Mapping[str, FloatArray]) -> Template:
-        """Return the layout for channels of these names and lengths."""
-        key = tuple((name, len(values)) for name, values in channels.items())
+    def _template(self, channels: Mapping[str, FloatArray], source: str) -> Template:
+        """Return the layout for channels of these names and lengths, and a source of the force."""
+        key = source, tuple((name, len(values)) for name, values in channels.items())
         found = self._templates.get(key)
         if found is None:
             held = ("channel", "channel_length", "channel_value")
             fields = self._fields | dict(zip(held, channel_fields(channels), strict=True))
+            fields["force_source"] = source
             changing = (
                 *(STAMP, "tick", "time", *COLUMNS, "joint_position", "channel_value"),
                 *_GRIP_FIELDS,
@@ -122,14 +125,15 @@ class StateEncoder:
         self,
         record: TickRecord,
         joint_position: FloatArray,
-        grip: tuple[float, float, float] = UNKNOWN_GRIP,
+        grip: tuple[float, float, float, str] = UNKNOWN_GRIP,
     ) -> bytes:
         """Return the bytes of a message.
 
         Args:
             record: What was known at the tick.
             joint_position: The positions of all moving joints ``(m,)`` [rad | m].
-            grip: Opening of the fingertips [m], force between them and its error [N].
+            grip: Opening of the fingertips [m], force between them and its error [N], and what
+                that is estimated from.
 
         Raises:
             ValueError: if an array has another length or type.
@@ -137,8 +141,10 @@ class StateEncoder:
         times = stamp_bytes(record.wall_ns), _TICK.pack(record.tick), _TIME.pack(record.stamp)
         arrays = [array.tobytes() for array in (*_arrays(record), joint_position)]
         channels = b"".join([values.tobytes() for values in record.channels.values()])
-        three = [_TIME.pack(value) for value in grip]
-        return self._template(record.channels).filled((*times, *arrays, channels, *three))
+        *numbers, source = grip
+        three = [_TIME.pack(value) for value in numbers]
+        template = self._template(record.channels, source)
+        return template.filled((*times, *arrays, channels, *three))
 
 
 def decode_state(data: Data) -> State:
@@ -156,6 +162,7 @@ def decode_state(data: Data) -> State:
         joint_names=joints,
         joint_position=fields["joint_position"],
         channels=channels_of(fields["channel"], fields["channel_length"], fields["channel_value"]),
+        force_source=fields["force_source"],
         **{name: fields[name] for name in _GRIP_FIELDS},
         **{name: fields[name] for name in COLUMNS},
     )

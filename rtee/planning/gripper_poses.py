@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rtee.actions.naming import label
-from rtee.actions.openings import Opening
+from rtee.actions.openings import MARGIN, Opening, suitability
 from rtee.actions.types import Action
 from rtee.errors import ActionError, ConfigError, suggestion
 from rtee.hand.model import Hand
@@ -33,16 +33,10 @@ from rtee.planning.tips import Fingertips
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
-MARGIN: Final = 0.01
-"""Before it closes, a hand opens wider than the object by this, or as far as it can [m]."""
-
 _COLUMNS: Final = 17
 """Of a GraspNet array: score, width, height, depth, rotation (9), translation (3), object."""
 
 _AXES: Final = {"x": 0, "y": 1, "z": 2}
-
-_SQUARE: Final = 0.1
-"""Actions whose tips move to the object at angles that differ by less are equally good [rad]."""
 
 _STEP: Final = 0.02
 """Step of intensity by which the direction is found in which tips close."""
@@ -269,21 +263,12 @@ def _best(
     margin: float,
     hand: Hand,
 ) -> tuple[Action, Opening]:
-    """Return the action for a width: it opens far enough, meets squarely, moves few actuators."""
+    """Return the action that suits a width best; see `suitability`."""
     able = [pair for pair in actions if not fingers or set(fingers) == set(pair[1].fingers)]
     if not able:
         raise ConfigError(f"no action of '{hand.name}' opposes {', '.join(fingers)} alone")
     fits = [
-        (
-            (
-                width + margin > opening.widest,
-                round(opening.angle_at(opening.intensity_at(width)) / _SQUARE),
-                len(opening.actuators),
-                order,
-            ),
-            action,
-            opening,
-        )
+        ((*suitability(hand, action, opening, width, margin), order), action, opening)
         for order, (action, opening) in enumerate(able)
         if opening.narrowest <= width < opening.widest
     ]

@@ -77,7 +77,7 @@ class StateMessages:
     def state(self, record: TickRecord) -> bytes:
         """Return a ``rtee_msgs/State``."""
         joints = self._transmission.joints(record.position)
-        return self._state.encode(record, joints, grip_at(self.grip, record)[:3])
+        return self._state.encode(record, joints, grip_at(self.grip, record))
 
     def joint_state(self, record: TickRecord) -> bytes:
         """Return a ``sensor_msgs/JointState`` of all joints; efforts of joints are not known."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import shutil
 import signal
 import subprocess
@@ -81,3 +82,147 @@ def test_blocks_are_measured_and_kept_one_by_one(place: Path) -> None:
 def test_what_cannot_be_calibrated_is_refused(place: Path) -> None:
     assert "actions go with --opening" in calibrate(place, "PinchTight", typed="", status=2)
     assert "unknown action" in calibrate(place, "--opening", "Nope", typed="", status=2)
+
+
+class Terminal:
+    """`rtee calibrate` as somebody sees it: on a terminal of its own, where Ctrl-C is a key."""
+
+    def __init__(self, place: Path, *words: str) -> None:
+        command = [*RTEE, "calibrate", HAND, "--opening", *words]
+        self.said, self.seen = "", 0
+        self.pid, self.ours = pty.fork()
+        if not self.pid:
+            os.execvpe(command[0], command, environment(place))
+
+    def until(self, text: str) -> None:
+        """Read until a text has been said."""
+        while (found := self.said.find(text, self.seen)) < 0:
+            try:
+                self.said += os.read(self.ours, 4096).decode(errors="replace")
+            except OSError:
+                raise AssertionError(f"it ended without saying '{text}': {self.said}") from None
+        self.seen = found + len(text)
+
+    def type(self, text: str) -> None:
+        os.write(self.ours, text.encode())
+
+    def end(self) -> int:
+        """Read to the end; return the exit status."""
+        while True:
+            try:
+                read = os.read(self.ours, 4096)
+            except OSError:
+                break
+            if not read:
+                break
+            self.said += read.decode(errors="replace")
+        os.close(self.ours)
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+
+
+RUN = (*RTEE, "run", HAND, "--no-log", "--rate", "200", "--option", "objects={finger_joint: 0.5}")
+"""A stand-in of the gripper with something half way: no wire that a busy computer could starve."""
+
+
+@pytest.fixture
+def standing_in(repository: Path, tmp_path: Path) -> Iterator[Path]:
+    """A folder with a gripper whose stand-in runs."""
+    tmp_path.chmod(0o700)
+    shutil.copytree(repository / "config" / HAND, tmp_path / "config" / HAND)
+    run = subprocess.Popen(RUN, env=environment(tmp_path), stdout=subprocess.PIPE, text=True)
+    assert run.stdout is not None
+    assert run.stdout.readline().startswith(f"{HAND}: ")
+    yield tmp_path
+    run.send_signal(signal.SIGINT)
+    run.communicate()
+
+
+PINCH = "PinchTight:finger_1,finger_2"
+WIDTH, BLOCK = "width of the next block", "press Enter"
+
+
+def test_ctrl_c_at_a_question_writes_nothing(standing_in: Path) -> None:
+    place = standing_in
+    folder = place / "config" / HAND
+    before = (folder / "hand.yaml").read_text()
+    for typed in ("", "44mm\n"):  # at the question for a width, and with a block in the hand
+        terminal = Terminal(place, PINCH)
+        terminal.until(WIDTH)
+        if typed:
+            terminal.type(typed)
+            terminal.until(BLOCK)
+        terminal.type("\x03")
+        assert terminal.end() == 130, terminal.said
+        assert "Traceback" not in terminal.said
+        assert (folder / "hand.yaml").read_text() == before
+
+
+def test_ctrl_c_keeps_what_was_taken_and_the_next_time_goes_on(standing_in: Path) -> None:
+    place = standing_in
+    folder = place / "config" / HAND
+    before = (folder / "hand.yaml").read_text()
+    terminal = Terminal(place, PINCH)
+    terminal.until(WIDTH)
+    terminal.type("44mm\n")
+    terminal.until(BLOCK)
+    terminal.type("\n")
+    terminal.until("stored in")
+    terminal.until(WIDTH)
+    terminal.type("43mm\n")
+    terminal.until(BLOCK)
+    terminal.type("\n\x03")  # while it closes on the second block
+    assert terminal.end() == 130, terminal.said
+    assert "Traceback" not in terminal.said
+    [pairs] = load_hand(folder).openings.values()
+    assert [round(1e3 * width) for _, width in pairs] in ([44], [43, 44])
+    assert not [path for path in folder.rglob("*") if path.suffix in (".tmp", ".part")]
+    comments = [line for line in before.splitlines() if "#" in line]
+    assert all(line in (folder / "hand.yaml").read_text() for line in comments)
+    again = Terminal(place, PINCH)
+    again.until("measured before: 44 mm")
+    again.until(WIDTH)
+    again.type("\n")
+    assert again.end() == 0, again.said
+
+
+def test_a_hand_that_came_with_rtee_is_copied_first(repository: Path, tmp_path: Path) -> None:
+    site, work = tmp_path / "site", tmp_path / "work"
+    shutil.copytree(repository / "rtee", site / "rtee")
+    shutil.copytree(repository / "config" / HAND, site / "rtee" / "_config" / HAND)
+    work.mkdir()
+    tmp_path.chmod(0o700)
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("RTEE", "XDG"))}
+    installed = {
+        **kept,
+        "PYTHONPATH": str(site),
+        "PYTHONUNBUFFERED": "1",
+        "HOME": str(work),
+        "XDG_RUNTIME_DIR": str(tmp_path),
+    }
+    shipped = site / "rtee" / "_config" / HAND / "hand.yaml"
+    before = shipped.read_bytes()
+    run = subprocess.Popen(RUN, cwd=work, env=installed, stdout=subprocess.PIPE, text=True)
+    try:
+        assert run.stdout is not None
+        assert run.stdout.readline().startswith(f"{HAND}: ")
+        done = subprocess.run(
+            [*RTEE, "calibrate", HAND, "--opening", PINCH],
+            cwd=work,
+            env=installed,
+            input="44mm\n\n\n",
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    finally:
+        run.send_signal(signal.SIGINT)
+        run.communicate()
+    mine = work / "config" / HAND
+    assert f"it is copied to config/{HAND}" in done.stdout + done.stderr
+    assert shipped.read_bytes() == before
+    [pairs] = load_hand(mine).openings.values()
+    assert [round(1e3 * width) for _, width in pairs] == [44]
+    comments = [line for line in before.decode().splitlines() if "#" in line]
+    assert all(line in (mine / "hand.yaml").read_text() for line in comments)

@@ -61,6 +61,7 @@ def encode_state(given: State) -> bytes:
             "opening": given.opening,
             "force": given.force,
             "force_error": given.force_error,
+            "force_source": given.force_source,
             "channel": names,
             "channel_length": lengths,
             "channel_value": values,

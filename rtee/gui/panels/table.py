@@ -64,8 +64,8 @@ class TablePanel:
         self._grip.visible = not math.isnan(state.opening)
         force = "" if math.isnan(state.force) else f"{state.force:.1f} ± {state.force_error:.1f}"
         self._grip.content = table(
-            ("", "opening [mm]", "force [N]"),
-            [["fingertips", f"{1e3 * state.opening:.1f}", force or "–"]],
+            ("", "opening [mm]", "force [N]", "by"),
+            [["fingertips", f"{1e3 * state.opening:.1f}", force or "–", state.force_source or "–"]],
         )
         rows = [
             [

@@ -1,0 +1,214 @@
+"""A force that is asked for: a light approach, the build-up after contact, sensors; openings."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from rtee.actions.library import ActionLibrary
+from rtee.commands import SetActive
+from rtee.hand.load import load_configured
+from rtee.loop.configure import loop_settings
+from rtee.loop.contact import Measured
+from rtee.loop.controller import Controller
+from rtee.loop.plan import make_plan
+from rtee.types import Event, Goal, OnContact, Result
+
+FOLDER = Path(__file__).parents[2] / "config" / "robotiq_2f_85"
+NAN = float("nan")
+STIFFNESS = 200.0
+"""Of its motor against what stops it [N·m/rad]."""
+
+
+class Gripper:
+    """A 2F-85 with something between its fingers, and sensors at their tips if wanted.
+
+    Args:
+        width: Width of what it holds [m]; 0: nothing.
+        reads: What the sensors read for every newton by the levers; ``NaN``: there are none.
+        friction: Effort below which nothing moves [N·m].
+        stops_short: How far before its reference it stands still [rad].
+        amperes: Current for every unit of effort, which is not measured then [A/(N·m)].
+    """
+
+    def __init__(
+        self,
+        width: float = 0.0,
+        reads: float = NAN,
+        friction: float = 0.0,
+        stops_short: float = 0.0,
+        amperes: float = NAN,
+    ) -> None:
+        self.hand, config = load_configured(FOLDER)
+        self.library = ActionLibrary.load(self.hand, FOLDER / "actions")
+        self.settings = loop_settings(config, rate=500.0)
+        self.controller = Controller(self.hand, self.settings)
+        self.reads, self.friction, self.stops_short = reads, friction, stops_short
+        self.amperes = amperes
+        self.grip = self.plan(Goal("Grasp", opening=width)).grip
+        assert self.grip is not None
+        self.contact = math.inf
+        if width:
+            self.contact = self.grip.position_at(self.grip.intensity_at(width))[0]
+        self.time = self.position = self.effort = self.force = 0.0
+        self.results: list[Result] = []
+        self.events: list[Event] = []
+        self.controller.apply(SetActive({self.hand.actuator_names[0]: True}), 0.0)
+        self.tick()
+
+    def plan(self, goal: Goal):  # type: ignore[no-untyped-def]
+        return make_plan(goal, self.hand, self.library, self.settings)
+
+    def accept(self, goal: Goal) -> None:
+        self.controller.accept(self.plan(goal), self.time)
+
+    def do(self, goal: Goal) -> Result:
+        self.accept(goal)
+        for _ in range(20_000):
+            self.tick()
+            if self.results:
+                return self.results.pop()
+        raise AssertionError("the goal never ended")
+
+    @property
+    def reference(self) -> float:
+        return self.controller.reference_position[0]
+
+    @property
+    def limit(self) -> float:
+        return self.controller.reference_effort[0]
+
+    def tick(self) -> None:
+        self.time += self.settings.period
+        if self.limit >= self.friction:
+            there = self.reference - math.copysign(self.stops_short, self.reference - self.position)
+            self.position = min(there, self.contact)
+        push = STIFFNESS * (self.reference - self.position)
+        self.effort = max(-self.limit, min(push, self.limit))
+        touch: list[float] = []
+        self.force = 0.0
+        if self.position >= self.contact and self.effort > 0.0:
+            assert self.grip is not None
+            [(_, _, lever)] = self.grip.squeezing(self.grip.intensity[-1] / 2.0)
+            self.force = self.effort / lever
+        if self.reads == self.reads:
+            touch = [self.reads * self.force] * 2
+        measured = Measured([self.position], [self.effort], [NAN], [True], [-1], touch=touch)
+        if self.amperes == self.amperes:
+            free = 0.3 * (self.controller.reference_velocity[0] > 0.0)
+            measured.effort, measured.current = [NAN], [self.amperes * (self.effort + free)]
+        self.controller.step(self.time, measured)
+        for item in self.controller.outbox.items:
+            if isinstance(item, Result):
+                self.results.append(item)
+            elif isinstance(item, Event):
+                self.events.append(item)
+        self.controller.outbox.items.clear()
+
+
+def grasp(width: float, force: float | None = None) -> Goal:
+    return Goal("Grasp", opening=width, force=force, grasp=True)
+
+
+def test_an_approach_takes_little_effort_and_the_force_comes_after_the_contact() -> None:
+    gripper = Gripper(0.04, reads=1.0)
+    gripper.accept(grasp(0.04, 40.0))
+    wanted = gripper.plan(grasp(0.04, 40.0)).effort[0]
+    closing = light = False
+    while gripper.position < gripper.contact:
+        gripper.tick()
+        light = light or gripper.limit < 0.2 * wanted
+        closing = closing or light
+        assert not closing or gripper.limit < 0.2 * wanted
+    assert light
+    limits = []
+    while not gripper.results:
+        gripper.tick()
+        limits.append(gripper.limit)
+        assert gripper.force <= 1.05 * 40.0
+    assert gripper.results.pop().grasped
+    rising = [b - a for a, b in pairwise(limits)]
+    assert max(rising) < 0.1 * wanted, "in steps of a ramp"
+
+
+@pytest.mark.parametrize("reads", [0.7, 1.0, 1.5])
+def test_sensors_on_both_sides_correct_the_force(reads: float) -> None:
+    gripper = Gripper(0.04, reads=reads)
+    result = gripper.do(grasp(0.04, 40.0))
+    assert result.force_source == "tip forces"
+    for _ in range(1000):
+        gripper.tick()
+        assert reads * gripper.force <= 1.05 * 40.0
+    assert reads * gripper.force == pytest.approx(40.0, rel=0.02)
+
+
+@pytest.mark.parametrize("reads", [0.01, 20.0])
+def test_a_broken_sensor_changes_the_force_by_a_factor_of_two_at_most(reads: float) -> None:
+    gripper = Gripper(0.04, reads=reads)
+    gripper.do(grasp(0.04, 40.0))
+    wanted = gripper.plan(grasp(0.04, 40.0)).effort[0]
+    for _ in range(2000):
+        gripper.tick()
+    assert 0.45 * wanted <= gripper.limit <= 2.05 * wanted
+
+
+def test_friction_that_nobody_knows_is_overcome_on_the_way() -> None:
+    gripper = Gripper(0.04, friction=2.0)
+    result = gripper.do(grasp(0.04, 40.0))
+    assert result.within
+    assert gripper.limit == pytest.approx(gripper.plan(grasp(0.04, 40.0)).effort[0])
+
+
+def test_a_goal_that_opens_after_a_grasp_does_not_press_on_its_way_back() -> None:
+    gripper = Gripper(0.04)
+    assert gripper.do(Goal("Grasp", effort={gripper.hand.actuator_names[0]: 2.0})).grasped
+    assert gripper.force > 10.0
+    gripper.accept(Goal("Grasp", intensity=0.1))
+    gripper.tick()
+    assert gripper.limit == gripper.hand.actuators[0].effort
+    for _ in range(20):
+        gripper.tick()
+        assert gripper.reference <= gripper.contact + 1e-9
+        assert gripper.force < 1.0
+
+
+def test_a_goal_that_closes_further_does_not_let_go() -> None:
+    gripper = Gripper(0.04)
+    name = gripper.hand.actuator_names[0]
+    assert gripper.do(Goal("Grasp", effort={name: 2.0})).grasped
+    before = gripper.force
+    gripper.accept(Goal("Grasp", effort={name: 3.0}))
+    for _ in range(200):
+        gripper.tick()
+        assert gripper.force >= 0.99 * before
+
+
+@pytest.mark.parametrize("amperes", [0.05, 2.0])
+def test_a_device_that_measures_nothing_but_currents_feels_what_it_touches(amperes: float) -> None:
+    gripper = Gripper(0.04, amperes=amperes)
+    gripper.accept(Goal("Grasp", on_contact={"": OnContact.STOP}, speed=0.3))
+    pressed = 0.0
+    while not gripper.results:
+        gripper.tick()
+        pressed = max(pressed, gripper.force)
+    assert gripper.results.pop().touched == ("finger_1", "finger_2")
+    assert gripper.reference == pytest.approx(gripper.contact, abs=1e-3)
+    assert pressed < 10.0
+    # The effort limits of a force are in other units than the current that free motion takes.
+    squeezing = Gripper(0.04, amperes=amperes)
+    assert squeezing.do(grasp(0.04, 40.0)).stalled
+    wanted = squeezing.plan(grasp(0.04, 40.0)).effort[0]
+    assert squeezing.limit == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(("off", "reached"), [(3e-4, True), (1e-3, False)])
+def test_an_opening_is_judged_in_millimetres(off: float, reached: bool) -> None:
+    # 1 mm are 0.009 rad there, less than what counts as reached of other goals.
+    gripper = Gripper(stops_short=off / 0.111)
+    result = gripper.do(Goal("Grasp", opening=0.04, timeout=5.0))
+    assert result.opening == pytest.approx(0.04 + off, abs=1.5e-4)
+    assert result.reached == reached
+    assert result.succeeded == reached
