@@ -121,7 +121,7 @@ class Controller:
         self._settling: dict[int, float] = {}
         self._thermal_due = -math.inf
         self._limited_reported = -math.inf
-        self._seed(dict(enumerate(hand.rest.tolist())))
+        self._restart(dict(enumerate(hand.rest.tolist())))
         nothing = [math.nan] * n
         self._measured = Measured(nothing, nothing, nothing, [False] * n, [-1] * n)
         self.reference_position = self._limiter.position
@@ -172,9 +172,8 @@ class Controller:
         self._end_stream(stamp, f"{plan.action} took over")
         self._let_go(plan.legs[0].targets)
         self._leave_hold(plan.involved)
-        self._goal_effort = {
-            i: e for i, e in self._goal_effort.items() if i not in plan.involved
-        } | dict(plan.effort)
+        kept = {i: e for i, e in self._goal_effort.items() if i not in plan.involved}
+        self._goal_effort = kept | dict(plan.effort)
         # A force that was asked for is kept; other efforts are lowered while something is held.
         self._kept -= plan.involved
         if plan.goal.force is not None:
@@ -198,9 +197,9 @@ class Controller:
             blocked = self._contact.blocked(i) or i in self._kept or i in self._reflexes.held
             if blocked and math.isfinite(here) and ahead * (target - here) <= 0.0:
                 there[i] = here
-        self._seed(there)
+        self._restart(there)
 
-    def _seed(self, positions: Mapping[int, float]) -> None:
+    def _restart(self, positions: Mapping[int, float]) -> None:
         """Restart references, at rest, from positions by actuator."""
         self._profile.seed(positions)
         for i, position in positions.items():
@@ -424,7 +423,7 @@ class Controller:
                 if active:
                     allowed.append(i)
         if start:
-            self._seed(start)
+            self._restart(start)
         if allowed:  # a goal may have come between the permission and this tick
             self._executor.seeded(allowed, stamp, measured)
 
