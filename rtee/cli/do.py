@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Annotated
 
 # Imported before a goal begins: a signal that comes during an import would not cancel it.
@@ -27,6 +27,8 @@ from rtee.errors import RteeError
 from rtee.types import Stage
 
 if TYPE_CHECKING:
+    from anyio.abc import TaskStatus
+
     from rtee.remote.client import RemoteHand
     from rtee.remote.goal import GoalOptions, RunningGoal
     from rtee.types import Feedback, Result
@@ -114,8 +116,7 @@ def do(
 
     async def execute(remote: RemoteHand) -> Result:
         options["effort"] = await effort_limits(remote, efforts)
-        running = await remote.start(action, *chosen, **options)
-        return await follow(running, label(action, chosen))
+        return await follow(remote.start(action, *chosen, **options), label(action, chosen))
 
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
@@ -133,39 +134,47 @@ def open_(
     """Bring the hand to its rest posture, or do its action "open" if it has one."""
 
     async def execute(remote: RemoteHand) -> Result:
-        return await follow(await remote.start("open"), "open")
+        return await follow(remote.start("open"), "open")
 
     result = with_hand(hand, connect, "open", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result))
     raise typer.Exit(0 if result.succeeded else 1)
 
 
-async def follow(running: RunningGoal, title: str) -> Result:
-    """Show a goal's progress until its result; Ctrl-C cancels it, a second Ctrl-C leaves it."""
+async def follow(start: Awaitable[RunningGoal], title: str) -> Result:
+    """Start a goal and show its progress; Ctrl-C cancels it, a second Ctrl-C leaves it."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         bars = _Bars(progress, title)
-        result = await _interruptible(running, bars.show)
+        result = await _interruptible(start, bars.show)
         if result.succeeded:
             bars.complete()
     return result
 
 
-async def _interruptible(running: RunningGoal, show: Callable[[Feedback], None]) -> Result:
-    async def cancel_on_signal() -> None:
+async def _interruptible(start: Awaitable[RunningGoal], show: Callable[[Feedback], None]) -> Result:
+    goals: list[RunningGoal] = []
+    started = anyio.Event()
+
+    async def cancel_on_signal(*, task_status: TaskStatus[None]) -> None:
         # The second signal has its usual effect again.
         with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
+            task_status.started()
             async for _ in signals:
                 break
+        await started.wait()
         with contextlib.suppress(RteeError):
-            await running.cancel()
+            await goals[0].cancel()
 
     errors: list[RteeError] = []
     async with anyio.create_task_group() as group:
-        group.start_soon(cancel_on_signal)
+        # Before the goal is sent: a signal after that must cancel it, not leave it running.
+        await group.start(cancel_on_signal)
         try:
-            return await running.result(show)
+            goals.append(await start)
+            started.set()
+            return await goals[0].result(show)
         except RteeError as error:  # raised below, where the task group does not wrap it
             errors.append(error)
         finally:

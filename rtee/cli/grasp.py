@@ -76,7 +76,7 @@ def grasp(
     within = quantity(narrower, LENGTH, "tolerance"), quantity(wider, LENGTH, "tolerance")
 
     async def execute(remote: RemoteHand) -> Result:
-        running = await remote.start_grasp(
+        start = remote.start_grasp(
             wanted,
             newtons,
             fast,
@@ -87,7 +87,7 @@ def grasp(
             on_contact=words,
             max_force=max_force,
         )
-        return await follow(running, f"grasp {wanted * 1e3:g} mm")
+        return await follow(start, f"grasp {wanted * 1e3:g} mm")
 
     result = with_hand(hand, connect, "grasp", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, result.elements))
@@ -119,8 +119,8 @@ def touch(
     """
 
     async def execute(remote: RemoteHand) -> Result:
-        running = await remote.start_touch(fingers, action=action, speed=speed, timeout=timeout)
-        return await follow(running, "touch")
+        start = remote.start_touch(fingers, action=action, speed=speed, timeout=timeout)
+        return await follow(start, "touch")
 
     result = with_hand(hand, connect, "touch", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, result.elements))
