@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
 # No test asserts times, and a busy computer must not fail one.
 settings.register_profile("rtee", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("rtee")
+
+# Where a shell started the tests in the background, Ctrl-C is ignored here, and in every process
+# that a test starts and interrupts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

@@ -166,7 +166,7 @@ BAD = {
     "misspelled key": (GENERIC.replace("set_points", "set_point"), 2, "did you mean 'set_points'"),
     "NaN": (GENERIC.replace("0.8", ".nan"), 3, "finite"),
     "infinite": (GENERIC.replace("0.8", ".inf"), 3, "finite"),
-    "huge": (GENERIC.replace("0.8", "1" + "0" * 400), 3, "finite"),
+    "huge": (GENERIC.replace("0.8", "1" + "0" * 400), 3, "64 bits"),
     "unknown actuator": (GENERIC.replace("middle_joint", "midle_joint"), 3, "'middle_joint'"),
     "beyond a limit": (GENERIC.replace("0.8", "1.1"), 3, "upper limit 1 rad"),
     "text for a number": (GENERIC.replace("0.8", "much"), 3, "must be a number"),

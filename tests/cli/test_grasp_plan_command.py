@@ -91,7 +91,7 @@ def test_a_name_that_is_taken_is_refused_unless_it_is_to_be_replaced(run: Run) -
         (["--object", "sphere:-0.1"], "is no object"),
         (["--object", "sphere:nan"], "is no object"),
         (["--object", "nothing.stl"], "nothing.stl: no such mesh"),
-        (["--object", "sphere:0.02", "--mass", "nan"], "the mass of an object"),
+        (["--object", "sphere:0.02", "--mass", "nan"], "should be a finite number"),
         (["--object", "sphere:0.02", "--mass", "-1"], "the mass of an object"),
         (["--object", "sphere:0.02", "--friction", "0"], "a friction is above 0"),
         (["--object", "sphere:0.02", "--scale", "0"], "the scale of a mesh is above 0"),

@@ -307,8 +307,12 @@ def test_a_recording_of_before_commands_had_types_comes_out_again() -> None:
     jogs = [command for command in commands if isinstance(command, Jog)]
     assert [jog.max_velocity for jog in jogs] == [0.1 + 0.2, math.inf]
     report = check(found)
-    assert report.same
     assert (report.ticks, report.goals) == (332, 6)
+    # At this tick a finger that something blocks is sent back. It used to press on its way, from
+    # where its reference was; now it begins from where it is.
+    assert report.first is not None
+    assert (report.first.tick, report.first.actuator) == (102, "index_base")
+    assert report.first.computed == pytest.approx(0.9, abs=1e-3)
 
 
 def test_the_table_of_commands_is_as_before() -> None:
