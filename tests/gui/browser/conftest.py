@@ -91,9 +91,7 @@ def gui(place: Path, hands: Hands) -> Iterator[Program]:
 @pytest.fixture(scope="package")
 def context() -> Iterator[BrowserContext]:
     rebound = f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"
-    # Newer browsers have a check of their own, which older ones and others lack.
-    unchecked = "--disable-features=LocalNetworkAccessChecks"
-    with browser(900, 700, scale=0.5, arguments=(rebound, unchecked)) as opened:
+    with browser(900, 700, scale=0.5, arguments=(rebound,)) as opened:
         yield opened
 
 
