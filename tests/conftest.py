@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Schedul
 
     config.option.loadscopereorder = False
     return Files(config, log)
+
+
+@pytest.fixture(autouse=True)
+def priority() -> Iterator[None]:
+    """Fail a test that changes the priority of the process in which others run after it."""
+    before = _priority()
+    yield
+    assert _priority() == before, "the test has changed the priority of the tests' own process"
+
+
+def _priority() -> tuple[int, int]:
+    return os.nice(0), os.sched_getscheduler(0) if hasattr(os, "sched_getscheduler") else 0
 
 
 @pytest.fixture(scope="session")
