@@ -141,6 +141,8 @@ def picture_of_a_plan(folder: Path) -> None:
         page.get_by_text(re.compile("^best: ")).first.wait_for()
         page.get_by_role("button", name="Grasp", exact=True).first.click()
         page.get_by_text(re.compile("^(reached|grasped.*|stalled)$")).first.wait_for()
+        page.mouse.move(640, 400)
+        page.mouse.wheel(0, 300)  # the whole box
         page.mouse.move(640, 20)
         page.wait_for_timeout(3000)
         take(page, folder / "gui_try.png")

@@ -200,6 +200,12 @@ def _all(
             f"rtee extract {name} --save"
         )
     known = read_results(path, made_with)
+    if not known and (old := len(read_results(path))):
+        print(
+            f"rtee: the {old} results in {path} are outdated, made with other files of this hand "
+            "or by an earlier method; they are made anew",
+            file=sys.stderr,
+        )
     todo = [trial for trial in trials if again or not _done(trial, known.get(trial.key))]
     if todo:
         if out is None:

@@ -24,7 +24,7 @@ class Tried:
 
     Attributes:
         results: The results by action.
-        outdated: Whether the files of the hand have changed since.
+        outdated: Whether the files of the hand, or how trials are made, have changed since.
         own: The results of trials of this page, by action; the newest last.
     """
 
@@ -88,7 +88,7 @@ def line(results: Sequence[TrialResult], *, outdated: bool = False) -> str:
     fitting = sum(result.fits for result in results)
     words = f"held {held} of {fitting} object{'s' if fitting != 1 else ''}"
     words += " that fit" if fitting < len(results) else ""
-    return f"{words}, with other files of this hand" if outdated else words
+    return f"{words}, outdated" if outdated else words
 
 
 def table(results: Sequence[TrialResult]) -> str:

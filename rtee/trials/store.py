@@ -18,6 +18,11 @@ from rtee.trials.variation import interval
 FILE_NAME = TRIALS
 """The file with the results in a hand's folder."""
 
+METHOD = 2
+"""How trials are made: raised whenever the choice of places, the draws or the physics change what
+they find, so that earlier results count as outdated. 1: files that do not say; the place of an
+object was chosen by the draws that were reported."""
+
 
 def to_document(result: TrialResult) -> dict[str, Any]:
     """Return a result as plain data."""
@@ -106,8 +111,9 @@ def write_results(path: Path, made_with: str, results: Iterable[TrialResult]) ->
         ConfigError: if it cannot be written.
     """
     ordered = sorted(results, key=lambda result: result.trial.key)
-    document = {"made_with": made_with, "trials": [to_document(result) for result in ordered]}
-    head = "# What `rtee try` found; made anew when the hand's files change.\n"
+    entries = [to_document(result) for result in ordered]
+    document = {"made_with": made_with, "method": METHOD, "trials": entries}
+    head = "# What `rtee try` found; made anew when the hand's files or the method change.\n"
     write_atomically(path, head + emit(document))
 
 
@@ -116,7 +122,8 @@ def read_results(path: Path, made_with: str | None = None) -> dict[str, TrialRes
 
     Args:
         path: The file; nothing is found where it does not exist.
-        made_with: Results made with other files of the hand are not given.
+        made_with: Results made with other files of the hand, or by an earlier method, are not
+            given.
 
     Raises:
         ConfigError: if the file holds something else.
@@ -140,7 +147,7 @@ def parse_results(text: str, path: Path) -> dict[str, TrialResult]:
 
 
 def outdated(text: str, path: Path) -> bool:
-    """Return whether the text of such a file says that the hand's files are others now.
+    """Return whether the hand's files or the method are others now than the text says.
 
     A running hand sends the text with the fingerprint of its present files, as ``present``.
 
@@ -152,15 +159,21 @@ def outdated(text: str, path: Path) -> bool:
         ConfigError: if the text is something else.
     """
     document = parse_yaml(text, path, "the trials").data if text else {}
-    if not isinstance(document, dict) or "present" not in document:
+    if not isinstance(document, dict) or not {"present", "made_with"} <= document.keys():
         return False
-    return bool(document["present"] != document.get("made_with"))
+    return not _current(document, str(document["present"]))
+
+
+def _current(document: Mapping[str, Any], present: str) -> bool:
+    """Return whether results were made with the present files, by the present method."""
+    made = document["made_with"], document.get("method", 1)
+    return bool(made == (present, METHOD))
 
 
 def _results(read: YamlDocument, made_with: str | None) -> dict[str, TrialResult]:
     document = read.data
     try:
-        if made_with is not None and document["made_with"] != made_with:
+        if made_with is not None and not _current(document, made_with):
             return {}
         results = [from_document(entry) for entry in document["trials"]]
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -187,6 +188,9 @@ def test_results_are_kept_as_they_are(tmp_path: Path, held: TrialResult) -> None
     assert read_results(path, "other") == {}
     write_results(path, "abc", [held, lost])
     assert path.read_text() == text
+    path.write_text(re.sub(r"(?m)^method: .*\n", "", text))
+    assert read_results(path, "abc") == {}, "made before methods were numbered"
+    assert len(read_results(path)) == 2
     assert from_document(json.loads(json.dumps(to_document(held)))) == held
 
 
@@ -286,3 +290,17 @@ def test_shipped_results_can_be_read(name: str) -> None:
     results = read_results(path)
     assert any(result.held for result in results.values())
     assert {result.trial.object for result in results.values()} <= set(OBJECTS)
+
+
+def test_a_trial_finds_what_is_stored(held: TrialResult) -> None:
+    ready = bench(GRIPPER)
+    stored = read_results(ready.folder / FILE_NAME, fingerprint(ready.folder))
+    if not stored:
+        pytest.skip(f"the stored results of the {GRIPPER} are outdated")
+    known = stored[BALL.key]
+    what = (
+        "trials find something else: raise METHOD in rtee/trials/store.py, and try the hands anew"
+    )
+    assert (held.held, held.outcome) == (known.held, known.outcome), what
+    assert held.position == pytest.approx(known.position, abs=1e-4), what
+    assert held.slip == pytest.approx(known.slip, abs=2e-4), what

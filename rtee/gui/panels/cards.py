@@ -308,7 +308,10 @@ class Card:
             outdated = self._tried.outdated
             title = "Of the objects it was tried on in simulation (rtee try --all)"
             if outdated:
-                title += "; its model, configuration or actions have changed since: try them again"
+                title += (
+                    "; its model, configuration or actions, or how trials are made, have changed"
+                )
+                title += " since: try them again"
             said = tried_line(results, outdated=outdated)
             self._found.content = small(
                 f'<details><summary title="{title}">{said}</summary>'
